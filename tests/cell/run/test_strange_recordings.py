@@ -103,6 +103,21 @@ def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
 
 
+@pytest.mark.fast
+def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
+    points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    frame = text_of(",time,q0,q1", joints(np.arange(len(STAMPS)), STAMPS, Q))
+    one, notes = read(tmp_path, frame, points)
+    assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
+    assert any("'index' is unknown" in note for note in notes)
+    degrees = text_of("Zeit [s];A1 [°];A2 [°]", joints(STAMPS, np.degrees(Q)), ";", comma=True)
+    for encoding in ("latin-1", "utf-16"):
+        file = tmp_path / encoding
+        file.write_bytes(degrees.encode(encoding))
+        (one,), _ = read_recordings(two_arms(), [file], [tmp_path / "points.txt"], "left")
+        assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
+
+
 SHORT = "t;x;y;z\n" + "1;2;3;4\n" * 9
 BAD = {
     "swapped": (FILES["RTDE"][1], FILES["RTDE"][0], r"joints.txt:4: q1: .*this file has points: are .* swapped"),
