@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.stream_columns import QUATERNION
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.run.stream_names import Kind, Understood
 
@@ -46,6 +47,19 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
         columns[name] = columns[name] * factor
     text = f"{table.path}: understood as {', '.join(known.said)}"
     return replace(table, columns=columns), ["; ".join([text, *guessed])]
+
+
+def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[str]]:
+    """The table without orientations that not every row has, and a sentence about it: a fit uses points only."""
+    if any(name not in table.columns for name in QUATERNION):
+        return table, []
+    turned = np.column_stack([table.columns[name] for name in QUATERNION])
+    empty = np.isnan(turned).any(axis=1) | (turned == 0.0).all(axis=1)
+    if not empty.any():
+        return table, []
+    kept = {name: values for name, values in table.columns.items() if name not in QUATERNION}
+    words = f"{table.path}: {int(empty.sum())} of {len(empty)} rows have no orientation: the quaternions are left out"
+    return replace(table, columns=kept), [words]
 
 
 def time_unit(stamps: NDArray[np.float64]) -> str | None:
