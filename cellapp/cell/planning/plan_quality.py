@@ -108,7 +108,7 @@ class Judge:
 
     @cached_property
     def _point_rows(self) -> NDArray[np.float32]:
-        """Rows (3 s, p) of the points in single precision, in half the time: uncertainties are stated to three digits."""
+        """Rows (3 s, p) of the points in single precision: uncertainties are stated to three digits."""
         return self.points.reshape(-1, self.points.shape[2]).astype(np.float32)
 
     def sizes(self, stops: int) -> list[int]:

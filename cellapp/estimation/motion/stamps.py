@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -162,7 +162,9 @@ def _regular(time: Array, period: float) -> Array:
         number = np.arange(last - first)
         slope, at_zero = np.polyfit(number, time[first:last], 1)
         left = time[first:last] - slope * number - at_zero
-        regular[first:last] = slope * number + at_zero + uniform_filter1d(left, 2 * half + 1, mode="nearest")
+        regular[first:last] = (
+            slope * number + at_zero + scipy.ndimage.uniform_filter1d(left, 2 * half + 1, mode="nearest")
+        )
     return np.maximum.accumulate(regular)
 
 

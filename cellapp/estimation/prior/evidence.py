@@ -18,9 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, qr
-from scipy.optimize import minimize
 
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.robot.kinematics.transforms import Array
@@ -108,8 +107,8 @@ class Evidence:
 
     def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatter_m: float) -> float:
         """Log of the marginal likelihood, without the constants."""
-        factor, lower = cho_factor(self.covariance(drifts, scatter_m), lower=True, check_finite=False)
-        solved = cho_solve((factor, lower), self.left, check_finite=False)
+        factor, lower = scipy.linalg.cho_factor(self.covariance(drifts, scatter_m), lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve((factor, lower), self.left, check_finite=False)
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
@@ -130,15 +129,15 @@ class Evidence:
         x0 = np.log(np.array([*first, scatter]))
         simplex = np.vstack([x0, x0 + 1.5 * np.eye(len(x0))])
         options = {"maxfev": _EVALUATIONS, "xatol": _TOLERANCE, "fatol": _TOLERANCE, "initial_simplex": simplex}
-        found = minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
+        found = scipy.optimize.minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
         sizes = np.exp(found.x).tolist()
         return Drifts(dict(zip(parts, sizes[:-1], strict=True)), sizes[-1], -float(found.fun))
 
     def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
         """What each candidate's jump would be, and by how much it raises the log likelihood."""
         K = self.covariance(drifts.of_parts, drifts.scatter_m)
-        factor = cho_factor(K, lower=True, check_finite=False)
-        solved = cho_solve(factor, self.rows.T, check_finite=False)
+        factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve(factor, self.rows.T, check_finite=False)
         moment = solved.T @ self.left
         found = []
         for one in candidates:
@@ -174,7 +173,7 @@ def evidence(
         Part -> unit of drift (p,) of each parameter, zero outside the part.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    Q, R, _ = qr((free * scale[:, None]).T, pivoting=True)
+    Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)
     pivots = np.abs(np.diag(R))
     Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z
