@@ -89,11 +89,11 @@ def usable(
 
 def together(batches: Sequence[Usable]) -> Usable:
     """The configurations of several draws as one draw."""
-    return Usable(
-        sum(batch.drawn for batch in batches),
-        *(np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")),
-        {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected},
+    q, smr_M, incidence = (
+        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")
     )
+    rejected = {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected}
+    return Usable(sum(batch.drawn for batch in batches), q, smr_M, incidence, rejected)
 
 
 def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:

@@ -215,7 +215,7 @@ def clear_pairs(cell: CellBodies, first: tuple[str, Array], second: tuple[str, A
 def within_limits(arm: ArmBodies, q: Array) -> np.ndarray:
     """Whether an arm with bodies may stand at ``q`` (n, N) [rad] by its joint limits, (n,) bool; not at NaN."""
     low, high = arm.limits.T
-    return np.all((q >= low - _ROUNDING_RAD) & (q <= high + _ROUNDING_RAD), axis=1) & (arm.links > 0)
+    return np.asarray(np.all((q >= low - _ROUNDING_RAD) & (q <= high + _ROUNDING_RAD), axis=1) & (arm.links > 0))
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:

@@ -205,7 +205,9 @@ def _by_phase(time: Array, period: float) -> Array:
 def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128]:
     """Mean of the phases of stamps within some seconds, as complex numbers; near length 1 where they are alike."""
     turned = np.exp(2j * np.pi * since / period)
-    return np.asarray(uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest"))
+    return np.asarray(
+        scipy.ndimage.uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest")
+    )
 
 
 def _roughness(time: Array, values: Array) -> float:
