@@ -7,6 +7,7 @@ evenly over many joints no single block may gain enough, so that backward elimin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
+from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.robot.kinematics.transforms import Array
 
 NEXT_BLOCK = 10.0
@@ -79,18 +80,19 @@ class BlockSelection:
 
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
         """``score`` of several sets of columns; those of equal size are computed together."""
-        found = [(0.0, 0.0)] * len(sets)
+        values, shares = np.zeros((2, len(sets)))
         sizes = np.array([len(one) for one in sets])
+        used, place = np.unique(np.concatenate(sets).astype(np.intp), return_inverse=True)
+        gram, norms, moments = self.candidate.rows[used] @ self.projected[used].T, self.norms[used], self.moments[used]
+        first, N = np.cumsum(sizes) - sizes, len(self.residual)
         for size in np.unique(sizes).tolist():
-            numbers = np.flatnonzero(sizes == size).tolist()
-            places = np.array([sets[number] for number in numbers], dtype=np.intp)
-            gram = self.candidate.rows[places] @ self.projected[places].swapaxes(1, 2)
-            root, ranks = visible_root(gram, self.norms[places])
-            along = np.einsum("bkr,bk->br", root, self.moments[places])
-            shares = np.sum(along**2, axis=1) / self.residual.square
-            for number, share, rank in zip(numbers, shares.tolist(), ranks.tolist(), strict=True):
-                found[number] = (bic_gain(share, len(self.residual), rank), share)
-        return found
+            numbers = np.flatnonzero(sizes == size)
+            places = place[first[numbers, None] + np.arange(size)]
+            root, ranks = visible_root(gram[places[:, :, None], places[:, None, :]], norms[places])
+            along = np.einsum("bkr,bk->br", root, moments[places])
+            shares[numbers] = np.sum(along**2, axis=1) / self.residual.square
+            values[numbers] = -N * np.log1p(-np.minimum(shares[numbers], MOST_SHARE)) - ranks * math.log(N)
+        return list(zip(values.tolist(), shares.tolist(), strict=True))
 
     def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
         """The best score among sets of columns, and its number."""
