@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
@@ -26,6 +28,8 @@ _MOST_TOGETHER = 24
 hundreds of lines, all at once would fit noise."""
 _MOST_TRIED = 40
 """Blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
+_MOST_AT_ONCE = 128
+"""Columns up to which the information of all is computed at once; of more, as of hundreds of lines, only as needed."""
 _PSEUDO_INVERSE = 1e-10
 """Relative cut of singular values where only a ranking depends on it; far above rounding."""
 
@@ -78,12 +82,29 @@ class BlockSelection:
         """BIC gain of some columns, without the price of choosing the law, and R^2."""
         return self._scores([tuple(columns)])[0]
 
+    @cached_property
+    def _gram(self) -> Array:
+        """Information (m, m) of all columns."""
+        return np.asarray(self.candidate.rows @ self.projected.T)
+
+    def most(self) -> float:
+        """A score, without the price of choosing the law, that no selection exceeds; infinite for very many columns."""
+        if len(self.norms) > _MOST_AT_ONCE:
+            return math.inf
+        every = tuple(place for block in self.blocks for place in block)
+        share = self._scores([every])[0][1]
+        return -len(self.residual) * math.log1p(-min(share, MOST_SHARE)) - math.log(len(self.residual))
+
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
         """``score`` of several sets of columns; those of equal size are computed together."""
         values, shares = np.zeros((2, len(sets)))
         sizes = np.array([len(one) for one in sets])
-        used, place = np.unique(np.concatenate(sets).astype(np.intp), return_inverse=True)
-        gram, norms, moments = self.candidate.rows[used] @ self.projected[used].T, self.norms[used], self.moments[used]
+        place = np.concatenate(sets).astype(np.intp)
+        used: slice | NDArray[np.intp] = slice(None)
+        if len(self.norms) > _MOST_AT_ONCE:
+            used, place = np.unique(place, return_inverse=True)
+        gram = self._gram if isinstance(used, slice) else self.candidate.rows[used] @ self.projected[used].T
+        norms, moments = self.norms[used], self.moments[used]
         first, N = np.cumsum(sizes) - sizes, len(self.residual)
         for size in np.unique(sizes).tolist():
             numbers = np.flatnonzero(sizes == size)

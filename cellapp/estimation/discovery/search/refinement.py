@@ -50,7 +50,7 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
     own = term_score(fit, number)
     best: SearchStep | None = None
     scan = LawScan.of(_laws_to_try(state, number), residual.projector)
-    for score in scan.ranked(residual, with_refinements=True)[:_TRIED]:
+    for score in scan.ranked(residual, with_refinements=True, least=own + needed)[:_TRIED]:
         least = needed if best is None else best.score
         same = score.candidate.law.name == term.law.name and set(score.names) == set(term.names)
         if same or score.value - own <= least:

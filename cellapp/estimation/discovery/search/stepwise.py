@@ -222,7 +222,7 @@ def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: Se
     if lead <= 0.0:
         return False
     scan = LawScan.of(named.fit.candidates(named.data, problem.slugs), named.fit.projector)
-    scores = best_law_of_each_effect(scan.ranked(named.fit.projected_residual))
+    scores = best_law_of_each_effect(scan.ranked(named.fit.projected_residual, least=0.0))
     return lead > sum(max(score.value, 0.0) for score in scores)
 
 
@@ -283,7 +283,9 @@ def _next_step(
     if scan is None:
         left = [slug for slug in problem.slugs if slug not in state.slugs]
         scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
-    scores = [score for score in scan.ranked(fit.projected_residual) if score.key not in refused]
+    scores = [
+        score for score in scan.ranked(fit.projected_residual, least=problem.threshold) if score.key not in refused
+    ]
     # beside smooth functions laws are seldom off, and their refinement is costly: last
     late = has_smooth_terms(fit.terms)
     if refining and not late:
