@@ -23,10 +23,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-<<<<<<< HEAD
-from scipy.special import chdtri
-=======
->>>>>>> main
 
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, solve
@@ -443,16 +439,7 @@ class _Search:
         trial = self._judged(trial)
         if trial.heldout_mm >= state.heldout_mm:
             return None
-<<<<<<< HEAD
         return trial, Step(Law.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
-=======
-        return trial, Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
-
-
-def _by_chance(statistic: float, parameters: int, tried: int) -> float:
-    """Probability of a chi-square as large as this by chance, in the best of the alternatives that were ``tried``."""
-    return min(1.0, float(scipy.special.chdtrc(parameters, statistic)) * tried)
->>>>>>> main
 
 
 def _whitened(state: State) -> State:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, expit
+import scipy
 
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
@@ -133,7 +133,7 @@ def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
 def log_chance(statistic: float, parameters: int, tried: int) -> float:
     """Logarithm of the probability of a chi-square as large as this by chance, in the best of the alternatives that
     were ``tried``; where that is too small for a number, by the first terms of its series for large ones."""
-    probability = float(chdtrc(parameters, statistic))
+    probability = float(scipy.special.chdtrc(parameters, statistic))
     if probability > 0.0:
         return min(0.0, math.log(probability) + math.log(tried))
     half, degree = 0.5 * statistic, 0.5 * parameters - 1.0
@@ -194,8 +194,8 @@ def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[Jo
             size[key] = max(size.get(key, 0.0), own if law in _POSITIVE else abs(own))
     for joint in {term.joint for term in terms if term.fading}:
         own_terms = [term for term in terms if term.joint == joint]
-        probability = float(chdtrc(len(own_terms), statistic_of(state, own_terms)))
-        size[joint, 0] = math.sqrt(float(chdtri(1, max(probability, _LEAST))))
+        probability = float(scipy.special.chdtrc(len(own_terms), statistic_of(state, own_terms)))
+        size[joint, 0] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
     usual = {(term.joint, 0) for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.fading}
     clear = {key for key, own in size.items() if own > SHOWN}
     if clear and law in _OF_GEARS:
@@ -294,4 +294,4 @@ def _probability(state: State, statistic: float, parameters: int, log_p: float) 
     alternatives counted as in the p-value."""
     points = sum(min(1.0, source.worth) * len(source.rows) for source in state.solution.sources)
     tried = max(log_p - log_chance(statistic, parameters, 1), 0.0)
-    return float(expit(0.5 * (statistic - parameters * math.log(max(points, 2.0))) - tried))
+    return float(scipy.special.expit(0.5 * (statistic - parameters * math.log(max(points, 2.0))) - tried))
