@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.targets.targets import load_targets
@@ -23,6 +24,7 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.push.run import push_run
 from tests.made_once import made_once
+from tests.scheduling import FAST_PROCESSES, PROCESSES, FromBothEnds, leave_the_processor, waiting_last
 from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
@@ -56,6 +58,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Where only fast tests are wanted, leave out what is slow in their files, and what needs the finished run."""
+    waiting_last(items)
     if config.option.markexpr != "fast":
         return
     slow = {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
@@ -70,12 +73,22 @@ def _needs_finished_run(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Processes for ``pytest -n auto``: two, so that an emulated cell and a calculation have a core each.
+    """Processes for ``pytest -n auto``: one more than for two cores, as one waits; none for a part of the tests.
 
-    More let the emulated controllers wait for the processor until their clients take them for dead. None for a part of
-    the tests. A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
+    A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """
-    return 2 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
+    if config.args_source != pytest.Config.ArgsSource.TESTPATHS:
+        return 0
+    return FAST_PROCESSES if config.option.markexpr == "fast" else PROCESSES
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBothEnds | None:
+    return FromBothEnds(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    leave_the_processor(config)
 
 
 # an example that takes long, on a busy computer, is no fault

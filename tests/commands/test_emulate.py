@@ -36,6 +36,8 @@ from tests.commands.emulated_cell import behind_bridge, emulated, patiently
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin, with_arm
 
+pytestmark = pytest.mark.waits
+
 PATIENT_S = 60.0
 PACE = 200.0
 STOPS = 20

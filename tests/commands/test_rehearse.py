@@ -26,6 +26,8 @@ from tests.commands.emulated_cell import emulated
 from tests.commands.quiet_work import quiet_work
 from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
 
+pytestmark = pytest.mark.waits
+
 
 def one_rung(path: Path, say: Callable[[str], None] = ignore_words, **asked: Any) -> RehearseResult:
     request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)

@@ -17,6 +17,8 @@ from tests.interfaces.tui.terminal import ROOT, Terminal
 from tests.trials.polling import comes_about
 from tests.trials.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 
+pytestmark = pytest.mark.waits
+
 WAIT_S = 30.0
 QUIET_S = 0.3
 """Three drawings of a running job; a lone Escape is known after a twentieth."""

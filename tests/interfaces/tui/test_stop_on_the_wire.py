@@ -25,6 +25,8 @@ from tests.latency import attempts
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
 
+pytestmark = pytest.mark.waits
+
 WAIT_S = 60.0
 BAR_S = 0.1
 """From the key to the stop command at every controller."""

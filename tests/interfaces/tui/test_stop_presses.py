@@ -16,6 +16,8 @@ from tests.trials.pseudo_terminal import PseudoTerminal
 from tests.trials.terminal_presses import KEYS, PLACES, press_bench
 from tests.twin import PROFILES
 
+pytestmark = pytest.mark.waits
+
 HOSTS = {"127.0.0.2": own_address(67), "127.0.0.3": own_address(68)}
 TRACKER_HOST = own_address(67)
 WAIT_S = 60.0
