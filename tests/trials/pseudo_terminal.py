@@ -121,7 +121,7 @@ class PseudoTerminal:
         return time.monotonic()
 
     def quiet(self, for_s: float, times: float = 10.0) -> None:
-        """Wait until nothing was drawn for some time, at most ``times`` as long: while a job runs, something always is."""
+        """Wait until nothing was drawn for some time, at most ``times`` as long: a job that runs always draws."""
         end_s = time.monotonic() + times * for_s
         with self._changed:
             while self._changed.wait(for_s) and time.monotonic() < end_s:
