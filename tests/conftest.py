@@ -29,12 +29,18 @@ from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
 LONG_COMMANDS = "--long-commands"
+LONG_TESTS = "--long-tests"
 _COUNTED = "documented "
 """What properties of tests begin with whose numbers are added up for the end of the session."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(LONG_COMMANDS, action="store_true", help="run commands of the handbook that take minutes, too")
+    parser.addoption(
+        LONG_TESTS,
+        action="store_true",
+        help="run tests marked 'long', too, that repeat what others check; always so where files or folders are named",
+    )
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -57,13 +63,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where only fast tests are wanted, leave out what is slow in their files, and what needs the finished run."""
+    """Leave out what only repeats; where only fast tests are wanted, also what is slow in their files, and what needs
+    the finished run."""
     waiting_last(items)
-    if config.option.markexpr != "fast":
-        return
-    slow = {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
-    config.hook.pytest_deselected(items=list(slow))
-    items[:] = [item for item in items if item not in slow]
+    left_out = set[pytest.Item]()
+    if not config.getoption(LONG_TESTS):
+        left_out |= {item for item in items if item.get_closest_marker("long")}
+    if config.option.markexpr == "fast":
+        left_out |= {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
 
 
 def _needs_finished_run(item: pytest.Item) -> bool:
@@ -88,7 +97,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBot
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    """Prepare a process; whoever names files or folders wants all of their tests."""
     leave_the_processor(config)
+    if not hasattr(config, "workerinput") and config.args_source != pytest.Config.ArgsSource.TESTPATHS:
+        config.option.long_tests = True
 
 
 # an example that takes long, on a busy computer, is no fault
