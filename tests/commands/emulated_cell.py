@@ -20,8 +20,13 @@ from cellapp.ground.progress import CancelToken
 from drivers.trackers.bridge_settings import BridgeSettings
 
 PATIENT_S = 60.0
-_STALLED = ("this program was silent", "this computer was", "its driver process was silent")
-"""What stops the arms where other programs take the processor for some tenths of a second."""
+_STALLED = (
+    "this program was silent",
+    "this computer was",
+    "its driver process was silent",
+    "no answer from the tracker within",
+)
+"""What stops the arms where other programs take the processor for some tenths of a second; the bridge is on it, too."""
 T = TypeVar("T")
 
 
