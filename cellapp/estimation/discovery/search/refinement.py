@@ -20,7 +20,7 @@ from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProble
 from cellapp.estimation.discovery.terms import ModelTerm, with_term, without_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.periodic import CURVE, LINES, curve_prior
+from cellapp.robot.effects.periodic import CURVE, FAST_LINES_MAX, LINES, LINES_MAX, curve_prior
 from cellapp.robot.effects.smooth import CYCLES
 
 MANY_LINES = 10
@@ -114,7 +114,7 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
     data, fit = state.data, state.fit
     term = fit.terms[number]
     joints, cycles = curve_prior(term.law, data.context.joints), term.law.constants[CYCLES.name]
-    lines = next(law for law in EFFECTS[term.slug].laws(data.context) if law.form == LINES)
+    lines = LINES.law(tried=(LINES_MAX if data.turned is None else FAST_LINES_MAX) - 1)
     candidate = fit.candidate(data, term.slug, lines)
     candidate = candidate.keep(
         [
