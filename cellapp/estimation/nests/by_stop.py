@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
 from cellapp.estimation.nests.stop_groups import StopGroups, covariances
@@ -94,7 +94,9 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
     sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
     points[turned] = origin
-    quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
+    quaternion[turned] = np.roll(
+        scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1
+    )
     turning[turned] = covariance[:, 3:, 3:]
     sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the axis that is known least
     stated: dict[str, Any] = {"turning_covariance_M": turning}
@@ -119,5 +121,5 @@ def poses(points_S: Array, p_M: Array, information: Array) -> tuple[Array, Array
     normal = np.einsum("skai,skaj->sij", J, weighed) * unit * unit[:, None]
     covariance = np.linalg.inv(normal) * unit * unit[:, None]
     step = np.einsum("sij,skaj,ska->si", covariance, weighed, left)
-    turned = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
+    turned = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
     return turned, origin + step[:, :3], covariance

@@ -18,9 +18,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, qr
-from scipy.optimize import minimize
 
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.robot.kinematics.transforms import Array
@@ -124,8 +123,8 @@ class Evidence:
 
     def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> float:
         """Log of the marginal likelihood, without the constants."""
-        factor, lower = cho_factor(self.covariance(drifts, scatters), lower=True, check_finite=False)
-        solved = cho_solve((factor, lower), self.left, check_finite=False)
+        factor, lower = scipy.linalg.cho_factor(self.covariance(drifts, scatters), lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve((factor, lower), self.left, check_finite=False)
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
@@ -145,7 +144,7 @@ class Evidence:
         x0 = np.log(np.array([*first, *(_FIRST_SCATTER[:kinds] if start is None else start.scatters)]))
         simplex = np.vstack([x0, x0 + 1.5 * np.eye(len(x0))])
         options = {"maxfev": _EVALUATIONS, "xatol": _TOLERANCE, "fatol": _TOLERANCE, "initial_simplex": simplex}
-        found = minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
+        found = scipy.optimize.minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
         sizes = np.exp(found.x).tolist()
         of_parts = dict(zip(parts, sizes[:-kinds], strict=True))
         return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)
@@ -153,8 +152,8 @@ class Evidence:
     def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
         """What each candidate's jump would be, and by how much it raises the log likelihood."""
         K = self.covariance(drifts.of_parts, drifts.scatters)
-        factor = cho_factor(K, lower=True, check_finite=False)
-        solved = cho_solve(factor, self.rows.T, check_finite=False)
+        factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve(factor, self.rows.T, check_finite=False)
         moment = solved.T @ self.left
         found = []
         for one in candidates:
@@ -198,7 +197,7 @@ def evidence(
         Which components are those of orientations.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    Q, R, _ = qr((free * scale[:, None]).T, pivoting=True)
+    Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)
     pivots = np.abs(np.diag(R))
     Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z

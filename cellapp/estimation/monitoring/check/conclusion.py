@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import brentq
-from scipy.special import chdtrc, chdtri, chndtr
+import scipy
 
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
 from cellapp.estimation.monitoring.check.model import Conclusion, Power, SequentialState
@@ -45,8 +43,10 @@ def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
 
 def _needed(critical: float, rank: int, miss: float) -> float:
     """Non-centrality at which a test of ``rank`` numbers misses a change with the chance ``miss``."""
-    limit = float(chdtri(rank, critical))
-    return float(brentq(lambda size: float(chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED))
+    limit = float(scipy.special.chdtri(rank, critical))
+    return float(
+        scipy.optimize.brentq(lambda size: float(scipy.special.chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED)
+    )
 
 
 def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
@@ -101,13 +101,13 @@ def stray_point(stops: StopRows) -> int | None:
     """The point without which the others show no change; None if there is none, or more."""
     moments, factor = Moments.of(stops), stops.factor
     white, degrees = moments.white, int(moments.degrees[-1]) - 3
-    own = solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
+    own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
     left = []
     for point in range(own.shape[1]):
         basis = np.linalg.qr(own[:, point])[0]
         left.append(float(white @ white - np.sum((white @ basis) ** 2)))
     best = int(np.argmin(left))
-    return best if degrees > 0 and chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
+    return best if degrees > 0 and scipy.special.chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
 
 
 def _weak(design: Design, moments: Moments) -> tuple[Power, ...]:

@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
@@ -156,7 +156,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         stop_ends=3 * (np.flatnonzero(np.diff(places[order], append=-1)) + 1).astype(np.intp),
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
-        factor=cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
+        factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
         free=len(station) if belief.station_free else 0,
         turned=turned[order] if turned.any() else None,
     )
@@ -184,7 +184,9 @@ class Moments:
     @classmethod
     def of(cls, stops: StopRows) -> Moments:
         """Whitened by the factor of K."""
-        solved = solve_triangular(stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True)
+        solved = scipy.linalg.solve_triangular(
+            stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True
+        )
         directions = np.ascontiguousarray(solved[:, 1:].T)
         return cls(solved[:, 0], directions, stops.stop_ends, spanned(directions[: stops.free]))
 
