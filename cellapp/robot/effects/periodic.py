@@ -20,9 +20,6 @@ from cellapp.robot.kinematics.transforms import Array
 
 LINES_MAX = 210
 """Largest cycle count to search: twice the ratio of a 1:100 strain-wave gear, and a margin."""
-FAST_LINES_MAX = 2 * LINES_MAX
-"""The same beside free curves where orientation was measured: four times the ratio of a gear. Lines of a wrist's gear
-turn a probe, and hardly move a point near its axis."""
 _LARGEST = 5e-3
 """Bound of each amplitude [rad]: sixty times what a graduated disc 2 µm off its axis gives."""
 _MANY = 8
@@ -103,7 +100,7 @@ class TransmissionError(Effect):
         Two cycles per revolution: ovality of gear or encoder disc.
     lines
         Any cycle counts from 2 to 210, each a block of its own: a strain-wave gear of ratio N has them at N and 2 N
-        cycles per revolution of its output and at the beats of its flexspline. To 420 beside curves, with orientation.
+        cycles per revolution of its output and at the beats of its flexspline.
     gear
         2, N and 2 N cycles of any joint, N being the gear ratio in ``ratio``: proposed once a line was found, as drives
         of one arm are alike.
@@ -162,7 +159,7 @@ class TransmissionError(Effect):
         if names is not None:
             return _waves(context, _counts_of(names, context.joints), by_line=True)
         if law.form == LINES:
-            return _waves(context, dict.fromkeys(joints, range(2, law.tried + 2)), by_line=True)
+            return _waves(context, dict.fromkeys(joints, range(2, LINES_MAX + 1)), by_line=True)
         ratio = round(law.constants[GEAR_RATIO.name])
         return _waves(context, dict.fromkeys(joints, sorted({2, ratio, 2 * ratio})), by_line=True)
 
@@ -200,7 +197,7 @@ def _by_name(joints: int) -> Mapping[str, tuple[int, int]]:
     return {
         name: (joint, count)
         for joint in range(joints)
-        for count in range(1, FAST_LINES_MAX + 1)
+        for count in range(1, 2 * LINES_MAX + 1)
         for name, _ in _line(joint, count)[1]
     }
 

@@ -20,7 +20,7 @@ from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProble
 from cellapp.estimation.discovery.terms import ModelTerm, with_term, without_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.periodic import CURVE, FAST_LINES_MAX, LINES, LINES_MAX, curve_prior
+from cellapp.robot.effects.periodic import CURVE, LINES, curve_prior
 from cellapp.robot.effects.smooth import CYCLES
 
 MANY_LINES = 10
@@ -50,7 +50,7 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
     own = term_score(fit, number)
     best: SearchStep | None = None
     scan = LawScan.of(_laws_to_try(state, number), residual.projector)
-    for score in scan.ranked(residual, with_refinements=True)[:_TRIED]:
+    for score in scan.ranked(residual, with_refinements=True, least=own + needed)[:_TRIED]:
         least = needed if best is None else best.score
         same = score.candidate.law.name == term.law.name and set(score.names) == set(term.names)
         if same or score.value - own <= least:
@@ -114,15 +114,13 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
     data, fit = state.data, state.fit
     term = fit.terms[number]
     joints, cycles = curve_prior(term.law, data.context.joints), term.law.constants[CYCLES.name]
-    lines = LINES.law(tried=(LINES_MAX if data.turned is None else FAST_LINES_MAX) - 1)
-    candidate = fit.candidate(data, term.slug, lines)
-    candidate = candidate.keep(
-        [
-            place
-            for place, column in enumerate(candidate.columns)
-            if column.joint in joints and column.cycles is not None and column.cycles > cycles
-        ]
-    )
+    lines = next(law for law in EFFECTS[term.slug].laws(data.context) if law.form == LINES)
+    beyond = [
+        column
+        for column in data.columns(term.slug, lines)
+        if column.joint in joints and column.cycles is not None and column.cycles > cycles
+    ]
+    candidate = CandidateLaw(term.slug, lines, tuple(beyond), fit.displacements(beyond))
     score = LawScan.of([candidate], fit.projector).score(0, fit.projected_residual)
     if score is None or score.value <= max(needed, problem.threshold):
         return None
