@@ -333,8 +333,8 @@ def _undetermined(
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
             " record motions of all joints, each alone and together, through a larger part of their range",
         )
-    far_mm = float(np.median([np.median(one.heldout_nominal_mm) for one in found.values() if one.held_out] or [0.0]))
-    if far_mm > _FAR_MM:
+    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.held_out]
+    if far and (far_mm := float(np.median(far))) > _FAR_MM:
         said.insert(
             0,
             f"whether it is an arm of this type: the published one lies {far_mm:.0f} mm from the points wherever"
