@@ -119,7 +119,7 @@ def jobs() -> Iterator[Job]:
     yield Job("plan, 400 stops of both arms, seed 1", command("plan", twin), bar="0.2")
     yield Job("the same, seed 2", _plan_of("seed: 1 ", "seed: 2 "), bar="0.2")
     yield Job("plan, 4000 stops", _plan_of("stops: 400 ", "stops: 4000 "), bar="0.25", turns=_ONCE)
-    yield Job("run, the whole twin", command("run", twin), bar="0.33; 300 MB")
+    yield Job("run, the whole twin", command("run", twin), bar="0.33; 300 MB", turns=_ONCE)
     yield Job("import cellapp", code("import cellapp"), bar="0.1 s")
     for verb in _STARTS:
         loaded = f"import cellapp.interfaces.cli.app, cellapp.commands.{verb}.run"

@@ -46,7 +46,8 @@ class NuisanceProjector:
 
     def project(self, rows: Array) -> Array:
         """``rows`` (..., d) times M."""
-        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
+        explained = (rows @ self.basis) @ self.basis.T
+        return np.subtract(rows, explained, out=explained)  # no third array: a scan's columns are tens of megabytes
 
 
 def visible_norms(rows: Array, projected: Array) -> Array:
