@@ -1,0 +1,244 @@
+"""Inter-base transform without a tracker: the ball of one arm rests in a socket on the flange of the other.
+
+With p_k the ball as its calibrated arm finds it in its base, (R_k, o_k) the flange of the other arm in its own base,
+and s the socket's unknown place on that flange,
+
+    minimise  r^T S^-1 r,   r_k = x_R,k - (R x_L,k + b),
+
+where x is p_k for the arm with the ball, and R_k s + o_k for the one with the socket, over R, b and s of every socket.
+S holds the scatter of touches and the uncertainty of both arms' parameters, which moves all touches together. Where r
+is larger than S allows, S is scaled to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.pair_by_touching import UNSEEN, TouchedPair, identification_of
+from cellapp.estimation.readings import Readings
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
+from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
+from cellapp.robot.model import ArmModel
+
+_MOST_STEPS = 50
+_SETTLED = 1e-10
+_FOLDS = 5
+_LEAST_NOISE_M = 1e-6
+_LEAST_SHARE = 0.1
+"""Least share of the mean square of the residuals that is scatter of touches, not errors of parameters."""
+_ROBUST_ROUNDS = 20
+_LEAST_OFF_M = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class FlangeRows:
+    """n touches as both arms have them, each in its base.
+
+    Attributes
+    ----------
+    socket : array, shape (n,)
+        Number of the socket, from 0.
+    on_right : array of bool, shape (n,)
+        Whether the right arm carries it, so that the ball is the left arm's.
+    ball : array, shape (n, 3) [m]
+    rotation, origin : arrays, shapes (n, 3, 3), (n, 3) [m]
+        Flange of the arm with the socket.
+    of_parameters : array, shape (3 n, m), or None
+        How the residuals move by each standard deviation of both arms' parameters [m]; None if nothing is known.
+    """
+
+    socket: NDArray[np.intp]
+    on_right: NDArray[np.bool_]
+    ball: Array
+    rotation: Array
+    origin: Array
+    of_parameters: Array | None = None
+
+    def take(self, rows: NDArray[np.intp]) -> FlangeRows:
+        """Some of the touches."""
+        of_parameters = self.of_parameters
+        if of_parameters is not None:
+            of_parameters = of_parameters.reshape(len(self.socket), 3, -1)[rows].reshape(3 * len(rows), -1)
+        arrays = {name: getattr(self, name)[rows] for name in ("socket", "on_right", "ball", "rotation", "origin")}
+        return FlangeRows(**arrays, of_parameters=of_parameters)
+
+    def ends(self, sockets_F: Array) -> tuple[Array, Array]:
+        """Where the right arm and the left arm have each touch (n, 3) [m], with sockets (P, 3) on their flanges."""
+        carried = self.origin + np.einsum("nab,nb->na", self.rotation, sockets_F[self.socket])
+        right = self.on_right[:, None]
+        return np.where(right, carried, self.ball), np.where(right, self.ball, carried)
+
+    def linearised(self, T: Array, sockets_F: Array) -> tuple[Array, Array]:
+        """Residuals (3 n,) and what a shift and a turn of R, b, then every socket, explain of them (3 n, 6 + 3 P)."""
+        right, left = self.ends(sockets_F)
+        n, rotated = len(left), left @ T[:3, :3].T
+        A = np.zeros((n, 3, 6 + sockets_F.size))
+        A[:, :, :6] = twist_columns(rotated)
+        by_socket = np.where(self.on_right[:, None, None], -self.rotation, T[:3, :3] @ self.rotation)
+        for axis in range(3):
+            A[np.arange(n), :, 6 + 3 * self.socket + axis] = by_socket[:, :, axis]
+        return (right - rotated - T[:3, 3]).ravel(), A.reshape(3 * n, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    T: Array
+    sockets_F: Array
+    covariance: Array
+    noise: float
+    steps: int
+
+
+def nominal_flange_rows(both: Sequence[Readings], chains: Sequence[Geometry]) -> FlangeRows:
+    """The touches of both arms of a pair (left, right) by their chains, without effects."""
+    chains = [one.with_T_M_B(np.eye(4)) for one in chains]
+    return _rows(both, lambda arm, q: smr_positions(chains[arm], q), lambda arm, q: flange_poses(chains[arm], q))
+
+
+def flange_rows(both: Sequence[Readings], models: Sequence[ArmModel]) -> FlangeRows:
+    """The touches of both arms of a pair (left, right) by their models."""
+    bases = [np.asarray(invert(model.geometry.T_M_B())) for model in models]
+
+    def flange(arm: int, q: Array) -> tuple[Array, Array]:
+        R, o = models[arm].flange(q)
+        return bases[arm][:3, :3] @ R, apply(bases[arm], o)
+
+    return _rows(both, lambda arm, q: apply(bases[arm], models[arm].predict(q)), flange)
+
+
+def with_parameters(
+    rows: FlangeRows, both: Sequence[Readings], models: Sequence[ArmModel], start: Array, sockets_F: Array
+) -> FlangeRows:
+    """The touches with what the uncertainty of both arms' parameters does to them; ``sockets_F`` (P, 3) [m]."""
+    found, first = [], 0
+    for mine, its in enumerate(both):
+        touches = its.on_flange
+        if touches is None:
+            continue
+        tool = sockets_F[rows.socket[first : first + len(touches)]].mean(axis=0)
+        first += len(touches)
+        of_arm = [np.zeros(0), np.zeros(0)]
+        of_arm[mine] = _of_parameters(models[mine], touches.q, None)
+        of_arm[1 - mine] = _of_parameters(models[1 - mine], touches.other_q, tool)
+        whole = np.concatenate([start[:3, :3] @ of_arm[0], -of_arm[1]], axis=2)
+        found.append(whole.reshape(3 * len(touches), -1))
+    return replace(rows, of_parameters=np.concatenate(found))
+
+
+def tie_on_flange(rows: FlangeRows, start: Array) -> TouchedPair | None:
+    """Tie the bases of two arms; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen.
+
+    The errors are those of touches that a fit to the others never had, a fifth at a time.
+    """
+    count = int(rows.socket.max()) + 1
+    found = _solved(rows, start, np.zeros((count, 3)))
+    if found is None:
+        return None
+    errors, fold, held_out = np.full(len(rows.socket), np.nan), np.arange(len(rows.socket)) % _FOLDS, True
+    for one in range(_FOLDS):
+        left_out = np.flatnonzero(fold == one)
+        kept = rows.take(np.flatnonzero(fold != one))
+        without = _solved(kept, found.T, found.sockets_F) if {*kept.socket.tolist()} == {*range(count)} else None
+        held_out = held_out and without is not None
+        r, _ = rows.take(left_out).linearised(*((without or found).T, (without or found).sockets_F))
+        errors[left_out] = np.linalg.norm(r.reshape(-1, 3), axis=1)
+    scale = float(np.sqrt(np.mean(errors**2) / 3.0))
+    identification = identification_of(found.T, found.covariance[:6, :6], found.steps, found.steps < _MOST_STEPS, scale)
+    return TouchedPair(identification, errors, held_out)
+
+
+def sockets_on_flange(rows: FlangeRows, start: Array) -> Array | None:
+    """Where the sockets are on their flanges (P, 3) [m]; None where a direction is not seen."""
+    found = _steps(rows, start, np.zeros((int(rows.socket.max()) + 1, 3)), np.eye(3 * len(rows.socket)))
+    return None if found is None else found.sockets_F
+
+
+def doubtful_touches(rows: FlangeRows, start: Array) -> Array | None:
+    """Distance (n,) [m] of each touch from where most others have it, by published arms; None if not seen."""
+    found = _solved(rows, start, np.zeros((int(rows.socket.max()) + 1, 3)), robust=True)
+    if found is None:
+        return None
+    return np.asarray(np.linalg.norm(rows.linearised(found.T, found.sockets_F)[0].reshape(-1, 3), axis=1))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _rows(
+    both: Sequence[Readings], ball: Callable[[int, Array], Array], flange: Callable[[int, Array], tuple[Array, Array]]
+) -> FlangeRows:
+    """The touches by what says where an arm, 0 or 1, has its ball and its flange in its base."""
+    places = {name: k for k, name in enumerate(dict.fromkeys(_names(both)))}
+    parts = [
+        (np.full(len(its.on_flange), arm == 0), ball(arm, its.on_flange.q), *flange(1 - arm, its.on_flange.other_q))
+        for arm, its in enumerate(both)
+        if its.on_flange is not None
+    ]
+    socket = np.array([places[name] for name in _names(both)], dtype=np.intp)
+    return FlangeRows(socket, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _names(both: Sequence[Readings]) -> list[str]:
+    """The socket of each touch, with the arm that has the ball: names may repeat on both flanges."""
+    return [f"{k} {name}" for k, its in enumerate(both) if its.on_flange is not None for name in its.on_flange.socket]
+
+
+def _of_parameters(model: ArmModel, q: Array, tool: Array | None) -> Array:
+    """Motion (n, 3, m) [m] of the ball, or of a point ``tool`` (3,) on the flange, in the arm's base by each of the m
+    independent standard deviations of its parameters. Its own place on the flange is that of the ball alone."""
+    names = model.geometry.names
+    known = [k for k, name in enumerate(model.identified) if name in names]
+    if model.covariance is None or not known:
+        return np.zeros((len(q), 3, 0))
+    columns = tuple(names.index(model.identified[k]) for k in known)
+    geometry = model.geometry if tool is None else replace(model.geometry, tool=tool)
+    _, J = jacobian(geometry, JointAngles.of(q), columns)
+    if tool is not None:
+        J = J * ~np.isin(columns, 6 + 5 * geometry.joints + np.arange(3))[None, :, None]
+    values, vectors = np.linalg.eigh(model.covariance[np.ix_(known, known)])
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(np.einsum("ba,bkn,km->nam", model.geometry.T_M_B()[:3, :3], J, root, optimize=True))
+
+
+def _solved(rows: FlangeRows, T: Array, sockets_F: Array, *, robust: bool = False) -> _Solved | None:
+    """The fit, from a guess; with ``robust`` rows that lie far off hardly count."""
+    found = _steps(rows, T, sockets_F, np.eye(3 * len(rows.socket)))
+    if found is None:
+        return None
+    for _ in range(_ROBUST_ROUNDS if robust else 0):
+        off = np.linalg.norm(rows.linearised(found.T, found.sockets_F)[0].reshape(-1, 3), axis=1)
+        S = np.diag(np.repeat(np.maximum(off, _LEAST_OFF_M), 3))
+        found = _steps(rows, found.T, found.sockets_F, S) or found
+    if robust:
+        return found
+    S = found.noise * np.eye(3 * len(rows.socket))
+    if rows.of_parameters is not None:
+        S += rows.of_parameters @ rows.of_parameters.T
+    return _steps(rows, found.T, found.sockets_F, S)
+
+
+def _steps(rows: FlangeRows, T: Array, sockets_F: Array, S: Array) -> _Solved | None:
+    """Gauss-Newton steps under the covariance S (3 n, 3 n) of the residuals."""
+    white, steps = np.linalg.cholesky(S), 0
+    while steps < _MOST_STEPS:
+        steps += 1
+        r, A = rows.linearised(T, sockets_F)
+        sizes = np.linalg.svd(A, compute_uv=False)
+        if len(r) <= A.shape[1] or sizes[-1] < UNSEEN * sizes[0]:
+            return None
+        A, whitened = np.linalg.solve(white, A), np.linalg.solve(white, r)
+        move = np.linalg.lstsq(A, whitened, rcond=None)[0]
+        T = transform(rotation_from_vector(move[3:6]) @ T[:3, :3], T[:3, 3] + move[:3])
+        sockets_F = sockets_F + move[6:].reshape(-1, 3)
+        if float(np.abs(move).max()) <= _SETTLED:
+            break
+    left, free = rows.linearised(T, sockets_F)[0], len(r) - A.shape[1]
+    excess = max(float(np.sum(np.linalg.solve(white, left) ** 2)) / free, 1.0)
+    square = float(left @ left) / free
+    by_parameters = 0.0 if rows.of_parameters is None else float(np.mean(np.sum(rows.of_parameters**2, axis=1)))
+    noise = max(square - by_parameters, _LEAST_SHARE * square, _LEAST_NOISE_M**2)
+    return _Solved(T, sockets_F, np.asarray(excess * np.linalg.inv(A.T @ A)), noise, steps)
