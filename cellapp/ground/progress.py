@@ -237,7 +237,8 @@ class SweepLive:
     duration_s, done_s : float
         Time of the whole motion, and up to now [s].
     state : str
-        ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again.
+        ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again. ``unrecorded``: it was
+        not found; the arm finishes its way off the record.
     points, points_missing, samples, samples_missing : int
         Points of the tracker and samples of the controller that have come, and that did not by their own clocks.
     lost_beams : int
@@ -252,7 +253,7 @@ class SweepLive:
     arm: str
     name: str
     duration_s: float
-    state: Literal["moving", "searching", "done"] = "moving"
+    state: Literal["moving", "searching", "unrecorded", "done"] = "moving"
     done_s: float = 0.0
     points: int = 0
     points_missing: int = 0
@@ -269,8 +270,8 @@ class SweepLive:
         age = "" if self.point_age_s is None else f", {self.point_age_s:.1f} s ago"
         words = [f"{share:.0%}, {self.done_s:.0f} of {self.duration_s:.0f} s"]
         if self.lost_beams:
-            searched = ", the SMR is searched" if self.state == "searching" else ""
-            words.append(counted(self.lost_beams, "lost beam") + searched)
+            since = {"searching": ", the SMR is searched", "unrecorded": ", the rest is not recorded"}
+            words.append(counted(self.lost_beams, "lost beam") + since.get(self.state, ""))
         if self.distance_m is not None:
             words.append(f"SMR {self.distance_m:.3f} m{age}")
         for count, what, missing in (

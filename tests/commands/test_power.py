@@ -18,8 +18,8 @@ from cellapp.commands.power.run import run as run_power
 from cellapp.commands.power.run import stored_power
 from cellapp.commands.report.sections import power_section
 from cellapp.commands.trials.power.result import NamingTrial, PowerResult
-from cellapp.commands.trials.power.rounds import power_of
-from cellapp.commands.trials.power.tables import power_chart, power_table
+from cellapp.commands.trials.power.rounds import TimeLimit, power_of
+from cellapp.commands.trials.power.tables import power_chart, power_sentence, power_table
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
 from cellapp.commands.trials.skeleton import Work
 from cellapp.estimation.discovery.records import SmallestSize
@@ -145,7 +145,7 @@ class Imitation(Work):
 @pytest.fixture(scope="module")
 def result(planned: PlannedCell) -> PowerResult:
     """What such a search gives."""
-    return power_of(planned, 16, 3, Imitation())
+    return power_of(planned, 16, 3, Imitation(), TimeLimit.from_now(None))
 
 
 def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> None:
@@ -172,6 +172,25 @@ def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> Non
     assert found["payload_compliance"].trials == 0
 
 
+def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
+    clock = [0.0]
+
+    class Slow(Imitation):
+        """Two seconds a trial."""
+
+        def gather(self, kind: Any, job: str, common: Any, parameters: Any, name: str = "") -> Gathered[Any]:
+            clock[0] += 2.0 * len(parameters)
+            return super().gather(kind, job, common, parameters, name)
+
+    found = power_of(planned, 16, 3, Slow(), TimeLimit(5.0, 0.0, lambda: clock[0]))
+    assert clock[0] <= 300.0
+    assert found.ended_by_time
+    assert "the time ended them" in power_sentence(found)
+    counts = [one.trials for arm in found.arms.values() for one in arm.effects if one.trials]
+    assert max(counts) - min(counts) <= 4
+    assert sum(counts) >= 140
+
+
 def test_table_and_chart_show_every_effect(result: PowerResult) -> None:
     arm = result.arms["left"]
     table, chart = power_table("left", arm), power_chart("left", arm)
@@ -186,13 +205,16 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 ) -> None:
     asked = list[tuple[PlannedCell, int, int]]()
 
-    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerResult:
+    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
+        assert limit.minutes == 3.0
         asked.append((planned, trials, seed))
         return result
 
     monkeypatch.setattr("cellapp.commands.power.run.power_of", power_of_these)
     plan_new_run(twin(stops=30), tmp_path / "run")
-    CliRunner().invoke(app, ["power", str(tmp_path / "run"), "--trials", "8", "--seed", "5"], catch_exceptions=False)
+    CliRunner().invoke(
+        app, ["power", str(tmp_path / "run"), "--trials", "8", "--minutes", "3", "--seed", "5"], catch_exceptions=False
+    )
     ((planned, trials, seed),) = asked
     assert (len(planned.time_s), trials, seed) == (30, 8, 5)
     with RunFile.open(tmp_path / "run") as run:
@@ -210,3 +232,5 @@ def test_a_run_without_a_plan_and_too_few_trials_are_refused(tmp_path: Path) -> 
         run_power(PowerRequest(folder=tmp_path / "run"), quiet_work())
     with pytest.raises(InputError, match="--trials"):
         VERB.asked({"folder": tmp_path, "trials": 3})
+    with pytest.raises(InputError, match="--minutes"):
+        VERB.asked({"folder": tmp_path, "minutes": 0})

@@ -9,15 +9,16 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.driving.rehearsal import RUNGS
+from cellapp.cell.driving.rungs import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import note_profile, rehearsals_path
-from cellapp.commands.rehearse.record_file import missing_sentence, read_log
+from cellapp.commands.rehearse.record_file import arms_hash, keep_log, kept_log, missing_sentence, read_log, write_log
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import RehearseResult
+from cellapp.commands.rehearse.result import RehearsalLog, RehearsedMotionRecord, RehearseResult
 from cellapp.commands.rehearse.run import run as rehearse
-from cellapp.commands.rehearse.view import view
+from cellapp.commands.rehearse.view import log_section, view
+from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ignore_words
@@ -80,11 +81,37 @@ def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
     with RunFile.create(tmp_path / "emulated", profile) as run:
         note_profile(run, path)
         assert missing_sentence(run) == ""
+        keep_log(run)
+        assert kept_log(run) is None, "nothing was rehearsed"
     with RunFile.create(tmp_path / "real", on_real_arms(profile)) as run:
         assert missing_sentence(run).startswith(f"not rehearsed with these arms: {', '.join(RUNGS)}; ")
         note_profile(run, path)
         rehearsals_path(path).write_text("{}")
         assert "rehearsals.json" in missing_sentence(run)
+
+
+def test_a_run_keeps_what_was_rehearsed_before_it_was_collected(tmp_path: Path) -> None:
+    path = wire_profile(tmp_path)
+    profile = load_profile(path)
+    driven = RehearsedMotionRecord(stop=1, seconds=2.0, expected_s=1.9, off_mrad={"left": 0.25, "right": 0.5})
+    passed = RehearseResult(
+        rung="simulation", arms=("left", "right"), when="2026-11-26T10:00:00+00:00", controllers={}, visited=(1,),
+        refused={2: "a link would touch the table"}, motions=(driven,),
+    )  # fmt: skip
+    ended = passed.model_copy(update={"rung": "one-arm", "arms": ("left",), "visited": (), "ended": "protective stop"})
+    write_log(path, RehearsalLog(arms=arms_hash(profile), rungs={"simulation": passed, "one-arm": ended}))
+    with RunFile.create(tmp_path / "run", profile) as run:
+        note_profile(run, path)
+        keep_log(run)
+        rehearsals_path(path).unlink()
+        kept = kept_log(run)
+    assert kept is not None
+    section = log_section(kept)
+    assert section.message == "1 of 4 rungs passed before the readings were taken."
+    (table,) = section.parts
+    assert isinstance(table, Table)
+    assert table.rows[0] == ("simulation", passed.when, "left, right", 1, 1, 0.5, "passed")
+    assert [row[-1] for row in table.rows[1:]] == ["protective stop", "not driven", "not driven"]
 
 
 @pytest.mark.parametrize(

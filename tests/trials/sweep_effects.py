@@ -9,10 +9,10 @@ every one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -27,6 +27,9 @@ from cellapp.commands.trials.blind import with_hidden
 from cellapp.estimation.motion.calibrate import recorded_arm
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.records import ClockFit
+from cellapp.estimation.motion.steps import MotionEffect
+from cellapp.estimation.motion.terms import Law
+from drivers.plant.effects.drive_lag import DriveLag
 from drivers.plant.sweep import Recorder, recorder_of
 from tests.twin import whole_twin
 
@@ -61,11 +64,25 @@ def hidden_effects(seed: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def clock_errors(clock: ClockFit, recorder: Recorder) -> tuple[float, float, bool, bool]:
-    """Errors of delay [ms] and rate [ppm] of one recording, and whether their 95 % intervals hold the truth."""
+def late_s(hidden: Mapping[str, Any], effects: Sequence[MotionEffect]) -> float:
+    """What the drives of an arm are late in the mean, beyond the time constants that were found [s]: nothing tells it
+    from a delay between the clocks."""
+    if "drive_lag" not in hidden:
+        return 0.0
+    effect = DriveLag(np.array(hidden["drive_lag"]["time_constant"]), np.zeros(6))
+    time_s = np.arange(0.0, 1.0, 1e-3)
+    change = effect.response(time_s, np.tile(time_s[:, None], 6), None)  # type: ignore[arg-type]
+    assert change is not None
+    found = [effect.values for effect in effects if effect.slug == Law.TIME_CONSTANT.value]
+    return float(-np.mean(change[-1])) - (float(np.sum(found[0])) / 6 if found else 0.0)
+
+
+def clock_errors(clock: ClockFit, recorder: Recorder, late_s: float = 0.0) -> tuple[float, float, bool, bool]:
+    """Errors of delay [ms] and rate [ppm] of one recording of an arm that is late, and whether their 95 % intervals
+    hold the truth."""
     rate = 1e-6 * recorder.rate_ppm
     controller_s = (clock.middle_s - recorder.offset_s) / (1.0 + rate)
-    delay, rate_ppm = clock.middle_s - controller_s, 1e6 * rate / (1.0 + rate)
+    delay, rate_ppm = clock.middle_s - controller_s + late_s, 1e6 * rate / (1.0 + rate)
     low, high = clock.rate_interval_ppm
     first, last = clock.offset_interval_s
     return 1e3 * (clock.offset_s - delay), clock.rate_ppm - rate_ppm, first <= delay <= last, low <= rate_ppm <= high
@@ -85,13 +102,17 @@ def _shown(run: RunFile, seed: int, name: str, hidden: Mapping[str, Any], record
     arm = recorded_arm(run.profile, name, run.readings(name), read_recordings_of(run, name))
     discovery = effects_in_motion(arm)
     for clock in discovery.fit.clocks.values():
-        delay, rate, delay_holds, rate_holds = clock_errors(clock, recorder)
-        typer.echo(f"{seed:3d} {name:5s} delay {delay:+.3f} ms {delay_holds}, rate {rate:+.3f} ppm {rate_holds}")
+        delay, rate, delay_holds, rate_holds = clock_errors(clock, recorder, late_s(hidden, discovery.effects))
+        typer.echo(
+            f"{seed:3d} {name:5s} delay {delay:+.3f} +- {1e3 * clock.offset_standard_error_s:.3f} ms {delay_holds},"
+            f" rate {rate:+.3f} +- {clock.rate_standard_error_ppm:.3f} ppm {rate_holds}"
+        )
     for effect in discovery.effects:
         found = dict(zip(effect.names, effect.values.tolist(), strict=True))
         if effect.slug == "transmission_error":
             errors = lines_against(found, hidden["transmission_error"])
             text = "; ".join(f"{100 * size:+.1f} %, {phase:+.3f} rad" for size, phase in errors)
+            text += f", standard errors {[f'{one:.2g}' for one in effect.standard_errors.tolist()]}"
             text += f" beside {[one for one in found if f'{CYCLES}q' not in one]}"
         else:
             text = ", ".join(f"{key} {value:.4g}" for key, value in found.items())
@@ -102,6 +123,7 @@ def _shown(run: RunFile, seed: int, name: str, hidden: Mapping[str, Any], record
 def main(
     seeds: Annotated[int, typer.Option(min=1)] = 10,
     first: Annotated[int, typer.Option(min=0)] = 1,
+    arm: Annotated[Literal["left", "right"] | None, typer.Option(help="one arm only")] = None,
     sweeps: Annotated[int, typer.Option(min=1, help="stops with a sweep of each arm")] = 20,
 ) -> None:
     """Try cells one after the other and print what each arm shows."""
@@ -112,7 +134,7 @@ def main(
         with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run", sweeps=sweeps) as run:
             collect_stops(run)
             calibrate_run(run)  # draws the splits
-            for name in profile.arms:
+            for name in [arm] if arm else profile.arms:
                 _shown(run, seed, name, hidden[name], recorder)
 
 

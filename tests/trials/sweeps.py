@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -39,6 +39,7 @@ from tests.twin import whole_twin
 app = typer.Typer(add_completion=False)
 SHOWN_BY_BOTH = ("joint_compliance", "backlash", "friction_windup", "encoder_eccentricity", "transmission_error")
 _EFFECT_SEED = 0x53EE
+Laws = Literal["other", "same", "twin"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Reached:
     names: tuple[str, ...]
 
 
-def hidden_effects(seed: int, laws: str) -> dict[str, dict[str, Any]]:
+def hidden_effects(seed: int, laws: Laws) -> dict[str, dict[str, Any]]:
     """An effect of each arm."""
     profile = whole_twin()
     assert profile.plant is not None
@@ -98,7 +99,7 @@ def reached(profile: Profile, sweeps: int | None, targets: _Targets) -> dict[str
 def main(
     seeds: Annotated[int, typer.Option(min=1)] = 10,
     first: Annotated[int, typer.Option(min=0)] = 1,
-    laws: Annotated[str, typer.Option(help="other, same or twin")] = "other",
+    laws: Annotated[Laws, typer.Option(help="of the hidden effects")] = "other",
     stops: Annotated[int, typer.Option(min=20)] = 400,
     sweeps: Annotated[int, typer.Option(min=1, help="stops with a sweep of each arm")] = 20,
     targets: Annotated[int, typer.Option(min=1)] = 60,

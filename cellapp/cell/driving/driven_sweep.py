@@ -100,6 +100,7 @@ class SweepDriver:
             If the SMR is not found before the motion begins.
         """
         arm = self.cell.arms[name]
+        assert isinstance(arm, RecordingArm)
         assert isinstance(arm, PathFollower)
         from_s = 0.0
         for part in range(1, _MOST_PARTS + 1):
@@ -120,7 +121,9 @@ class SweepDriver:
             from_s = found.reached_s
             note(f"arm {name}: the beam broke {from_s:.1f} s after its sweep began; it goes on from there")
         q, s_s = _rest_of(sweep, from_s, arm.path_period_s)
-        self.mover.follow(name, q, s_s, arm.path_period_s)
+        live.begin(arm, self.cell.clock, s_s, arm.path_period_s, recorded=False)
+        self.mover.follow(name, q, s_s, arm.path_period_s, live.look)
+        live.end_unrecorded()
 
     def _recorded(self, name: str, q: Array, s_s: Array, live: LiveSweep) -> SweepPart:
         """Follow ``q`` (m, N), which is at ``s_s`` (m,) [s] of the motion, on record."""

@@ -40,6 +40,7 @@ class _Part:
     clock: Clock
     s_s: Array
     period_s: float
+    recorded: bool = True
     began_s: float | None = None
     points: int = 0
     first_s: float = 0.0
@@ -77,14 +78,17 @@ class LiveSweep:
         """Keep a packet until the job's thread looks."""
         self._packets.append(packet)
 
-    def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float) -> None:
-        """A part is on record and moves next, by the motion's times ``s_s`` (m,) [s], one each ``period_s`` [s]."""
-        self._part, self._last = _Part(arm, clock, s_s, period_s), None
+    def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float, *, recorded: bool = True) -> None:
+        """A part moves next, by the motion's times ``s_s`` (m,) [s], one each ``period_s`` [s]; mostly on record."""
+        self._part, self._last = _Part(arm, clock, s_s, period_s, recorded), None
 
     def look(self) -> None:
         """Tell how far the part is that moves now."""
         part = self._part
         assert part is not None
+        if not part.recorded:
+            self._say(replace(self.so_far, state="unrecorded", done_s=part.reached_s()), self._ended)
+            return
         self._take(part)
         points = counts_so_far(part.points, part.first_s, part.latest_s, self.interval_s)
         age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
@@ -97,6 +101,10 @@ class LiveSweep:
             self._take(self._part)
         counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
         self._end(counts, reached_s)
+
+    def end_unrecorded(self) -> None:
+        """The arm has finished its way off the record."""
+        self._end(_Counts(), None)
 
     def calculated(self, record: SweepRecord) -> None:
         """The whole sweep was recorded at once; points without the beam are NaN."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.driving.forbidden import forbidden_stops
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.driving.rungs import RUNGS, Rung, RungName
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
 from cellapp.cell.driving.travel import Travel
 from cellapp.cell.driving.work import Work, remaining_work
@@ -23,28 +23,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Detail, Listener, MotionBegun, MotionEnded, Progress
 from cellapp.robot.kinematics.transforms import Array
-
-RungName = Literal["simulation", "one-arm", "ten-stops", "both-arms"]
-
-
-@dataclass(frozen=True)
-class Rung:
-    """A step of the rehearsal: how many stops (None: all), which share of the profile's speed, one arm or all."""
-
-    stops: int | None
-    share: float
-    one_arm: bool
-    simulation: bool
-    words: str
-
-
-RUNGS: Mapping[RungName, Rung] = {
-    "simulation": Rung(None, 1.0, False, True, "the whole plan on controllers in simulation mode"),
-    "one-arm": Rung(1, 0.05, True, False, "one stop of one arm at 5 % speed"),
-    "ten-stops": Rung(10, 0.05, True, False, "ten stops of one arm at 5 % speed"),
-    "both-arms": Rung(10, 0.05, False, False, "ten stops of all arms at 5 % speed"),
-}
-"""In the order in which they are climbed."""
 
 
 @dataclass(frozen=True)

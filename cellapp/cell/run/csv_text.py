@@ -6,8 +6,10 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -72,9 +74,9 @@ class Problems:
             raise InputError("\n".join(texts[:_SHOWN] + more))
 
 
-def short(text: str) -> str:
-    """A wrong cell as a message shows it."""
-    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
+def short(text: str, longest: int = _LONGEST_SHOWN) -> str:
+    """A wrong cell, or another text of a file, as a message shows it."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def quoted_text(text: str) -> str:
@@ -131,9 +133,16 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
     InputError
         If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
     """
+    with opened_text(path, what) as file:
+        yield from _parse(path, file, row)
+
+
+@contextmanager
+def opened_text(path: Path, what: str) -> Iterator[TextIO]:
+    """A file of ``what`` in the body of a ``with``. Raises ``InputError`` if it cannot be read, or is not UTF-8."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _parse(path, file, row)
+            yield file
     except FileNotFoundError:
         raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
     except OSError as error:

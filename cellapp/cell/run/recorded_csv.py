@@ -26,9 +26,9 @@ LengthUnit = Literal["m", "mm"]
 
 _SEPARATORS: Mapping[str, str] = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 """In this order: a file with semicolons may have decimal commas, one with tabs blanks in its names."""
-_COMMENTS = ("#", "%", "//")
+COMMENTS = ("#", "%", "//")
 _MOST_BYTES = 500_000_000
-_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 _UNIT = re.compile(r"[\[(_ ]\s*(deg|degree|degrees|°|grad|rad|mm|m|um|µm)\s*[\])]?$", re.IGNORECASE)
 _JOINT = re.compile(
     r"(?:actual_|measured_|act_|target_)?(?:joint|axis|theta|rax|ax|q|j|a|t)(?:_?pos|_?angle)?[_ .]?([1-9])"
@@ -128,7 +128,7 @@ def read_recorded(path: Path) -> Recorded:
             f"{path}:{lines[0][0]}: the first row has numbers; write a row with the names of the columns above it, such"
             " as q1,q2,q3,q4,q5,q6,x,y,z"
         )
-    comma = separator != "," and any(_COMMA.fullmatch(cell) for _, row in body for cell in row)
+    comma = separator != "," and any(DECIMAL_COMMA.fullmatch(cell) for _, row in body for cell in row)
     columns = _columns(path, lines[0][0], names)
     rows = _rows(path, columns, [(n, [_point(cell) if comma else cell for cell in row]) for n, row in body])
     found = Recorded(
@@ -175,7 +175,7 @@ def _text_lines(path: Path) -> list[tuple[int, str]]:
     if "\x00" in text:
         raise InputError(f"{path}: not a text file; export the table as CSV")
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    kept = [(number, line) for number, line in lines if line.strip(" ;,\t|") and not line.startswith(_COMMENTS)]
+    kept = [(number, line) for number, line in lines if line.strip(" ;,\t|") and not line.startswith(COMMENTS)]
     if len(kept) < 1 + _LEAST_ROWS:
         raise InputError(f"{path}: expected a row of names and at least {_LEAST_ROWS} rows of readings")
     return kept
@@ -188,11 +188,11 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _is_number(cell: str) -> bool:
-    return bool(NUMBER.fullmatch(cell) or _COMMA.fullmatch(cell))
+    return bool(NUMBER.fullmatch(cell) or DECIMAL_COMMA.fullmatch(cell))
 
 
 def _point(cell: str) -> str:
-    return cell.replace(",", ".") if _COMMA.fullmatch(cell) else cell
+    return cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
 
 
 # -- the columns ------------------------------------------------------------------------------------------------------

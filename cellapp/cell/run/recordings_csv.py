@@ -25,16 +25,20 @@ from cellapp.cell.run.stream_columns import (
     TEXTS,
     TRIGGER,
     Implausible,
-    Kind,
     joint_faults,
     point_faults,
     state_of,
     stems,
 )
-from cellapp.cell.run.stream_csv import StreamTable, read_header, read_stream_table
+from cellapp.cell.run.stream_csv import StreamFile, StreamTable, read_header, read_stream_table
+from cellapp.cell.run.stream_names import Kind, understood
+from cellapp.cell.run.stream_units import in_si
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+
+_LONGEST_HEADER = 200
+"""Characters of a header that a message shows."""
 
 Key = tuple[str, str]
 """Arm and name of a recording."""
@@ -68,9 +72,11 @@ def read_recordings(
         )
     if arm is not None and arm not in profile.arms:
         raise InputError(f"import: --arm: '{arm}' is not in the profile; arms are {', '.join(profile.arms)}")
-    found: dict[Key, RecordedStreams] = {}
+    found, notes = dict[Key, RecordedStreams](), list[str]()
     for number, pair in enumerate(zip(map(Path, joints), map(Path, points), strict=True), start=1):
-        for one in _read_pair(profile, *pair, arm, number):
+        recorded, said = _read_pair(profile, *pair, arm, number)
+        notes += said
+        for one in recorded:
             key = (one.state.arm, one.state.name)
             if key in found:
                 raise InputError(
@@ -78,16 +84,19 @@ def read_recordings(
                     " give each a name of its own in a column 'recording'"
                 )
             found[key] = one
-    return [*found.values()], [note for one in found.values() for note in _notes(one)]
+    return [*found.values()], notes + [note for one in found.values() for note in _notes(one)]
 
 
-def _read_pair(profile: Profile, joints: Path, points: Path, arm: str | None, number: int) -> list[RecordedStreams]:
-    """The recordings in one pair of files."""
+def _read_pair(
+    profile: Profile, joints: Path, points: Path, arm: str | None, number: int
+) -> tuple[list[RecordedStreams], list[str]]:
+    """The recordings in one pair of files, and how these were understood."""
     counts = [len(its.type.joints) for its in profile.arms.values()]
-    tables: dict[Kind, StreamTable] = {
-        "joints": _read_file(joints, "joints", counts),
-        "points": _read_file(points, "points", counts),
-    }
+    tables, said = dict[Kind, StreamTable](), list[str]()
+    paths: dict[Kind, Path] = {"joints": joints, "points": points}
+    for kind, path in paths.items():
+        tables[kind], notes = _read_file(path, kind, counts)
+        said += notes
     for table in tables.values():
         _check_words(table, "arm", tuple(profile.arms), "is not in the profile; arms are")
         _check_words(table, "split", ("", *SPLITS), "is no split; expected nothing or")
@@ -106,7 +115,8 @@ def _read_pair(profile: Profile, joints: Path, points: Path, arm: str | None, nu
             raise InputError(
                 f"{tables[kind].path}: recording '{name}' of arm {its_arm} has no {other} in {tables[other].path}"
             )
-    return [checked_recording(profile, key, its, groups["points"][key]) for key, its in groups["joints"].items()]
+    found = [checked_recording(profile, key, its, groups["points"][key]) for key, its in groups["joints"].items()]
+    return found, said
 
 
 def _sole(tables: Mapping[Kind, StreamTable], column: str, otherwise: str | None) -> str | None:
@@ -121,33 +131,44 @@ def _name_of_files(joints: Path, points: Path, number: int) -> str:
     return "".join(first for first, _ in pairs).strip("_-. ") or str(number)
 
 
-def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> StreamTable:
+def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTable, list[str]]:
+    """The columns of a file in SI units, and how names and units of others were understood."""
     what = "joint positions" if kind == "joints" else "points"
-    names, quantities = read_header(path, what), stems(kind, max(joints))
-    _check_columns(path, kind, names, quantities)
+    file, quantities = read_header(path, what), stems(kind, max(joints))
     numbers = {name for its in quantities.values() for name in its}
-    required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in names)}
-    return read_stream_table(path, what, numbers=numbers, required=required, texts=TEXTS)
+    known = understood(file.names, kind, (*numbers, *TEXTS))
+    _check_columns(file, kind, known.names, quantities)
+    required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
+    table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
+    return in_si(table, kind, known)
 
 
-def _check_columns(path: Path, kind: Kind, names: Sequence[str], quantities: Mapping[str, tuple[str, ...]]) -> None:
+def _check_columns(
+    file: StreamFile, kind: Kind, names: Sequence[str], quantities: Mapping[str, tuple[str, ...]]
+) -> None:
     """Refuse a file that lacks what every row needs, and quantities of which only some columns are there."""
-    main = quantities["q" if kind == "joints" else "p_M"]
+    path, main = file.path, quantities["q" if kind == "joints" else "p_M"]
     needed = ("time_s", *(main if kind == "points" else main[:1]))
-    if not set(main) & set(names) and set(names) & {"q1", *POINT}:
-        there = "joint positions" if "q1" in names else "points"
+    other: Kind = "points" if kind == "joints" else "joints"
+    there = understood(file.names, other, ()).names
+    if not set(main) & set(names) and set(there) & {"q1", *POINT}:
         raise InputError(
-            f"{path}:1: {main[0]}: the column is missing; this file has {there}: are --joints and --points swapped?"
+            f"{path}:{file.head}: {main[0]}: the column is missing; this file has"
+            f" {'points' if kind == 'joints' else 'joint positions'}: are --joints and --points swapped?"
         )
     problems = Problems(lambda line: f"{path}:{line}")
     for name in needed:
         if name not in names:
-            close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-            hint = f"; is '{close[0]}' meant? Name and unit must be as written here" if close else ""
-            problems.add(1, name, f"the column is missing{hint}")
+            close = difflib.get_close_matches(name, file.names, n=1, cutoff=0.5)
+            meant = f" is '{close[0]}' meant?" if close else ""
+            there_are = short(", ".join(file.names), _LONGEST_HEADER)
+            problems.add(
+                file.head, name, f"the column is missing;{meant} rename the one that is it; the file has {there_are}"
+            )
     if kind == "points" and 0 < len(set(quantities["quaternion"]) & set(names)) < 4:
         missing = next(name for name in quantities["quaternion"] if name not in names)
-        problems.add(1, missing, f"the column is missing; give all of {', '.join(quantities['quaternion'])} or none")
+        text = f"the column is missing; give all of {', '.join(quantities['quaternion'])} or none"
+        problems.add(file.head, missing, text)
     problems.check()
 
 
@@ -187,8 +208,9 @@ def checked_recording(
     quantities = stems("joints", len(limits))
     _check_joints(joints, key[0], quantities, len(limits))
     _refuse(joints, joint_faults(joints.columns, limits))
-    blank = np.isnan(np.column_stack([points.columns[name] for name in POINT]))
-    lost = blank.all(axis=1)
+    p_M = np.column_stack([points.columns[name] for name in POINT])
+    blank = np.isnan(p_M)
+    lost = blank.all(axis=1) | (p_M == 0.0).all(axis=1)  # programs write zeros, too
     if (part := np.flatnonzero(blank.any(axis=1) & ~lost)).size:
         where = Implausible(
             int(part[0]), POINT[int(np.argmax(blank[part[0]]))], "the value is missing; give all of the point"
@@ -214,14 +236,14 @@ def checked_recording(
 
 def _check_joints(table: StreamTable, arm: str, quantities: Mapping[str, tuple[str, ...]], joints: int) -> None:
     """A quantity has a column for each joint of the arm, or none."""
-    problems = Problems(lambda line: f"{table.path}:{line}")
+    line, problems = 1 if table.file is None else table.file.head, Problems(lambda line: f"{table.path}:{line}")
     for stem, names in quantities.items():
         if stem == "q" or any(name in table.columns for name in names):
             for name in names:
                 if name not in table.columns:
-                    problems.add(1, name, f"the column is missing; arm {arm} has {joints} joints")
+                    problems.add(line, name, f"the column is missing; arm {arm} has {joints} joints")
     if (more := f"q{joints + 1}") in table.columns and np.isfinite(table.columns[more]).any():
-        problems.add(1, more, f"there are values, but arm {arm} has {joints} joints in the profile")
+        problems.add(line, more, f"there are values, but arm {arm} has {joints} joints in the profile")
     problems.check()
 
 
@@ -240,7 +262,10 @@ def _notes(recorded: RecordedStreams) -> list[str]:
     state = recorded.state
     where = f"recording '{state.name}' of arm {state.arm}"
     notes = [f"{where}: {sentence}" for kind in ("joints", "points") for sentence in stamp_words(state, kind)]
-    notes += [f"{where}: column '{name}' is unknown; it is kept and not used" for name in state.unknown]
+    if state.unknown:
+        words = " is unknown; it is" if len(state.unknown) == 1 else " are unknown; they are"
+        listed = ", ".join(f"'{name}'" for name in state.unknown)
+        notes.append(f"{where}: column{'s' * (len(state.unknown) > 1)} {listed}{words} kept and not used")
     first, second = recorded.joints.columns["time_s"], recorded.points.columns["time_s"]
     if first.max() < second.min() or second.max() < first.min():
         notes.append(

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.records import StreamState
+from cellapp.cell.run.stream_names import Kind
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
 
-Kind = Literal["joints", "points"]
 Columns = Mapping[str, NDArray[np.float64]]
 """Columns of a stream by their names in a CSV file, each (n,)."""
 
@@ -29,6 +28,9 @@ _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],)
 _LEAST_ROWS = 20
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
 """Rates of recordings [Hz]; what is outside was not written in seconds."""
+_USUAL_HZ = (20.0, 2000.0)
+"""Rates by which the unit of stamps is guessed [Hz]."""
+_DEGREES = "Then name the columns q1_deg, q2_deg, ..."
 _FASTEST_RAD_S = 12.0
 """No joint of an industrial arm is faster [rad/s]."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
@@ -80,7 +82,9 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
     wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
-    wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond_limits(q, limits)]
+    for one in beyond_limits(q, limits):
+        text = one.text.replace("degrees?", f"degrees? {_DEGREES}")
+        wrong.append(Implausible(one.row, f"q{(one.place or 0) + 1}", text))
     yield from wrong
     if wrong:
         return
@@ -90,7 +94,7 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
     fast = np.quantile(speed, 0.95, axis=0)
     joint = int(np.argmax(fast))
     if fast[joint] > _FASTEST_RAD_S:
-        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; are these degrees?"
+        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; degrees? {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
         yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
@@ -108,12 +112,13 @@ def point_faults(columns: Columns) -> Iterator[Implausible]:
         check = _CHECKS[stem]
         fault: Fault | None = check(matrix) if names[0] in columns else None
         if fault is not None:
-            yield Implausible(fault.row, names[fault.place or 0], fault.text)
+            hint = "; if these are millimetres, name the columns x_mm, y_mm, z_mm" if stem == "x_m" else ""
+            yield Implausible(fault.row, names[fault.place or 0], fault.text + hint)
     if QUATERNION[0] in columns:
         length = np.linalg.norm(_matrix(columns, QUATERNION), axis=1)
         wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
         if len(wrong):
-            text = f"expected a quaternion of length 1, got {length[wrong[0]]:.4g}"
+            text = f"expected a quaternion of length 1, got {length[wrong[0]]:.4g}; correct them, or leave them out"
             yield Implausible(int(wrong[0]), QUATERNION[0], text)
     if len(p) and float(np.ptp(p, axis=0).max()) < _REST_M:
         yield Implausible(None, "x_m", f"the SMR does not move by {_REST_M * 1e3:g} mm; expected points of a motion")
@@ -184,7 +189,10 @@ def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
     rate = 1.0 / float(np.median(forward))
     if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
-        hint = "; are these milliseconds?" if _SLOWEST_HZ <= 1e3 * rate <= _FASTEST_HZ else ""
+        units = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
+        factors = {unit: 1e3 ** (k + 1) for k, unit in enumerate(units)}
+        meant = [unit for unit, factor in factors.items() if _USUAL_HZ[0] <= factor * rate <= _USUAL_HZ[1]]
+        hint = f"; are these {meant[0]}? Then name the column {units[meant[0]]}" if meant else ""
         yield Implausible(None, "time_s", text + hint)
 
 
@@ -197,5 +205,5 @@ def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]
     by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
     ratio = math.sqrt(float((by_speed**2).sum()) / max(float((turned**2).sum()), 1e-300))
     if not 0.1 < ratio < 10.0 and ratio > 0.0:
-        hint = "; are these degrees a second?" if 40.0 < ratio < 80.0 else ""
+        hint = "; are these degrees a second? Then name the columns qd1_deg, ..." if 40.0 < ratio < 80.0 else ""
         yield Implausible(None, "qd1", f"the speeds are {ratio:.3g} times those of q1..; expected rad/s{hint}")

@@ -9,6 +9,7 @@ import os
 import platform
 import time
 import zipfile
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -44,14 +45,8 @@ _LEAST_ARGUMENT = 8
 _ERROR_LOG = Path("cellapp-error.log")
 
 
-def bundle(path: Path, profile: Profile, result: DoctorResult, run: Path | None, seconds: float) -> bytes:
-    """The ZIP file. ``run`` is the folder of a run whose log is packed; ``seconds`` is what the doctor took.
-
-    Raises
-    ------
-    InputError
-        If ``run`` holds no run.
-    """
+def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str, str], seconds: float) -> bytes:
+    """The ZIP file. ``log`` are the files of ``run_log``; ``seconds`` is what the doctor took."""
     secrets = _secrets(profile)
     timings: dict[str, float] = {"doctor_s": seconds}
     parts = {
@@ -68,8 +63,7 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, run: Path | None,
         if states:
             parts[f"rtde-{name}.jsonl"] = "\n".join(json.dumps(state) for state in states) + "\n"
     parts |= {file.name: _end_of(file) for file in (rehearsals_path(path), _ERROR_LOG) if file.is_file()}
-    if run is not None:
-        parts |= _of_run(run)
+    parts |= log
     parts["timings.json"] = json.dumps(timings, indent=1)
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file:
@@ -124,8 +118,10 @@ def _end_of(path: Path) -> str:
         return f"{path.name} cannot be read: {error.strerror}\n"
 
 
-def _of_run(folder: Path) -> dict[str, str]:
-    """The end of a run's log, and why stops were left out."""
+def run_log(folder: Path | None) -> dict[str, str]:
+    """The end of a run's log, and why stops were left out; empty without a run. Raises ``InputError``."""
+    if folder is None:
+        return {}
     if not (folder / "run.sqlite").is_file():
         raise InputError(f"--run {folder}: there is no run; give the folder of one, or leave it out")
     with RunFile.open(folder) as run:

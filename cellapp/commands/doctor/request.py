@@ -15,12 +15,24 @@ class DoctorRequest(Request):
 
     profile: ProfilePath
     reference_nests: Annotated[
-        Path | None, Asked("Say how well these reference nests tie tracker stations, at the arms at home.", "FILE")
+        Path | None,
+        Asked(
+            "Say how well these reference nests tie tracker stations, at the arms at home.",
+            "FILE",
+            label="reference nests",
+            hint="empty: none",
+        ),
     ] = None
     cell: Annotated[bool, Asked("First print what the profile says of the cell.")] = False
     controllers: Annotated[
         Path | None,
-        Asked("Write the controllers' own calibrations here, for arms.*.factory.", "DIR", writes=Writes.FOLDER),
+        Asked(
+            "Write the controllers' own calibrations here, for arms.*.factory.",
+            "DIR",
+            label="calibrations into",
+            hint="empty: not written",
+            writes=Writes.FOLDER,
+        ),
     ] = None
 
     bundle: Annotated[
@@ -28,12 +40,20 @@ class DoctorRequest(Request):
         Asked(
             "Pack versions, profile, findings, a run's log and states of the controllers for a report to the authors.",
             "FILE",
+            label="report in file",
+            hint="empty: none",
             writes=Writes.FILE,
         ),
     ] = None
     run_folder: Annotated[
         Path | None,
-        Asked("Run whose log is packed; left out, the newest of this cell below logs.", "DIR", option="--run"),
+        Asked(
+            "Run whose log is packed; left out, the newest of this cell below logs.",
+            "DIR",
+            option="--run",
+            label="log of run",
+            hint="empty: the newest one",
+        ),
     ] = None
 
 

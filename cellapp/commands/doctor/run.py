@@ -11,7 +11,7 @@ from cellapp.cell.driving.examination import examine, probe
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
-from cellapp.commands.doctor.bundle import bundle, newest_run
+from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
@@ -34,12 +34,12 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     if request.run_folder is not None and request.bundle is None:
         raise InputError("--run: only with --bundle")
     profile = load_profile(request.profile)
+    log = {} if request.bundle is None else run_log(request.run_folder or newest_run(profile))
     began_s = time.monotonic()
     result = examine_run(profile, request.reference_nests)
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
-        folder = request.run_folder or newest_run(profile)
-        work.outputs.write(request.bundle, bundle(request.profile, profile, result, folder, seconds))
+        work.outputs.write(request.bundle, bundle(request.profile, profile, result, log, seconds))
         result = result.model_copy(update={"written": (request.bundle,)})
     if request.controllers is None:
         return result

@@ -16,6 +16,9 @@ from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.csv_text import table_text
 from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
+from cellapp.cell.run.stream_columns import POINT
+from cellapp.cell.run.stream_csv import read_header
+from cellapp.cell.run.stream_names import understood
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -109,11 +112,11 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
 def _joints_of_motion(path: Path) -> int:
     """Number of joints of a recording of joint positions alone (time_s, q1, q2, ...); 0 for other files."""
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            names = {name.strip().strip('"') for name in file.readline().split(",")}
-    except (OSError, UnicodeDecodeError):
+        header = read_header(path, "joint positions").names
+    except InputError:
         return 0  # the reader of readings says what is wrong
-    if "time_s" not in names or any(name[:1] in "xyz" for name in names if name):
+    names, points = understood(header, "joints", ()).names, understood(header, "points", ()).names
+    if "time_s" not in names or set(POINT) <= set(points):
         return 0
     return sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
 

@@ -13,6 +13,10 @@ FEWEST_TRIALS, TRIALS = 8, 16
 """Trials of each effect and arm: at least, and usually."""
 
 
+MINUTES = 10.0
+"""Time that the trials may take, usually."""
+
+
 class PowerRequest(Request):
     """Before measuring: which effects of which size a plan would have named, from blind trials of its stops.
 
@@ -25,6 +29,11 @@ class PowerRequest(Request):
         Field(ge=FEWEST_TRIALS, le=400),
         Asked("Trials of each effect and arm.", "N", label="trials of each effect"),
     ] = TRIALS
+    minutes: Annotated[
+        float,
+        Field(gt=0.0, le=1e5),
+        Asked("Time for the trials; what fits is shared among the effects.", "N", label="minutes"),
+    ] = MINUTES
     seed: Annotated[
         int, Field(ge=0), Asked("Draws laws, true geometry and noise.", "N", label="seed", hint="0 or more")
     ] = 0

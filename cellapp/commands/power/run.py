@@ -9,7 +9,7 @@ from cellapp.commands.power.request import PowerRequest
 from cellapp.commands.record import Work
 from cellapp.commands.trials import skeleton
 from cellapp.commands.trials.power.result import PowerResult
-from cellapp.commands.trials.power.rounds import power_of
+from cellapp.commands.trials.power.rounds import TimeLimit, power_of
 from cellapp.commands.trials.power.trial import PlannedCell
 from cellapp.ground.scale.executor import Resources
 
@@ -19,11 +19,12 @@ POWER_RESULT = "plan-power"
 
 def run(request: PowerRequest, work: Work) -> PowerResult:
     """Try the plan of a run on all cores, and keep the result in the run."""
+    limit = TimeLimit.from_now(request.minutes)
     with RunFile.open(request.folder, write=True) as opened:
         required_plan(opened)
         planned = PlannedCell.of(opened.profile, read_planned_stops(opened))
         trials = skeleton.Work(Resources(), work.listener, work.control)
-        result = power_of(planned, request.trials, request.seed, trials)
+        result = power_of(planned, request.trials, request.seed, trials, limit)
         opened.write_result(POWER_RESULT, result.to_json())
         return result
 

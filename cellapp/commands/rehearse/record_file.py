@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from pathlib import Path
 
-from cellapp.cell.driving.rehearsal import RUNGS, RungName
+from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import noted_profile, rehearsals_path
 from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
+
+_STORED = "rehearsals"
+"""Name of the stored result."""
 
 
 def arms_hash(profile: Profile) -> str:
@@ -41,6 +45,22 @@ def write_log(path: Path, log: RehearsalLog) -> None:
 def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
     """The rungs that were not passed yet, in their order."""
     return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
+
+
+def keep_log(run: RunFile) -> None:
+    """Store in a run which rungs are on record as it is collected: the file beside the profile changes later."""
+    path = noted_profile(run)
+    if path is None:
+        return
+    with suppress(InputError):  # named by ``missing_sentence``
+        if (log := read_log(path, run.profile)).rungs:
+            run.write_result(_STORED, log.to_json())
+
+
+def kept_log(run: RunFile) -> RehearsalLog | None:
+    """The rungs that were on record when the run was collected; None without one."""
+    text = run.read_result(_STORED)
+    return None if text is None else RehearsalLog.from_json(text, "the run's rehearsals")
 
 
 def missing_sentence(run: RunFile) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
+from cellapp.cell.driving.rungs import RungName
 from cellapp.commands.fields import ProfilePath
 from cellapp.commands.record import Asked, Request, Verb
 
@@ -22,7 +23,7 @@ class RehearseRequest(Request):
         ),
     ] = None
     rung: Annotated[
-        Literal["simulation", "one-arm", "ten-stops", "both-arms"] | None,
+        RungName | None,
         Asked("Step to rehearse; left out, the first one that is missing.", "RUNG", label="step"),
     ] = None
     arm: Annotated[str | None, Asked("Arm of a step with one arm; left out, the first one.", "NAME", label="arm")] = (

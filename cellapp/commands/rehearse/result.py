@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cellapp.cell.driving.rehearsal import RungName
+from cellapp.cell.driving.rungs import RungName
 from cellapp.ground.results import Record, Result
 
 

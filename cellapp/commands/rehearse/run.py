@@ -7,8 +7,9 @@ from pathlib import Path
 
 from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.rehearsal import RUNGS, Rehearsal, RungName, rehearse
+from cellapp.cell.driving.rehearsal import Rehearsal, rehearse
 from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import note_profile

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from cellapp.cell.driving.rehearsal import RUNGS
+from cellapp.cell.driving.rungs import RUNGS
 from cellapp.commands.record import Request, View
-from cellapp.commands.rehearse.result import RehearseResult
+from cellapp.commands.rehearse.result import RehearsalLog, RehearseResult
+from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.counting import counted
 
@@ -22,7 +23,7 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
         f"rung '{result.rung}': {RUNGS[result.rung].words}; arms {', '.join(result.arms)}",
         *(f"arm {arm}: {words}" for arm, words in result.controllers.items()),
         f"{counted(len(result.visited), 'stop')} reached, {len(result.refused)} refused,"
-        f" {counted(len(result.motions), 'motion')} in {took:.1f} s, of which {expected:.1f} s are the motions alone",
+        f" {counted(len(result.motions), 'motion')} in {took:.1f} s; the motions alone should take {expected:.1f} s",
         *(f"stop {stop}: {why}" for stop, why in result.refused.items()),
         *(
             f"slow: to {'home' if one.stop is None else f'stop {one.stop}'} in {one.seconds:.1f} s instead of"
@@ -39,3 +40,28 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
     table = Table("Commanded and reached joint positions", columns, tuple(rows))
     failed = () if result.passed else (result.ended or "no stop was reached",)
     return View((table, *lines), failed)
+
+
+def log_section(log: RehearsalLog) -> Section:
+    """What was on record of each rung when a run was collected, for the report."""
+    columns = (
+        *(Column(title) for title in ("rung", "when", "arms")),
+        *(number_column(title, form) for title, form in (("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f"))),
+        Column("outcome"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for name in RUNGS:
+        if (one := log.rungs.get(name)) is None:
+            rows.append((name, "", "", None, None, None, "not driven"))
+            continue
+        off = max((off for motion in one.motions for off in motion.off_mrad.values()), default=None)
+        outcome = "passed" if one.passed else one.ended or "no stop was reached"
+        rows.append((name, one.when, ", ".join(one.arms), len(one.visited), len(one.refused), off, outcome))
+    passed = sum(one.passed for one in log.rungs.values())
+    return Section(
+        "",
+        [Table("Rungs of the rehearsal", columns, tuple(rows))],
+        f"{passed} of {counted(len(RUNGS), 'rung')} passed before the readings were taken.",
+        "What 'cellapp rehearse' recorded of these arms before the plan was collected: the controllers in simulation"
+        " mode first, then real arms at 5 % speed.",
+    )

@@ -45,6 +45,8 @@ from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
 from cellapp.commands.power.run import stored_power
+from cellapp.commands.rehearse.record_file import kept_log
+from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import ReportData
@@ -79,6 +81,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "station": ("Station of the tracker", ()),
     "plan": ("Plan", ()),
     "power": ("What the plan can name", ()),
+    "rehearsal": ("Rehearsal", ()),
     "collection": ("Collecting", ()),
     "cell": ("The cell", ()),
     "parameters": ("Identified parameters", (CALIBRATE,)),
@@ -97,6 +100,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
     made["plan"] = plan_section(run)
     made["power"] = power_section(run)
+    made["rehearsal"] = None if (log := kept_log(run)) is None else log_section(log)
     made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
     made["parameters"] = _parameters(data, lost_by_arm(run))
     made["controllers"] = controllers_section(run, data)

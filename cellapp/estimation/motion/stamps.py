@@ -8,6 +8,7 @@ smoother: the values themselves tell which of the two is true.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,10 +29,25 @@ _BESIDE_S = 0.03
 """Time on either side of a step from which the speed there is taken."""
 _OF_SPREAD = 6.0
 """Standard errors that the motion of one sample must be above, to tell a step from a gap."""
+_PHASE_S = 4.0
+"""Length of stamps that have one phase of a regular clock."""
+_NEARBY_PERIODS = (
+    (1.0 + np.linspace(-0.04, 0.04, 81), 1.0),
+    (1.0 + np.linspace(-0.001, 0.001, 21), 4.0),
+)
+"""Periods that stamps may have, in the median step between them, and the length of stamps that tells."""
+_OF_PERIOD = 20_000
+"""Stamps that tell the period."""
 _SMOOTHING_S = 1.0
 """Length of stamps that are averaged into a regular clock."""
-_MUCH_SMOOTHER = 0.7
+_STEADY = 0.01
+"""Mean distance of steps from a period, in periods, up to which stamps are those of a regular clock as they are."""
+_STRIDES = (1, 8)
+"""Neighbours that show jitter, and those that show samples that were counted wrongly."""
+_MUCH_SMOOTHER = 0.5
 """Ratio of the path's roughness from which regular stamps are taken in place of those that were recorded."""
+_MOST_POLLED, _MOST_OF_USUAL = 20, 4.0
+"""Times that a device is polled for one value at most; times the usual number that a value stands there by chance."""
 _STALE = 0.02
 """Share of samples that repeat the last values while the arm moves, from which they count as polled twice."""
 
@@ -109,22 +125,28 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
     segment = np.concatenate([[0], np.cumsum(jump)]).astype(np.intp)
     steps = tuple(ClockStep(float(running[i]), float(ahead[i] - period)) for i in np.flatnonzero(jump).tolist())
     repeated = int(np.count_nonzero(np.diff(running) <= 0.0))
-    regular = _regular(running, period)
-    smoother = _roughness(regular, values) < _MUCH_SMOOTHER * _roughness(*_distinct(running, values)[:2])
-    time = regular if smoother else running
+    time, smoother = running, False
+    if float(np.minimum(np.abs(np.diff(running) / period - 1.0), 1.0).mean()) > _STEADY:
+        clocks = (_counted(running, period), _by_phase(running, period))
+        roughness, regular = min(((_roughness(clock, values), clock) for clock in clocks), key=lambda one: one[0])
+        smoother = roughness < _MUCH_SMOOTHER * _roughness(running, values)
+        time = regular if smoother else running
     time, _, kept = _distinct(time, values)
     longest = max(_GAP_PERIODS * period, _GAP_S)
     gaps = int(np.count_nonzero(np.diff(time) > longest))
-    return Stamps(rows[kept], rows, time, segment[kept], period, repeated, gaps, steps, bool(smoother))
+    return Stamps(rows[kept], rows, time, segment[kept], period, repeated, gaps, steps, smoother)
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:
-    """Samples without those that repeat the last values while the arm moves: polled before the device had new ones."""
+    """Samples without those that repeat the last values while the arm moves: polled before the device had new ones.
+
+    How often each value stands there while the arm moves is one count or a few; a rest is longer.
+    """
     n = len(values)
     same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
-    moving = np.zeros(n, dtype=bool)
-    moving[1:-2] = (values[3:] != values[:-3]).any(axis=1) & ~(same[1:-2] & same[2:-1])
-    stale = same & moving
+    times = np.diff(np.append(np.flatnonzero(~same), n))
+    usual = np.median(times) if len(times) > n // _MOST_POLLED else 1.0  # else it mostly rests
+    stale = same & (times <= _MOST_OF_USUAL * usual).repeat(times)
     return np.flatnonzero(~stale) if stale.sum() > _STALE * n else np.arange(n)
 
 
@@ -151,8 +173,9 @@ def _distinct(time: Array, values: Array) -> tuple[Array, Array, NDArray[np.intp
     return time[kept], values[kept], kept
 
 
-def _regular(time: Array, period: float) -> Array:
-    """The regular clock about which stamps jitter: a moving average of stamp less number, between gaps."""
+def _counted(time: Array, period: float) -> Array:
+    """The regular clock about which stamps jitter, of which none is lost: a moving average of stamp less number,
+    between gaps."""
     regular = time.copy()
     cuts = np.flatnonzero(np.diff(time) > max(3.0 * _GAP_PERIODS * period, 3.0 * _GAP_S)) + 1
     half = max(2, round(_SMOOTHING_S / period / 2.0))
@@ -166,24 +189,44 @@ def _regular(time: Array, period: float) -> Array:
     return np.maximum.accumulate(regular)
 
 
+def _by_phase(time: Array, period: float) -> Array:
+    """The regular clock about which stamps jitter by less than a period, of which some may be lost: each stamp's number
+    follows from the mean phase of the stamps about it."""
+    since, some = time - time[0], time[:_OF_PERIOD] - time[0]
+    for near, seconds in _NEARBY_PERIODS:
+        period = max(period * near, key=lambda its: float(np.abs(_turns(some, its, seconds)).mean()))
+    phase = np.unwrap(np.angle(_turns(since, period, _PHASE_S))) / (2.0 * np.pi)
+    number = np.maximum.accumulate(np.rint(since / period - phase))
+    return np.asarray(time[0] + period * (number + phase))
+
+
+def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128]:
+    """Mean of the phases of stamps within some seconds, as complex numbers; near length 1 where they are alike."""
+    turned = np.exp(2j * np.pi * since / period)
+    return np.asarray(uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest"))
+
+
 def _roughness(time: Array, values: Array) -> float:
-    """Rms distance of samples from the parabola through their neighbours, in units of a sample's motion."""
-    if len(time) < 8 or (np.diff(time) <= 0.0).any():
+    """Rms distance of samples from the cubic through their neighbours, next ones and more distant ones, in units of a
+    sample's motion."""
+    time, values, _ = _distinct(time, values)
+    if len(time) < 8 * _STRIDES[-1]:
         return np.inf
-    t, x = time, values
-    scale = np.median(np.linalg.norm(np.diff(x, axis=0), axis=1)) + 1e-300
-    a, b, c, d = t[:-4], t[1:-3], t[3:-1], t[4:]
-    at = t[2:-2]
-    predicted = np.zeros_like(x[2:-2])
-    for own, others, rows in (
-        (a, (b, c, d), slice(0, -4)),
-        (b, (a, c, d), slice(1, -3)),
-        (c, (a, b, d), slice(3, -1)),
-        (d, (a, b, c), slice(4, None)),
-    ):
-        weight = np.ones(len(at))
+    scale = float(np.median(np.linalg.norm(np.diff(values, axis=0), axis=1))) + 1e-300
+    return math.hypot(*(_distance_from_cubic(time, values, stride, scale) for stride in _STRIDES))
+
+
+def _distance_from_cubic(t: Array, x: Array, stride: int, scale: float) -> float:
+    """Rms distance from the cubic through the samples one and two strides before and after."""
+    n = len(t) - 4 * stride
+    places = [slice(k * stride, k * stride + n) for k in range(5)]
+    middle, others = places.pop(2), places
+    predicted = np.zeros((n, x.shape[1]))
+    for own in others:
+        weight = np.ones(n)
         for other in others:
-            weight = weight * (at - other) / (own - other)
-        predicted += weight[:, None] * x[rows]
-    miss = np.linalg.norm(x[2:-2] - predicted, axis=1)
+            if other is not own:
+                weight *= (t[middle] - t[other]) / (t[own] - t[other])
+        predicted += weight[:, np.newaxis] * x[own]
+    miss = np.linalg.norm(x[middle] - predicted, axis=1)
     return float(np.sqrt(np.mean(np.minimum(miss / scale, 5.0) ** 2)))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.commands.power.request import FEWEST_TRIALS
+from cellapp.commands.power.request import FEWEST_TRIALS, MINUTES
 from cellapp.commands.power.request import TRIALS as TRIALS_OF_EACH
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import Writes
@@ -402,14 +402,18 @@ def power(
     trials: Annotated[
         int, typer.Option("--trials", min=FEWEST_TRIALS, max=400, help="Trials of each effect and arm.")
     ] = TRIALS_OF_EACH,
+    minutes: Annotated[
+        float, typer.Option("--minutes", min=0.1, help="Time; what fits is shared among the effects.")
+    ] = MINUTES,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Draws laws, true geometry and noise.")] = 0,
 ) -> Stated:
     """Before measuring: which effects of which size this cell, plan and tracker would have named."""
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.power.rounds import power_of_profile
+    from cellapp.commands.trials.power.rounds import TimeLimit, power_of_profile
     from cellapp.commands.trials.power.tables import power_sentence, power_table
     from cellapp.commands.trials.skeleton import Stated, not_computed
 
-    result = power_of_profile(load_profile(profile), trials, seed, work)
+    limit = TimeLimit.from_now(minutes)
+    result = power_of_profile(load_profile(profile), trials, seed, work, limit)
     tables = [power_table(name, arm) for name, arm in result.arms.items()]
     return Stated(result, tables, [power_sentence(result)], not_computed(result.failed))

@@ -11,7 +11,6 @@ from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
-from cellapp.commands.rehearse.request import VERB as REHEARSE
 from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.ground.counting import counted
@@ -109,13 +108,13 @@ def offer_verb(screen: DayScreen, verb: Verb) -> None:
         _offer(screen, verb, {"folder": folder})
 
 
-def offer_rehearsal(screen: DayScreen) -> None:
-    """Ask for the step of a rehearsal of the profile that is open, then drive it and show what happened."""
+def offer_verb_of_profile(screen: DayScreen, verb: Verb) -> None:
+    """Ask for the request of a verb on the profile that is open, then do it and show its view."""
     profile = screen.workspace.profile_path
     if profile is None:
         screen.say(screen.state.no_profile, "warning")
     else:
-        _offer(screen, REHEARSE, {"profile": profile})
+        _offer(screen, verb, {"profile": profile})
 
 
 def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:

@@ -177,8 +177,15 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
 
         arm.start_path = started  # type: ignore[method-assign]
 
+    heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, opened=driven_cell(CLOCK, prepare))
+        collect_run(run, heard.append, opened=driven_cell(CLOCK, prepare))
+        told = sweeps_in(heard, "left")
+        states = list(dict.fromkeys(one.state for one in told))
+        assert states == ["moving", "searching", "unrecorded", "done"]
+        rest = [one for one in told if one.state == "unrecorded"]
+        assert "1 lost beam, the rest is not recorded" in rest[-1].words()
+        assert rest[0].points == rest[-1].points > 0
         assert any("the rest of its sweep is not recorded" in event.text for event in run.events())
         assert ("left", "sweep-1") not in names(run)
         assert {arm for arm, _ in names(run)} == {"right"}

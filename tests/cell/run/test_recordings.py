@@ -191,7 +191,8 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
         r"p\.csv: x_m: the SMR does not move",
     ),
     "no number": (lambda j, p: (_with(j, "q2", 7, "fast"), p), r"j\.csv:9: q2: expected a finite number .* 'fast'"),
-    "nan": (lambda j, p: (j, _with(p, "y_m", 3, "nan")), r"p\.csv:5: y_m: expected a finite number .* 'nan'"),
+    "nan": (lambda j, p: (j, _with(p, "y_m", 3, "nan")), r"p\.csv:5: y_m: the value is missing; give all"),
+    "nan of a joint": (lambda j, p: (_with(j, "q2", 3, "nan"), p), r"j\.csv:5: q2: the value is missing"),
     "infinite": (lambda j, p: (_with(j, "time_s", 3, "inf"), p), r"j\.csv:5: time_s: expected a finite number"),
     "empty": (lambda j, p: (_with(j, "q1", 4, ""), p), r"j\.csv:6: q1: the value is missing"),
     "half a point": (lambda j, p: (j, _with(p, "z_m", 4, "")), r"p\.csv:6: z_m: the value is missing; give all"),
@@ -213,8 +214,8 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
     ),
     "too many joints": (lambda j, p: ({**j, "q3": j["q1"]}, p), r"j\.csv:1: q3: there are values, but arm left has 2"),
     "other name": (
-        lambda j, p: (j, {"time": p["time_s"], **{n: p[n] for n in ("x_m", "y_m", "z_m")}}),
-        r"p\.csv:1: time_s: the column is missing; is 'time' meant",
+        lambda j, p: (j, {"time_of_day": p["time_s"], **{n: p[n] for n in ("x_m", "y_m", "z_m")}}),
+        r"p\.csv:1: time_s: the column is missing; is 'time_of_day' meant\?.* the file has time_of_day, x_m, y_m, z_m",
     ),
     "no rows": (lambda j, p: (j, {name: np.empty(0) for name in p}), r"p\.csv:1: there is a header row but no sample"),
     "few rows": (
@@ -260,7 +261,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for content, said in (
         (b"\xff\xfe\x00time", "not UTF-8"),
         (b"", "is empty"),
-        (b"time_s;q1\n1;2\n", "separate columns by commas"),
+        (b"time_s;q1\n1;2\n", "q2: the column is missing"),
+        (b"1;2;3\n1;2;3\n", "no row of names above"),
         (b"time_s,q1,q2\n1,2\n", "the row has 2 cells"),
     ):
         binary.write_bytes(content)

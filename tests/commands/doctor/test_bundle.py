@@ -12,7 +12,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.doctor.bundle import bundle, newest_run
+from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.redaction import REDACTED, redacted
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DoctorResult, Finding
@@ -64,7 +64,7 @@ def test_no_secret_is_packed_and_the_newest_run_is(cell: Profile, tmp_path: Path
     (tmp_path / "cellapp-error.log").write_text(f"Traceback\n  password='{PASSWORD}' url=http://me:{PASSWORD}@host/\n")
     folder = newest_run(cell)
     assert folder == Path("logs/first")
-    parts = unpacked(bundle(tmp_path / "cell.yaml", cell, FOUND, folder, 1.5))
+    parts = unpacked(bundle(tmp_path / "cell.yaml", cell, FOUND, run_log(folder), 1.5))
     assert set(parts) == {
         *("versions.json", "doctor.json", "profile.json", "timings.json"),
         *("run-log.txt", "run-left-out.txt", "cellapp-error.log"),
@@ -90,7 +90,7 @@ def test_states_of_a_controller_are_packed(tmp_path: Path) -> None:
     (lost,) = arms["left"].driver.excerpt(0.5)
     assert "error" in lost
     profile = twin.model_copy(update={"arms": arms})
-    parts = unpacked(bundle(PROFILES / "twin.yaml", profile, FOUND, None, 0.0))
+    parts = unpacked(bundle(PROFILES / "twin.yaml", profile, FOUND, {}, 0.0))
     assert "error" in json.loads(parts["rtde-left.jsonl"])
     assert parts["profile.yaml"] == (PROFILES / "twin.yaml").read_text("utf-8")
 

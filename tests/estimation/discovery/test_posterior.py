@@ -76,6 +76,15 @@ def test_two_terms_of_one_effect_count_as_one():
     np.testing.assert_allclose(found.terms, wanted)
 
 
+def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
+    sure = [review("backlash", 900.0), review("joint_compliance", 900.0)]
+    outside = {"backlash": math.log(1.5), "joint_compliance": math.log(0.02)}
+    found = posteriors(sure, {}, THRESHOLD, COORDINATES, outside)
+    np.testing.assert_allclose(found.terms, (1.02 / 2.52, 2.5 / 2.52))
+    tied = posteriors([review("backlash", 900.0, base_step=900.0)], {}, THRESHOLD, COORDINATES, {"backlash": 0.0})
+    np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
+
+
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():
     found = posteriors([review(UNKNOWN, THRESHOLD), review(UNKNOWN, 300.0)], {"backlash": -2.0}, THRESHOLD, COORDINATES)
     assert found.terms[0] == pytest.approx(0.5, abs=0.01)

@@ -9,6 +9,7 @@ import pytest
 
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.observe import Stops
+from cellapp.estimation.motion.stamps import read_stamps
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -309,3 +310,19 @@ def test_an_arm_of_which_one_joint_moves_is_fitted_and_the_sentence_says_what_it
     assert "predictions hold near them only" in fit.undetermined[0]
     assert sum("moved by 0.00 deg only" in sentence for sentence in fit.undetermined) == 5
     assert fit.heldout_rms_mm < 0.12
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("digits", "polled"), [(None, 1), (3, 1), (None, 4)])
+def test_a_regular_clock_is_found_although_stamps_jitter_and_samples_are_lost_or_repeated(case, digits, polled):
+    rng = np.random.default_rng(12)
+    time = case[2].joints.time_s
+    rows = np.flatnonzero(rng.random(len(time)) > (0.05 if polled == 1 else 0.0))
+    late = np.maximum.accumulate(time + rng.uniform(0.0, 4e-3, len(time)))[rows]
+    rows = rows.repeat(polled if polled > 1 else rng.choice([1, 2, 3], len(rows), p=[0.9, 0.07, 0.03]))
+    stamps = late[np.searchsorted(np.unique(rows), rows)] + 1e-4 * (np.arange(len(rows)) % polled)
+    read = read_stamps(stamps if digits is None else np.round(stamps, digits), case[2].joints.q[rows])
+    left = read.time_s - time[rows[read.rows]]
+    assert read.regular
+    assert np.std(left) < 0.3e-3
+    assert np.mean(left) == pytest.approx(2e-3, abs=0.3e-3)

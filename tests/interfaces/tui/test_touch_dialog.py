@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from textual.pilot import Pilot
 from textual.widgets import Checkbox, Input
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.interfaces.tui import offers
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.palette import possible_commands
@@ -64,3 +66,26 @@ async def test_the_palette_rehearses_the_profile_that_is_open() -> None:
         assert isinstance(app.screen, VerbQuestion)
         app.screen.action_answer("begin")
         await until(pilot, lambda: "has no controller" in app.message, "the refusal of simulated arms")
+
+
+async def test_the_palette_asks_the_doctor_for_a_report_to_the_authors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await asked_for_the_twin(pilot, app, "doctor", "report in file")
+        app.screen.query_one("#bundle", Input).value = "report.zip"
+        app.screen.query_one("#run-folder", Input).value = "no-run"
+        assert isinstance(app.screen, VerbQuestion)
+        app.screen.action_answer("begin")
+        await until(pilot, lambda: "--run no-run: there is no run" in app.message, "the refusal")
+        assert not Path("report.zip").exists()
+        offers.offer_verb_of_profile(app.day_screen, DOCTOR)
+        await until(
+            pilot, lambda: isinstance(app.screen, VerbQuestion) and "report in file" in shown_text(app), "it again"
+        )
+        app.screen.query_one("#bundle", Input).value = "report.zip"
+        app.screen.action_answer("begin")
+        await until(pilot, lambda: "written: report.zip" in shown_text(app), "what the doctor found")
+    assert zipfile.is_zipfile("report.zip")

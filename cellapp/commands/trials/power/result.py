@@ -74,7 +74,7 @@ class ArmPower(Record):
 
 
 class PowerResult(Result, schema="cellapp-plan-power"):
-    """``power``: arms, every trial, and tasks that failed."""
+    """``power``: arms, every trial, tasks that failed, and whether the time ended it before all trials were made."""
 
     date: str
     program: str
@@ -85,3 +85,4 @@ class PowerResult(Result, schema="cellapp-plan-power"):
     arms: Mapping[str, ArmPower]
     trials: tuple[NamingTrial, ...]
     failed: tuple[str, ...] = ()
+    ended_by_time: bool = False

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import zip_longest
 
 import numpy as np
 
@@ -33,14 +35,41 @@ _FOLLOWED = 0.3
 """Share that geometry follows from which that is said to limit naming."""
 
 
-def power_of_profile(profile: Profile, trials: int, seed: int, work: Work) -> PowerResult:
+@dataclass(frozen=True)
+class TimeLimit:
+    """How long trials may last, from ``began_s`` by ``now`` [s]; ``minutes`` None: as long as they need."""
+
+    minutes: float | None
+    began_s: float
+    now: Callable[[], float] = time.monotonic
+
+    @classmethod
+    def from_now(cls, minutes: float | None) -> TimeLimit:
+        """That begins now."""
+        return cls(minutes, time.monotonic())
+
+    def allowed(self, each_s: float, most: int) -> int:
+        """How many further trials of a duration [s] fit, at most ``most``: they are asked for together."""
+        if self.minutes is None:
+            return most
+        left_s = 60.0 * self.minutes - (self.now() - self.began_s)
+        return max(min(int(left_s / max(each_s, 1e-6)), most), 0)
+
+    def words(self) -> str:
+        """For a progress bar."""
+        return "no time limit" if self.minutes is None else f"at most {self.minutes:g} min"
+
+
+def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
     """Plan the stops of a profile and try them. Raises as ``make_stops`` and ``power_of`` do."""
     stops, _ = make_stops(profile, work.listener, work.cancel)
-    return power_of(PlannedCell.of(profile, stops), trials, seed, work)
+    return power_of(PlannedCell.of(profile, stops), trials, seed, work, limit)
 
 
-def power_of(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerResult:
+def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
     """Make ``trials`` trials of each effect in each arm, in rounds of four; ``seed`` draws them all.
+
+    What the time allows is shared among the effects; the intervals say what that leaves open.
 
     Raises
     ------
@@ -57,16 +86,15 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerR
         if not reason
     ]
     failed: list[str] = []
-    rounds = -(-trials // len(_FIRST))
-    for number in range(rounds):
-        asked = [trial for one in tried for trial in one.next_trials(trials)]
-        if not asked:
-            break
+    allowed = len(tried)  # the first trial of each says how long they last
+    while asked := _round(tried, trials)[:allowed]:
         name = "arm {0.arm}, {0.effect}, {0.size_mm:.3f} mm"
-        gathered = work.gather(NAMING_TRIALS, f"power {number + 1}/{rounds}", planned, asked, name)
+        began_s = limit.now()
+        gathered = work.gather(NAMING_TRIALS, f"power, {limit.words()}", planned, asked, name)
         failed += gathered.failed
         found = [trial for trial in gathered.results if trial is not None]
         tried = [one.with_trials(found) for one in tried]
+        allowed = limit.allowed((limit.now() - began_s) / len(asked), 2 * len(tried))
     powers = {(one.arm, one.effect): one.power() for one in tried}
     return PowerResult(
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
@@ -89,6 +117,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerR
         },
         trials=tuple(trial for one in tried for trial in one.trials),
         failed=tuple(failed),
+        ended_by_time=bool(_round(tried, trials)),
     )
 
 
@@ -122,7 +151,7 @@ class _Tried:
         """The trials of the next round, none after ``most``."""
         if self.is_hopeless:
             return
-        sizes = self.belief.next_sizes(SHARE) if self.trials else [size * self.noise_mm for size in _FIRST]
+        sizes = [size * self.noise_mm for size in _FIRST[len(self.trials) :]] or self.belief.next_sizes(SHARE)
         for place, size in enumerate(sizes[: most - len(self.trials)], start=len(self.trials)):
             rng = np.random.default_rng([self.seed, place, *f"{self.arm} {self.effect}".encode()])
             yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
@@ -156,6 +185,12 @@ class _Tried:
             with_others=sum(len(set(trial.accepted)) > 1 for trial in named),
             limit=_limit(self.trials, 0.5 * middle if shown else 0.25 * largest),
         )
+
+
+def _round(tried: Sequence[_Tried], most: int) -> list[NamingTrial]:
+    """Next trials of all effects, the first of each before the second of any; none after ``most`` of each."""
+    each = [list(one.next_trials(most)) for one in tried]
+    return [trial for together in zip_longest(*each) for trial in together if trial is not None]
 
 
 def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:

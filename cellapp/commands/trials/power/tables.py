@@ -21,9 +21,10 @@ def power_parts(result: PowerResult) -> Parts:
 
 def power_sentence(result: PowerResult) -> str:
     """What was tried, in one sentence."""
+    ended = f"; the time ended them before all {result.trials_of_each} of each" if result.ended_by_time else ""
     return (
         f"Sizes from which an effect is named in {result.share:.0%} of the runs, from {len(result.trials)} blind trials"
-        f" of the planned stops with the tracker's noise (seed {result.seed}); the interval holds with 90 %."
+        f" of the planned stops with the tracker's noise (seed {result.seed}{ended}); the interval holds with 90 %."
     )
 
 

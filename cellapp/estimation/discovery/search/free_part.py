@@ -29,11 +29,11 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.search.whole_field import BesideField
-from cellapp.estimation.discovery.terms import ModelTerm, with_term
+from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, with_term
 from cellapp.ground.grouping import grouped
-from cellapp.robot.effects import EffectColumn
+from cellapp.robot.effects import EFFECTS, EffectColumn
 from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
 from cellapp.robot.kinematics.transforms import Array
 
@@ -163,7 +163,7 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
 
     Free parts that the laws already have are found anew.
     """
-    terms = tuple(replace(term, modulations=(), modulation_sd=()) for term in state.fit.terms)
+    terms = without_free_parts(state.fit.terms)
     had = any(term.modulations for term in state.fit.terms)
     if all(term.effect is None for term in terms):
         return None
@@ -174,6 +174,28 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
     return problem.state(found, state)
 
 
+def without_free_parts(terms: ModelTerms) -> ModelTerms:
+    """The laws of some terms alone."""
+    return tuple(replace(term, modulations=(), modulation_sd=()) for term in terms)
+
+
+def may_be_left_by_a_look_alike(state: SearchState, step: SearchStep) -> bool:
+    """Whether the free part of a look-alike in the model explains about as much as the new name that a step adds.
+
+    What a law leaves over looks most like its look-alikes.
+    """
+    fit, alike = state.fit, EFFECTS[step.slug].look_alikes
+    if step.slug in state.slugs:
+        return False
+    for number, term in enumerate(fit.terms):
+        if term.effect is None or (term.slug not in alike and step.slug not in term.effect.look_alikes):
+            continue
+        parts = [] if term.modulations else possible_free_parts(state.data, fit, number)
+        if parts and _best_shares(fit, fit.rows, fit.precision, parts)[1] > step.score - SCORE_MARGIN:
+            return True
+    return False
+
+
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
     """The terms with the free parts that gain, those of the largest effects first."""
     fit, terms = state.fit, state.fit.terms
@@ -181,7 +203,7 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
     order = sorted(range(len(terms)), key=lambda number: -float(np.sum(fit.signal(number) ** 2)))
     for number in order:
         parts = possible_free_parts(state.data, fit, number)
-        chosen = _best_shares(fit, nuisance, precision, parts)
+        chosen, _ = _best_shares(fit, nuisance, precision, parts)
         if not chosen:
             continue
         sd = np.concatenate([share * part.sd for part, share in chosen])
@@ -198,13 +220,16 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 
 def _best_shares(
     fit: JointFit, nuisance: Array, precision: Array, parts: Sequence[FreePart]
-) -> list[tuple[FreePart, float]]:
-    """Drivers of a free part and the share of each: the best one joins while the evidence gains enough."""
+) -> tuple[list[tuple[FreePart, float]], float]:
+    """Drivers of a free part and the share of each, and twice the log evidence that they gain.
+
+    The best one joins while the evidence gains enough.
+    """
     if not parts:
-        return []
+        return [], 0.0
     evidence = _evidence_of(fit, nuisance, precision, np.concatenate([part.rows for part in parts]))
     if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters already take all that the readings hold
-        return []
+        return [], 0.0
     chosen: dict[int, float] = {}
     best = 0.0
     while len(chosen) < len(parts):
@@ -219,7 +244,7 @@ def _best_shares(
             break
         best, place, share = max(trials)
         chosen[place] = share
-    return [(parts[place], share) for place, share in sorted(chosen.items())]
+    return [(parts[place], share) for place, share in sorted(chosen.items())], best
 
 
 def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:

@@ -22,7 +22,11 @@ from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.comparison import best_state, floor_reached
 from cellapp.estimation.discovery.search.contradiction import with_contradiction
 from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
-from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.free_part import (
+    may_be_left_by_a_look_alike,
+    with_free_parts,
+    without_free_parts,
+)
 from cellapp.estimation.discovery.search.in_sockets import with_effects_in_sockets
 from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.review import review, reviewed
@@ -84,11 +88,15 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[float]:
-    """Probability of each term's name or of one that the data cannot distinguish from it, in the order of the terms."""
-    return [
-        own + sum(probable.effects.get(rival.effect, 0.0) for rival in one.rivals if not rival.distinguishable)
-        for own, one in zip(probable.terms, found.reviews, strict=True)
-    ]
+    """Probability of each term's name or of one that the data cannot distinguish from it, in the order of the terms.
+
+    That of the name alone where such a rival is more probable: an answer set begins with its most probable name.
+    """
+    answers = []
+    for own, one in zip(probable.terms, found.reviews, strict=True):
+        rivals = [probable.effects.get(rival.effect, 0.0) for rival in one.rivals if not rival.distinguishable]
+        answers.append(own + (sum(rivals) if own >= max(rivals, default=0.0) else 0.0))
+    return answers
 
 
 def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit, scan: LawScan) -> SearchResult:
@@ -130,7 +138,8 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
         slug = state.fit.terms[number].slug
         improbable = {**found.improbable, slug: probability}
         problem = replace(problem, slugs=tuple(one for one in problem.slugs if one not in improbable))
-        rest = problem.state(without_term(state.fit.terms, number), state)
+        # free parts were made to fit beside what is dropped, and may hold the name that takes its place
+        rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
         rest = replace(rest, dropped=(*rest.dropped, slug))
         if rest.data.points is None:
             rest = reviewed(problem, _with_library_effects(problem, rest))
@@ -222,13 +231,13 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
         problem.cancel.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         step = _next_step(problem, state, scan, refused, refining=refining)
-        if step is None:
+        if step is None or may_be_left_by_a_look_alike(state, step):
             free = None if freed else with_free_parts(problem, state)
-            if free is None:
+            if free is not None:  # what the laws leave over is out of the way: look once more
+                state, scan, freed = free, None, True
+                continue
+            if step is None:
                 break
-            # what the laws leave over is out of the way: look once more
-            state, scan, freed = free, None, True
-            continue
         try:
             after = apply_step(problem, state, step)
         except TooFewReadings:  # for all that the step brings

@@ -10,10 +10,11 @@ from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
 
+from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.rehearse.request import VERB as REHEARSE
 from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.offers import offer_rehearsal, offer_touch, offer_verb, verbs_of_run
+from cellapp.interfaces.tui.offers import offer_touch, offer_verb, offer_verb_of_profile, verbs_of_run
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.stop import StopCorner
@@ -42,6 +43,7 @@ def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
             run = partial(app.run_action, binding.action, active.node)
             yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
     yield SystemCommand(f"cellapp {TOUCH.name}", TOUCH.summary, partial(offer_touch, screen))
-    yield SystemCommand(f"cellapp {REHEARSE.name}", REHEARSE.summary, partial(offer_rehearsal, screen))
+    for verb in (DOCTOR, REHEARSE):
+        yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb_of_profile, screen, verb))
     for verb in verbs_of_run():
         yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb, screen, verb))

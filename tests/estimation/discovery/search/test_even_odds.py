@@ -81,3 +81,5 @@ def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch
     assert [term.slug for term in found.fit.terms] == ["backlash"]
     found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
     assert found.improbable == {"backlash": 0.4}, "of the whole answer set"
+    found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
+    assert found.improbable == {"backlash": 0.3}, "a set begins with its most probable name"

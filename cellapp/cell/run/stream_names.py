@@ -1,0 +1,181 @@
+"""What the columns of somebody else's recordings are: names, and units that stand in them.
+
+``actual_q_0`` beside ``target_q_0`` is q1, ``ROBOT_ACTUAL_JOINT_POSITIONS (J1)`` too, ``Joint 1 [deg]`` in degrees,
+``timestamp_ns`` a stamp of nanoseconds, ``X [mm]`` x_m. Cellapp's own names mean what they mean there.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+Kind = Literal["joints", "points"]
+
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+        **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
+        **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
+    },
+    "angle": {**dict.fromkeys(("deg", "degree", "degrees", "°", "grad"), math.pi / 180.0), "rad": 1.0, "radians": 1.0},
+    "length": {"m": 1.0, "metre": 1.0, "meter": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
+}
+_SPEED_UNIT = re.compile(r"(deg|°|rad)\s*(?:/\s*s|s-1|s\^-1|_?per_?s|_s)")
+_OF_UNIT = re.compile(r"\s*(?:\[\s*([^\]]+?)\s*\]|\(\s*([^)]+?)\s*\)|[ _.]([a-zA-Zµμ°]+(?:/s|_per_s)?))\s*$")
+_TIME = {"time", "timestamp", "timestamps", "stamp", "stamps", "t", "zeit", "clock", "epoch"}
+_OF_JOINTS: Mapping[str, frozenset[str]] = {
+    "qd": frozenset({"qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "omega"}),
+    "tau": frozenset({"tau", "torque", "torques", "effort", "efforts", "moment", "moments"}),
+    "current": frozenset({"current", "currents"}),
+    "joint_temperature": frozenset({"temperature", "temperatures", "temp", "temps"}),
+}
+_POSITION = {"q", "joint", "joints", "axis", "axes", "theta", "rax", "ax", "j", "a", "position", "positions", "pos"}
+_POSITION |= {"angle", "angles", "achse", "gelenk"}
+_MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current"}
+_COMMANDED = {"target", "desired", "commanded", "command", "cmd", "ref", "reference", "setpoint", "soll", "planned"}
+_COMMAND = 2
+"""Rank of what was commanded."""
+_BESIDE = {"robot", "arm", "state", "states", "msg", "field", "data", "value", "encoder", "motor", "controller"}
+_POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
+_NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
+_QUATERNION = re.compile(r"(?:.*[^a-z])?(?:q|quat|quaternion|o|orientation|rotation)[ _.]?([wxyz0-3])")
+_UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+"""Joints of a UR arm in its controller's order: messages of ROS name them, in another order."""
+
+
+@dataclass(frozen=True)
+class Understood:
+    """The columns of a file.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As cellapp calls them; those that it does not know as they stand in the file.
+    factors : mapping
+        Of those whose unit stands in their name: what turns their values to SI.
+    said : tuple of str
+        "q1 = actual_q_0", of each column under another name.
+    """
+
+    names: tuple[str, ...]
+    factors: Mapping[str, float] = field(default_factory=dict)
+    said: tuple[str, ...] = ()
+
+    def unsaid(self, name: str) -> bool:
+        """Whether the file has this column under another name, which says nothing of its unit."""
+        return name not in self.factors and any(one.startswith(f"{name} = ") for one in self.said)
+
+
+@dataclass(frozen=True)
+class _Read:
+    name: str
+    factor: float | None = None
+    rank: int = 0
+    """Smaller ones are preferred: measured, not commanded."""
+
+
+def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understood:
+    """Read the names of a file of this ``kind``; ``own`` are cellapp's.
+
+    A quantity that two columns may be is left out, unless one of them is the measured one.
+    """
+    nothing = _Read("")
+    read = [_Read(name, None, -1) if name in own else _read(name, kind) or nothing for name in names]
+    places: dict[str, list[int]] = {}
+    for place, one in enumerate(read):
+        if one is not nothing:
+            places.setdefault(one.name, []).append(place)
+    chosen = {}
+    for name, its in places.items():
+        ranks = [read[place].rank for place in its]
+        if ranks.count(min(ranks)) == 1:
+            chosen[its[ranks.index(min(ranks))]] = name
+    turned = [place for place, name in chosen.items() if name.startswith("quat_") and read[place].rank >= 0]
+    if len(turned) not in (0, 4) or (turned and any(_is_fifth_joint(name) for name in names)):
+        chosen = {place: name for place, name in chosen.items() if place not in turned}  # q1, q2, q3 of joints
+    shift = 0 if kind == "points" or "q0" not in chosen.values() else 1
+    result, factors, said = list(names), {}, []
+    for place, name in chosen.items():
+        one = read[place]
+        if one.rank < 0:
+            continue
+        stem = name.rstrip("0123456789")
+        new = f"{stem}{int(name[len(stem) :]) + shift}" if stem != name else name
+        result[place] = new
+        said.append(f"{new} = {names[place]}")
+        if one.factor is not None:
+            factors[new] = one.factor
+    if any(read[place].rank == _COMMAND for place in chosen):
+        said.append("positions that were commanded, as there are no measured ones: their lag is part of the delay")
+    return Understood(tuple(result), factors, tuple(said))
+
+
+def _read(name: str, kind: Kind) -> _Read | None:
+    """What a name means; indices of joints as they stand in it."""
+    for quantity in ("time", "angle", "length", None):
+        stem, factor = _without_unit(name, quantity)
+        if quantity is not None and factor is None:
+            continue
+        if quantity in ("time", None) and _words(stem)[-1:] and _words(stem)[-1] in _TIME:
+            return _Read("time_s", factor, 0 if "header" in _words(stem) else 1)
+        if kind == "points" and quantity in ("length", None) and (point := _point(stem, factor)):
+            return point
+        if kind == "joints" and quantity in ("angle", None) and (joint := _joint(stem, factor)):
+            return joint
+    return None
+
+
+def _is_fifth_joint(name: str) -> bool:
+    read = _read(name, "joints")
+    return read is not None and read.name in ("q4", "q5")
+
+
+def _without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:
+    """A name in small letters without the unit of this quantity at its end, and its factor."""
+    low = name.strip().lower()
+    if quantity is None or (match := _OF_UNIT.search(low)) is None:
+        return low, None
+    unit = next(one for one in match.groups() if one)
+    if quantity == "angle" and (speed := _SPEED_UNIT.fullmatch(unit)):
+        unit = speed.group(1)
+    factor = _UNITS[quantity].get(unit)
+    return (low, None) if factor is None else (low[: match.start()], factor)
+
+
+def _words(stem: str) -> list[str]:
+    return re.findall(r"[a-zµ]+", stem)
+
+
+def _point(stem: str, factor: float | None) -> _Read | None:
+    rank = 1 if set(_words(stem)) & _COMMANDED else 0
+    if (match := _QUATERNION.fullmatch(stem)) is not None:
+        axis = match.group(1)
+        return _Read(f"quat_{'wxyz'[int(axis)] if axis.isdigit() else axis}", None, rank) if factor is None else None
+    if _NO_POINT.search(stem) is None and (match := _POINT.fullmatch(stem)) is not None:
+        return _Read(f"{match.group(1)}_m", factor, rank)
+    if {"sigma", "uncertainty", "std"} & set(_words(stem)) and len(_words(stem)) == 1:
+        return _Read("sigma_m", factor, rank)
+    return None
+
+
+def _joint(stem: str, factor: float | None) -> _Read | None:
+    named = next((k for k, joint in enumerate(_UR_JOINTS, 1) if joint in stem.replace(" ", "_")), None)
+    if named is not None:
+        stem = stem.replace(" ", "_").replace(_UR_JOINTS[named - 1], "joint")
+    numbers, words = re.findall(r"\d+", stem), _words(stem)
+    if len(numbers) != (named is None):
+        return None
+    kinds = [quantity for quantity, its in _OF_JOINTS.items() if its & set(words)]
+    if "current" in kinds and (len(kinds) > 1 or set(words) & (_POSITION - {"joint", "joints", "j", "axis", "a"})):
+        kinds.remove("current")  # the current position is a position
+    known = _POSITION | _MEASURED | _COMMANDED | _BESIDE | {word for its in _OF_JOINTS.values() for word in its}
+    if len(kinds) > 1 or not set(words) <= known or not (kinds or set(words) & _POSITION):
+        return None
+    rank = _COMMAND if set(words) & _COMMANDED else 0 if set(words) & _MEASURED else 1
+    if rank == _COMMAND and kinds:
+        return None  # speeds and torques are worth something as they were measured only
+    return _Read(f"{kinds[0] if kinds else 'q'}{numbers[0] if named is None else named}", factor, rank)

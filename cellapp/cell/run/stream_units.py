@@ -1,0 +1,91 @@
+"""Values of somebody else's recordings in SI: by the names of their columns, else where only one unit is possible."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.run.stream_csv import StreamTable
+from cellapp.cell.run.stream_names import Kind, Understood
+
+_UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_SLOWEST_S, _FASTEST_S = 0.05, 5e-4
+"""Steps of recordings [s], a hundredfold: at most one unit puts a step between them."""
+_SURELY_DEG = 4.0 * math.pi + 0.05
+"""No joint position is further from zero in radians."""
+_SURELY_MM = 100.0
+"""No tracker measures as far in metres."""
+_DEG = math.pi / 180.0
+
+
+def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
+    """The table in SI units, and a sentence about columns that stand under other names."""
+    if not known.said:
+        return table, []
+    columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
+    if known.unsaid("time_s"):
+        unit, factors["time_s"] = _time_unit(columns["time_s"])
+        guessed.append(f"stamps in {unit}")
+    if kind == "joints":
+        positions = [name for name in columns if _is_joint(name, "q")]
+        guessed += _angles(columns, factors, [name for name in positions if known.unsaid(name)])
+        speeds = [name for name in columns if _is_joint(name, "qd") and known.unsaid(name)]
+        guessed += _speeds(columns, factors, positions, speeds)
+    else:
+        points = [name for name in ("x_m", "y_m", "z_m") if name in columns and known.unsaid(name)]
+        if points and max(_largest(columns[name]) for name in points) > _SURELY_MM:
+            factors |= dict.fromkeys(points, 1e-3)
+            guessed.append("points in millimetres, by their size")
+        if known.unsaid("sigma_m"):
+            factors["sigma_m"] = factors.get("x_m", 1.0)
+    for name, factor in factors.items():
+        columns[name] = columns[name] * factor
+    text = f"{table.path}: understood as {', '.join(known.said)}"
+    return replace(table, columns=columns), ["; ".join([text, *guessed])]
+
+
+def _time_unit(stamps: NDArray[np.float64]) -> tuple[str, float]:
+    """The unit of stamps by the median step between them; seconds where none is usual."""
+    step = np.diff(stamps)
+    usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
+    for unit, factor in _UNITS_OF_TIME.items():
+        if _FASTEST_S <= usual * factor < _SLOWEST_S:
+            return f"{unit}, by the step between them", factor
+    return "seconds", 1.0
+
+
+def _angles(columns: dict[str, NDArray[np.float64]], factors: dict[str, float], names: list[str]) -> list[str]:
+    if not names or max(_largest(columns[name]) for name in names) <= _SURELY_DEG:
+        return []
+    factors |= dict.fromkeys(names, _DEG)
+    return ["joint positions in degrees, by their size"]
+
+
+def _speeds(
+    columns: dict[str, NDArray[np.float64]], factors: dict[str, float], positions: list[str], speeds: list[str]
+) -> list[str]:
+    """Speeds are in degrees a second where they are nearer to the motion of the positions then."""
+    names = [(f"q{speed[2:]}", speed) for speed in speeds if f"q{speed[2:]}" in positions]
+    if not names:
+        return []
+    step = np.diff(columns["time_s"]) * factors.get("time_s", 1.0)
+    steady = step > 0.5 * float(np.median(step[step > 0.0])) if (step > 0.0).any() else step > 0.0
+    turned = np.array([np.diff(columns[q])[steady] * factors.get(q, 1.0) / step[steady] for q, _ in names])
+    stated = np.array([columns[qd][1:][steady] for _, qd in names])
+    known = np.isfinite(turned) & np.isfinite(stated)
+    ratio = math.sqrt(float(np.sum(stated[known] ** 2)) / max(float(np.sum(turned[known] ** 2)), 1e-300))
+    if not 40.0 < ratio < 80.0:
+        return []
+    factors |= dict.fromkeys(speeds, _DEG)
+    return ["speeds in degrees a second, by the motion of the positions"]
+
+
+def _largest(values: NDArray[np.float64]) -> float:
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+
+
+def _is_joint(name: str, stem: str) -> bool:
+    return name.startswith(stem) and name[len(stem) :].isdigit()

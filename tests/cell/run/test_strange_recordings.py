@@ -1,0 +1,125 @@
+"""Recordings of other programs: names, separators, decimal commas and units that a file says, or that are sure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.run.recordings_csv import read_recordings
+from cellapp.ground.errors import InputError
+from tests.cell.run.recorded_motion import joint_columns, point_columns
+from tests.cell.run.two_arm_cell import two_arms
+
+J, P = joint_columns(), point_columns()
+STAMPS, Q, QD = J["time_s"], np.column_stack([J["q1"], J["q2"]]), np.column_stack([J["qd1"], J["qd2"]])
+TIMES, POINTS = P["time_s"], np.column_stack([P["x_m"], P["y_m"], P["z_m"]])
+SURE = Q + np.array([9.0, -9.0])  # further from zero in degrees than any joint in radians
+
+
+def text_of(head: str, table: np.ndarray, separator: str = ",", *, comma: bool = False, end: str = "") -> str:
+    """A header and rows, numbers in the shortest form that is exact."""
+    rows = "".join(separator.join(map(repr, row)) + end + "\n" for row in table.tolist())
+    return head + end + "\n" + (rows.replace(".", ",") if comma else rows)
+
+
+def joints(*columns: np.ndarray) -> np.ndarray:
+    return np.column_stack(columns)
+
+
+FILES = {
+    "RTDE": (
+        text_of("timestamp target_q_0 target_q_1 actual_q_0 actual_q_1 actual_qd_0 actual_qd_1",
+                joints(STAMPS, Q + 1.0, Q, QD), " "),
+        text_of("Leica\nUnit: mm\n\nTime [s];X [mm];Y [mm];Z [mm]", joints(TIMES, 1e3 * POINTS), ";", comma=True),
+    ),
+    "degrees": (
+        text_of("Time;Joint 1 [deg];Joint 2 [deg];Joint 1 speed [deg/s];Joint 2 speed [deg/s]",
+                joints(STAMPS, np.degrees(Q), np.degrees(QD)), ";", end=";"),
+        text_of("t\tpx\tpy\tpz", joints(TIMES, 1e3 * POINTS), "\t"),
+    ),
+    "units below the names": (
+        text_of("# Robot\n# time,J1,J2,J1_vel,J2_vel", joints(STAMPS, np.degrees(Q) * 10, np.degrees(QD) * 10)),
+        text_of("time|X|Y|Z\nms|mm|mm|mm", joints(1e3 * TIMES, 1e3 * POINTS), "|"),
+    ),
+    "nanoseconds since 1970": (
+        text_of("%time,field.header.stamp,field.position0,field.position1,field.velocity0,field.velocity1",
+                joints(1e9 * STAMPS, 1e9 * STAMPS, Q, QD)),
+        text_of("timestamp,x,y,z,qw,qx,qy,qz", joints(1e9 * TIMES, POINTS, TIMES > 0.0, np.zeros((len(TIMES), 3)))),
+    ),
+    "joints of both in the file of points": (
+        text_of("time_s,q1,q2,qd1,qd2", joints(STAMPS, Q, QD)),
+        text_of("time_s,x_m,y_m,z_m,q1,q2", joints(TIMES, POINTS, POINTS[:, :2])),
+    ),
+}  # fmt: skip
+
+
+def read(tmp_path: Path, joint_text: str, point_text: str):
+    """The one recording of two texts, and what is said."""
+    files = tmp_path / "joints.txt", tmp_path / "points.txt"
+    for file, text in zip(files, (joint_text, point_text), strict=True):
+        file.write_text(text, "utf-8")
+    (one,), notes = read_recordings(two_arms(), [files[0]], [files[1]], "left")
+    return one, notes
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("case", FILES)
+def test_files_of_other_programs_are_understood(case: str, tmp_path: Path) -> None:
+    one, notes = read(tmp_path, *FILES[case])
+    factor = 10.0 if case == "units below the names" else 1.0
+    assert one.joints.columns["time_s"] == pytest.approx(STAMPS, abs=1e-6)
+    assert one.points.columns["time_s"] == pytest.approx(TIMES, abs=1e-6)
+    for number in (1, 2):
+        assert one.joints.columns[f"q{number}"] == pytest.approx(factor * Q[:, number - 1], abs=1e-12)
+        assert one.joints.columns[f"qd{number}"] == pytest.approx(factor * QD[:, number - 1], abs=1e-12)
+    assert np.column_stack([one.points.columns[name] for name in ("x_m", "y_m", "z_m")]) == pytest.approx(POINTS)
+    assert case.startswith("joints") or any("understood as time_s = " in note for note in notes)
+
+
+@pytest.mark.fast
+def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path) -> None:
+    points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    one, notes = read(tmp_path, text_of("t,A1,A2", joints(1e3 * STAMPS, np.degrees(SURE / 10))), points)
+    assert one.joints.columns["q1"] == pytest.approx(SURE[:, 0] / 10)
+    assert "stamps in milliseconds, by the step between them; joint positions in degrees, by their size" in notes[0]
+    one, notes = read(tmp_path, text_of("t,A1,A2", joints(STAMPS, Q)), points)
+    assert one.joints.columns["q1"] == pytest.approx(Q[:, 0])
+    _, notes = read(tmp_path, text_of("t,target_q1,target_q2", joints(STAMPS, Q)), points)
+    assert "positions that were commanded" in notes[0]
+
+
+@pytest.mark.fast
+def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
+    rows = joints(TIMES, POINTS).tolist()
+    clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
+    cells = [[stamp, *map(repr, row[1:])] for stamp, row in zip(clock, rows, strict=True)]
+    cells[7][1:], cells[9][1:] = ["NaN"] * 3, ["0.0"] * 3
+    text = "stamp;x;y;z\n" + "".join(";".join(row) + "\n" for row in cells)
+    one, _ = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), text)
+    assert one.state.points.lost == 2
+    kept = np.delete(TIMES, [7, 9])
+    assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
+
+
+SHORT = "t;x;y;z\n" + "1;2;3;4\n" * 9
+BAD = {
+    "swapped": (FILES["RTDE"][1], FILES["RTDE"][0], r"joints.txt:4: q1: .*this file has points: are .* swapped"),
+    "no names": (text_of("1;2;3", joints(STAMPS, Q), ";"), FILES["RTDE"][1], r"joints.txt:1: there is no row of names"),
+    "two clocks": (text_of("time,stamp,q1,q2", joints(STAMPS, STAMPS, Q)), FILES["RTDE"][1], r"time_s: .* rename the"),
+    "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"points.txt:11: the row has 3 cells"),
+    "no number": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;a;4\n",
+        r"points.txt:11: y_m: expected .* 'a'",
+    ),
+}
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_not_clear_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
+    *texts, said = BAD[case]
+    with pytest.raises(InputError, match=said):
+        read(tmp_path, *texts)
