@@ -12,6 +12,7 @@ is larger than S allows, S is scaled to it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,8 +29,8 @@ _MOST_STEPS = 50
 _SETTLED = 1e-10
 _FOLDS = 5
 _LEAST_NOISE_M = 1e-6
-_LEAST_SHARE = 0.1
-"""Least share of the mean square of the residuals that is scatter of touches, not errors of parameters."""
+_HALVINGS = 40
+"""Of the logarithm of a variance: from a metre to a micrometre they leave nothing."""
 _ROBUST_ROUNDS = 20
 _LEAST_OFF_M = 1e-3
 
@@ -238,7 +239,19 @@ def _steps(rows: FlangeRows, T: Array, sockets_F: Array, S: Array) -> _Solved | 
             break
     left, free = rows.linearised(T, sockets_F)[0], len(r) - A.shape[1]
     excess = max(float(np.sum(np.linalg.solve(white, left) ** 2)) / free, 1.0)
-    square = float(left @ left) / free
-    by_parameters = 0.0 if rows.of_parameters is None else float(np.mean(np.sum(rows.of_parameters**2, axis=1)))
-    noise = max(square - by_parameters, _LEAST_SHARE * square, _LEAST_NOISE_M**2)
+    noise = _scatter(left, rows.linearised(T, sockets_F)[1], rows.of_parameters)
     return _Solved(T, sockets_F, np.asarray(excess * np.linalg.inv(A.T @ A)), noise, steps)
+
+
+def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:
+    """Variance of a touch's coordinate [m^2]: with it, residuals behind A are as large as they should be."""
+    behind = np.linalg.qr(A, mode="complete")[0][:, A.shape[1] :]
+    values, along = np.zeros(behind.shape[1]), (behind.T @ r) ** 2
+    if of_parameters is not None:
+        values, vectors = np.linalg.eigh((moved := behind.T @ of_parameters) @ moved.T)
+        along = (vectors.T @ (behind.T @ r)) ** 2
+    low, high = _LEAST_NOISE_M**2, max(float(np.mean(along)), _LEAST_NOISE_M**2)
+    for _ in range(_HALVINGS):  # the sum falls as the variance grows
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if np.sum(along / (middle + np.maximum(values, 0.0))) > len(along) else (low, middle)
+    return high

@@ -50,7 +50,9 @@ def test_exact_touches_give_the_tie_and_the_sockets(carriers: tuple[bool, ...]) 
     np.testing.assert_allclose(found.identification.T_R_L, TRUE, atol=1e-9)
     assert found.held_out
     assert found.errors_m.max() < 1e-9
-    np.testing.assert_allclose(sockets_on_flange(rows, START), SOCKETS_F, atol=1e-9)
+    sockets_F = sockets_on_flange(rows, START)
+    assert sockets_F is not None
+    np.testing.assert_allclose(sockets_F, SOCKETS_F, atol=1e-9)
 
 
 def _balls(rows: FlangeRows) -> Array:
