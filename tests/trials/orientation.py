@@ -29,7 +29,7 @@ from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import rotation_vectors
+from cellapp.robot.kinematics.transforms import mean_rotation, rotation_vectors
 from cellapp.robot.model import ArmModel
 from tests.trials.kinds import EFFECTS, KINDS, PROBE, Bench, Truth
 
@@ -51,13 +51,18 @@ def trial(seed: int, kind: str, stops: int) -> dict[str, Any]:
     found = found_in(profile, bench.measured(profile))
     names = sorted({one.effect for one in found.result.accepted})
     truth = bench.truth()
-    held = bounds(seed, truth, found.model) if kind == "6-D probe" else {}
+    held = {} if found.model.geometry.probe is None else bounds(seed, truth, found.model)
     return {"seed": seed, "kind": kind, "names": names, **vars(truth.errors(found.model)), **held}
 
 
 def bounds(seed: int, truth: Truth, model: ArmModel) -> dict[str, float]:
-    """Shares of true components and of measured angles within what is stated."""
-    q, R_M_S = truth.q, truth.R_M_F
+    """Shares of true components and of measured angles within what is stated.
+
+    What a probe's axes are is a matter of how they are named, and nests have none: a constant rotation is taken off.
+    """
+    q = truth.q
+    mounted = mean_rotation(truth.R_M_F.swapaxes(1, 2) @ model.orientation(q))
+    R_M_S = truth.R_M_F @ mounted
     conditions = MeasurementConditions(approach=np.zeros_like(q), R_M_S=R_M_S)
     off = model.predict(q, conditions=conditions)
     sd = model.uncertainty(q, conditions)

@@ -291,9 +291,14 @@ def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, float]:
 
     ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured.
     """
-    if data.turned is None:
-        return {"noise_m": math.sqrt(mean_variance(data.sigma)) * scale}
-    variances = mean_variance(data.sigma[~data.turned]), mean_variance(data.sigma[data.turned])
+    return noise_by_kind(data.sigma, data.turned, scale)
+
+
+def noise_by_kind(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> dict[str, float]:
+    """The same of readings that ``sigma`` (n,) or (n, 3, 3) weighs, of which ``turned`` (n,) are orientations."""
+    if turned is None:
+        return {"noise_m": math.sqrt(mean_variance(sigma)) * scale}
+    variances = mean_variance(sigma[~turned]), mean_variance(sigma[turned])
     return {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
 
 

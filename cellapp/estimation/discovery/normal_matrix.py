@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
 
 from cellapp.estimation.calibration.linear import cholesky, inverse_psd, solve_psd
 from cellapp.robot.kinematics.transforms import Array
@@ -95,7 +95,7 @@ class Solver:
         scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
         if self._factor is None:
             return np.asarray(scale * solve_psd(self._scaled(), scale * rhs))
-        return np.asarray(scale * lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
+        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
 
     def _scaled(self) -> Array:
         """X^T X + P with each parameter in its scale; not kept, as it is large."""

@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, solve
@@ -347,7 +347,7 @@ class _Search:
             return None
         trial = self._extended(state, terms)
         evidence = {pair: statistic_of(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
-        limit = float(chdtri(2, _CHANCE / power.size))
+        limit = float(scipy.special.chdtri(2, _CHANCE / power.size))
         kept = tuple(term for term in terms if evidence[term.joint, term.cycles] > limit)
         if not kept:
             return None
@@ -363,7 +363,7 @@ class _Search:
 
 def _by_chance(statistic: float, parameters: int, tried: int) -> float:
     """Probability of a chi-square as large as this by chance, in the best of the alternatives that were ``tried``."""
-    return min(1.0, float(chdtrc(parameters, statistic)) * tried)
+    return min(1.0, float(scipy.special.chdtrc(parameters, statistic)) * tried)
 
 
 def _whitened(state: State) -> State:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -175,7 +175,7 @@ class ArmModel:
         """Rotations (n, 3, 3) of the flange, in the tracker frame, by links, bearings and base that give way."""
         some = conditions or MeasurementConditions()
         moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
-        return np.asarray(Rotation.from_rotvec(moved.shift_M).as_matrix())
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
