@@ -62,11 +62,10 @@ def test_a_payload_that_was_never_measured_widens_the_bound_to_what_the_arm_does
     assert normalised(errors, own) < 1.2
     assert np.mean(own) > 1.2 * np.mean(narrow)
     assert np.mean(np.linalg.norm(errors, axis=1) <= 2.8 * own) >= 0.93, "95 % of three coordinates"
-    assert all(
-        note.startswith("payload 2 kg was never measured (the readings had 0.3 kg); this adds ") for note in notes
-    )
+    words = "payload 2 kg was never measured (the readings had 0.3 kg); this adds "
+    assert [note for note in notes if words not in note] == []
     measured, as_measured, silent_notes = errors_and_parts(run, model, ranges, 0.3)
-    assert set(silent_notes) == {""}
+    assert [note for note in silent_notes if "payload" in note] == []
     assert np.mean(as_measured) < np.mean(own)
     assert len(measured) == len(errors)
 
