@@ -74,7 +74,7 @@ def inverse_diagonal(gram: Array) -> Array:
     return np.asarray(inverse.diagonal())
 
 
-def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
+def orthonormal_basis(design: Array, precision: Array | None = None, gram: Array | None = None) -> Array:
     """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
 
     Parameters
@@ -83,10 +83,12 @@ def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
         Columns X.
     precision : array, shape (p,), optional
         Diagonal of P: inverse prior variances, zero without a prior.
+    gram : array, shape (p, p), optional
+        X^T X, where it is known.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(design, axis=0), _SMALLEST)
     scaled = design * scale
-    gram = scaled.T @ scaled
+    gram = scaled.T @ scaled if gram is None else gram * (scale[:, None] * scale)
     if precision is not None:
         gram = gram + np.diag(precision * scale**2)
     factor = cholesky(gram)

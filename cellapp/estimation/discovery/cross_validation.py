@@ -117,7 +117,7 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
     key = fold.tobytes()
     if key not in fit.derived:
         rows, target, found = fit.rows, fit.target, []
-        whole = NormalMatrix.of(rows, target)
+        whole = fit.normal
         for number in range(int(fold.max()) + 1):
             out = fold == number
             solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)

@@ -24,6 +24,7 @@ from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.terms import Excess, ModelTerms, TermLayout, prior_sd, smoothness_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
@@ -128,9 +129,14 @@ class JointFit:
         return slice(None) if turned is None else ~turned
 
     @cached_property
+    def normal(self) -> NormalMatrix:
+        """Normal matrix of all columns and ``target``: projectors, criterion and cross-validation share it."""
+        return NormalMatrix.of(self.rows, self.target)
+
+    @cached_property
     def projector(self) -> NuisanceProjector:
         """Projector onto the complement of all fitted parameters."""
-        return NuisanceProjector.of(self.rows, self.precision)
+        return NuisanceProjector.of(self.rows, self.precision, self.normal.gram)
 
     @cached_property
     def projected_residual(self) -> ProjectedResidual:
@@ -149,15 +155,18 @@ class JointFit:
         values = self.identification.values
         square = float(self.residual @ self.residual) + float(self.precision[smooth] @ values[smooth] ** 2)
         log_variance = -2.0 * float(np.sum(np.log(np.einsum("aan->an", self.white))))
-        flat = NuisanceProjector.of(self.rows[~smooth], self.precision[~smooth])
-        price = flat.effective_parameters * math.log(len(self.residual))
-        return square + log_variance + price + _log_occam(self.rows[smooth], self.precision[smooth], flat)
+        flat = int(np.count_nonzero(~smooth))
+        order = np.argsort(smooth, kind="stable")
+        rest, determined = self.normal.take(order).behind(flat, self.precision[order[:flat]])
+        price = determined * math.log(len(self.residual))
+        return square + log_variance + price + rest.log_occam(1.0 / self.precision[smooth])
 
     def residual_without(self, term: int) -> ProjectedResidual:
         """Residual of the model without one term, in the complement of that model's parameters."""
         if term not in self._behind:
             kept = self.layout.all_but(term)
-            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept])
+            gram = self.normal.take(kept).gram
+            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept], gram)
             self._behind[term] = ProjectedResidual(projector, self.residual + self.signal(term))
         return self._behind[term]
 
@@ -221,17 +230,6 @@ class JointFit:
         """Blocks of a term with a value outside its physical bounds by more than chance allows."""
         errors = self.identification.standard_errors[self.layout.parameters(term)]
         return blocks_beyond_bounds(self.term_columns(term), self.term_values(term), errors)
-
-
-def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
-    """Log determinant of ``I + V^1/2 S M S^T V^1/2`` of smooth columns S behind the other parameters, V their prior."""
-    if not len(rows):
-        return 0.0
-    explained = rows @ flat.basis
-    root = 1.0 / np.sqrt(precision)
-    gram = (rows @ rows.T - explained @ explained.T) * (root[:, None] * root)
-    gram[np.diag_indices_from(gram)] += 1.0
-    return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
 
 def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:

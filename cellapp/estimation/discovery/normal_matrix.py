@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import cholesky, inverse_psd, solve_psd
 from cellapp.robot.kinematics.transforms import Array
@@ -41,6 +42,17 @@ class NormalMatrix:
     def __sub__(self, other: NormalMatrix) -> NormalMatrix:
         """Without some of the readings."""
         return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
+
+    def take(self, places: NDArray[np.intp] | NDArray[np.bool_]) -> NormalMatrix:
+        """Of some of the columns."""
+        return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
+
+    def log_occam(self, variance: Array) -> float:
+        """``ln det(I + V^1/2 X^T X V^1/2)`` of columns with prior variances V (p,): what their freedom costs."""
+        root = np.sqrt(variance)
+        gram = self.gram * (root[:, None] * root)
+        gram.flat[:: len(gram) + 1] += 1.0
+        return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
     @property
     def scale(self) -> Array:

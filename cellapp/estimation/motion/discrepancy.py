@@ -92,9 +92,9 @@ class _Missing:
     precision: Array
 
 
-def allow_for_missing(problem: Problem, solution: Solution) -> Solution:
+def allow_for_missing(problem: Problem, solution: Solution, *, with_clocks: bool = True) -> Solution:
     """The solution with clocks that are free of what the model lacks, with the arm that belongs to them, and with a
-    covariance that allows for it."""
+    covariance that allows for it; without ``with_clocks`` clocks stay as they are, and the covariance alone allows."""
     seen, layout = _seen(problem, solution), problem.layout
     fitted = ~seen.laws
     fit_bands = [bands.of(fitted) for bands in seen.rest]
@@ -103,6 +103,8 @@ def allow_for_missing(problem: Problem, solution: Solution) -> Solution:
     towards_prior = solution.precision * (problem.mean - solution.values)
     missing = _missing(seen, level, solution.precision, towards_prior)
     arm = noise_model(fit_bands, ones, still, solution.precision, solution.information, _as_fitted(seen, missing))
+    if not with_clocks:
+        return replace(solution, noise=arm)
     step, of_clocks = _weighed(seen, missing, level, solution.precision, towards_prior)
     clocks = np.concatenate([layout.clock(number) for number in range(len(problem.tracks))])
     values, change, of_arm = solution.values.copy(), step[fitted][clocks], np.arange(layout.arm)

@@ -139,7 +139,7 @@ class _Search:
         final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
-        freed = final.solution if late else allow_for_missing(final.problem, final.solution)
+        freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         fit = motion_fit(final.problem, freed)
         entered = list(dict.fromkeys(step.law for step in steps))
         named = [effect_of(final, law, steps) for law in entered]
