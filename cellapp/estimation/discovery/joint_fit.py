@@ -40,6 +40,8 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
 much, relatively, an effect of 0.3 mm by 0.3 µm."""
+_ALIKE_AXES = 0.01
+"""Share by which the noise of orientations about its axes differs before it is stated axis by axis."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -284,20 +286,25 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
     return replace(fit.model, posterior=draws)
 
 
-def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, float]:
+def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, Any]:
     """Standard deviations of a coordinate and of a component of an orientation that weigh the readings, times a scale.
 
-    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured.
+    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured, with ``noise_axes_rad`` (3,) where these
+    have covariances of their own.
     """
     return noise_by_kind(data.sigma, data.turned, scale)
 
 
-def noise_by_kind(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> dict[str, float]:
+def noise_by_kind(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> dict[str, Any]:
     """The same of readings that ``sigma`` (n,) or (n, 3, 3) weighs, of which ``turned`` (n,) are orientations."""
     if turned is None:
         return {"noise_m": math.sqrt(mean_variance(sigma)) * scale}
     variances = mean_variance(sigma[~turned]), mean_variance(sigma[turned])
-    return {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
+    found = {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
+    if sigma.ndim == 1:
+        return found
+    axes = np.sqrt(np.linalg.eigvalsh(sigma[turned]).mean(axis=0)) * scale
+    return found if np.ptp(axes) <= _ALIKE_AXES * axes[-1] else {**found, "noise_axes_rad": axes}
 
 
 def mean_variance(sigma: Array) -> float:

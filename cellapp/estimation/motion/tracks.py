@@ -115,7 +115,8 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     if start.rms_m > _ABSURD_M:
         raise InputError(
             f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
-            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time"
+            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time,"
+            " stamps that are counted at a nominal rate"
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
     known = path.known(time - start.offset_s) & ~beside

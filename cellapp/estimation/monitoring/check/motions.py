@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, twists
@@ -103,7 +104,7 @@ def _without(stops: StopRows, T: Array, M: Array, own: NDArray[np.bool_]) -> Sto
     measured = apply(invert(T), stops.measured)
     measured[own] = apply(invert(M), measured[own])
     if stops.turned is not None:
-        left = rotation_from_vector(stops.measured[stops.turned])
+        left = Rotation.from_rotvec(stops.measured[stops.turned]).as_matrix()
         moved = np.where(own[stops.turned, None, None], (T @ M)[:3, :3], T[:3, :3])
         measured[stops.turned] = rotation_vectors(moved.swapaxes(1, 2) @ left)
     return replace(stops, measured=measured)
