@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 class Section(BaseModel):
     """A section of a settings file: immutable; rejects unknown keys and numbers that are not finite."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants", defer_build=True
+    )
 
 
 class SettingError(ValueError):

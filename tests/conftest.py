@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.targets.targets import load_targets
@@ -23,16 +24,23 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.push.run import push_run
 from tests.made_once import made_once
+from tests.scheduling import FAST_PROCESSES, PROCESSES, FromBothEnds, leave_the_processor, waiting_last
 from tests.twin import PROFILES, finished_twin
 
 FEW_TARGETS = 2
 LONG_COMMANDS = "--long-commands"
+LONG_TESTS = "--long-tests"
 _COUNTED = "documented "
 """What properties of tests begin with whose numbers are added up for the end of the session."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(LONG_COMMANDS, action="store_true", help="run commands of the handbook that take minutes, too")
+    parser.addoption(
+        LONG_TESTS,
+        action="store_true",
+        help="run tests marked 'long', too, that repeat what others check; always so where files or folders are named",
+    )
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -55,12 +63,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where only fast tests are wanted, leave out what is slow in their files, and what needs the finished run."""
-    if config.option.markexpr != "fast":
-        return
-    slow = {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
-    config.hook.pytest_deselected(items=list(slow))
-    items[:] = [item for item in items if item not in slow]
+    """Leave out what only repeats; where only fast tests are wanted, also what is slow in their files, and what needs
+    the finished run."""
+    waiting_last(items)
+    left_out = set[pytest.Item]()
+    if not config.getoption(LONG_TESTS):
+        left_out |= {item for item in items if item.get_closest_marker("long")}
+    if config.option.markexpr == "fast":
+        left_out |= {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
+    config.hook.pytest_deselected(items=list(left_out))
+    items[:] = [item for item in items if item not in left_out]
 
 
 def _needs_finished_run(item: pytest.Item) -> bool:
@@ -70,12 +82,25 @@ def _needs_finished_run(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Processes for ``pytest -n auto``: two, so that an emulated cell and a calculation have a core each.
+    """Processes for ``pytest -n auto``: one more than for two cores, as one waits; none for a part of the tests.
 
-    More let the emulated controllers wait for the processor until their clients take them for dead. None for a part of
-    the tests. A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
+    A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """
-    return 2 if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
+    if config.args_source != pytest.Config.ArgsSource.TESTPATHS:
+        return 0
+    return FAST_PROCESSES if config.option.markexpr == "fast" else PROCESSES
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> FromBothEnds | None:
+    return FromBothEnds(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Prepare a process; whoever names files or folders wants all of their tests."""
+    leave_the_processor(config)
+    if not hasattr(config, "workerinput") and config.args_source != pytest.Config.ArgsSource.TESTPATHS:
+        config.option.long_tests = True
 
 
 # an example that takes long, on a busy computer, is no fault

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 
-ATTEMPTS = 5
+PAUSES_S = (0.1, 0.3, 1.0, 3.0)
+"""Before each further attempt: what keeps a computer busy lasts, and five attempts within it would be one."""
+ATTEMPTS = 1 + len(PAUSES_S)
 
 
 def attempts(**bounds_s: float) -> Iterator[dict[str, float]]:
@@ -14,11 +17,12 @@ def attempts(**bounds_s: float) -> Iterator[dict[str, float]]:
     the names of ``bounds_s``. Each attempt prepares its devices anew.
     """
     made: list[dict[str, float]] = []
-    for _ in range(ATTEMPTS):
+    for pause_s in (*PAUSES_S, 0.0):
         made.append({})
         yield made[-1]
         late = [name for name, bound_s in bounds_s.items() if min(one[name] for one in made) >= bound_s]
         if not late:
             return
+        threading.Event().wait(pause_s)
     listed = "; ".join(f"{name} ({bounds_s[name]:g} s): {[round(one[name], 4) for one in made]}" for name in late)
     raise AssertionError(f"never within its bound in {ATTEMPTS} attempts [s]: {listed}")

@@ -69,6 +69,7 @@ class Record(BaseModel):
     model_config = ConfigDict(
         frozen=True,
         extra="forbid",
+        defer_build=True,  # a verb makes a few of the records that it imports
         ser_json_inf_nan="null",
         populate_by_name=True,
         alias_generator=lambda name: name.removesuffix("_"),  # schema_ and validate_ would hide names of pydantic

@@ -20,8 +20,13 @@ from cellapp.ground.progress import CancelToken
 from drivers.trackers.bridge_settings import BridgeSettings
 
 PATIENT_S = 60.0
-_STALLED = ("this program was silent", "this computer was", "its driver process was silent")
-"""What stops the arms where other programs take the processor for some tenths of a second."""
+_STALLED = (
+    "this program was silent",
+    "this computer was",
+    "its driver process was silent",
+    "no answer from the tracker within",
+)
+"""What stops the arms where other programs take the processor for some tenths of a second; the bridge is on it, too."""
 T = TypeVar("T")
 
 
@@ -32,9 +37,14 @@ def patiently(act: Callable[[int], T]) -> T:
         try:
             return act(attempt)
         except HardwareError as error:
-            if not any(words in str(error) for words in _STALLED):
+            if not stalled(str(error)):
                 raise
     pytest.fail("this computer stalls too often")
+
+
+def stalled(text: str) -> bool:
+    """Whether a message, in lines of any width, blames this computer."""
+    return any(words in " ".join(text.split()) for words in _STALLED)
 
 
 def behind_bridge(profile: Profile, url: str = "socket://127.0.0.1:50960", **settings: Any) -> Profile:

@@ -28,13 +28,16 @@ from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.ur_settings import UrSettings
 from tests.cell.targets.pairs import pair_targets, stops_with_room
-from tests.commands.emulated_cell import behind_bridge, emulated, patiently
+from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin, with_arm
+
+pytestmark = pytest.mark.waits
 
 PATIENT_S = 60.0
 PACE = 200.0
@@ -154,6 +157,12 @@ def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> Non
             command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False
         )
 
+    def run_all(attempt: int) -> subprocess.CompletedProcess[str]:
+        done = call("run", "--json", "-", "--run", f"all-{attempt}")
+        if done.returncode and stalled(done.stderr):
+            raise HardwareError(done.stderr)
+        return done
+
     with subprocess.Popen(
         [*command("emulate"), "--pace", f"{PACE:g}"],
         cwd=tmp_path,
@@ -170,7 +179,7 @@ def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> Non
             assert looked.returncode == 0, looked.stdout + looked.stderr
             assert "arm left: motion: no check failed" in looked.stdout
             assert "; ready\n" in looked.stdout
-            done = call("run", "--json", "-", "--run", "all")
+            done = patiently(run_all)
             assert done.returncode == 0, done.stderr
             moved = json.loads(done.stdout)
             emulator.send_signal(signal.SIGINT)

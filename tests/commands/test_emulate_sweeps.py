@@ -29,6 +29,8 @@ from tests.commands.emulated_cell import behind_bridge, emulated, patiently
 from tests.loopback import own_arms
 from tests.twin import small_twin
 
+pytestmark = pytest.mark.waits
+
 HOSTS = own_arms(73)
 PERIOD_S, SHARE = 4.5, 0.2
 """Of the sweeps: what is planned takes 16 s and more."""

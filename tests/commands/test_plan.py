@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +47,11 @@ STOPS = 6
 INTO_THE_FLOOR = np.array([0.0, 0.6, 0.0, -1.5, 0.0, 0.0])
 
 
+def quickly_planned(stops: int = 30, *, plan: dict[str, Any] | None = None) -> Profile:
+    """The small twin with stops that are soon designed: for one effect only."""
+    return small_twin(stops, plan={"effects": ("backlash",), **(plan or {})})
+
+
 @pytest.fixture(scope="module")
 def plan() -> PlannedStops:
     """Six stops that the gate and the tracker accept, each approached by a small step; the second one is frozen."""
@@ -56,7 +62,7 @@ def plan() -> PlannedStops:
 
 @pytest.fixture
 def run(plan: PlannedStops, tmp_path: Path) -> Iterator[RunFile]:
-    with RunFile.create(tmp_path / "run", small_twin(STOPS), lambda run: write_planned_stops(run, plan)) as made:
+    with RunFile.create(tmp_path / "run", quickly_planned(STOPS), lambda run: write_planned_stops(run, plan)) as made:
         yield made
 
 
@@ -81,9 +87,9 @@ def bent(file: Path, plan: PlannedStops, stop: int = 3) -> Path:
 
 @pytest.mark.fast
 def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: PlannedStops, tmp_path: Path) -> None:
-    check = check_plan_file(small_twin(STOPS), file)
+    check = check_plan_file(quickly_planned(STOPS), file)
     assert (check.is_safe, check.stops, check.file) == (True, STOPS, str(file))
-    result = plan_from_file(small_twin(STOPS), file, tmp_path / "other")
+    result = plan_from_file(quickly_planned(STOPS), file, tmp_path / "other")
     assert (result.stops, result.notes) == ({"left": STOPS, "right": STOPS}, ())
     with RunFile.open(tmp_path / "other") as other:
         same_stops(read_planned_stops(other), plan)
@@ -93,7 +99,7 @@ def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: Plann
 
 @pytest.mark.fast
 def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(file: Path, tmp_path: Path) -> None:
-    result = plan_from_file(small_twin(4, plan={"reserve": 1}), file, tmp_path / "other")
+    result = plan_from_file(quickly_planned(4, plan={"reserve": 1}), file, tmp_path / "other")
     assert (result.stops["left"], result.reserves) == (STOPS, 0)
     assert "the file has 6 stops" in result.notes[0]
     with RunFile.open(tmp_path / "other") as other:
@@ -105,7 +111,7 @@ def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
     file: Path, plan: PlannedStops, tmp_path: Path
 ) -> None:
     bent(file, plan)
-    check = check_plan_file(small_twin(STOPS), file)
+    check = check_plan_file(quickly_planned(STOPS), file)
     assert not check.is_safe
     assert {one.configuration for one in check.refused if not one.is_avoided} >= {3}
     line = next(number for number, text in enumerate(file.read_text().splitlines(), start=1) if text.startswith("3,"))
@@ -114,7 +120,7 @@ def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
         with pytest.raises(
             CheckFailed, match=f"nothing was written\n.*plan.csv:{line}: configuration 3: arm left: collides"
         ):
-            make(small_twin(STOPS + 2), file, tmp_path / "other")
+            make(quickly_planned(STOPS + 2), file, tmp_path / "other")
         assert not (tmp_path / "other").exists()
 
 
@@ -124,23 +130,23 @@ def test_a_file_without_a_stop_of_an_arm_makes_no_run(file: Path, tmp_path: Path
     file.write_text("\n".join(line for line in lines if not line.startswith("2,right,stop")), "utf-8")
     for make in (plan_from_file, plan_around_file):
         with pytest.raises(InputError, match="configuration 2 has no row 'stop' of arm right"):
-            make(small_twin(STOPS), file, tmp_path / "other")
+            make(quickly_planned(STOPS), file, tmp_path / "other")
     assert not (tmp_path / "other").exists()
 
 
 def test_stops_of_a_file_are_frozen_and_the_rest_is_planned(file: Path, plan: PlannedStops, tmp_path: Path) -> None:
-    result = plan_around_file(small_twin(STOPS + 3, plan={"reserve": 1}), file, tmp_path / "other")
+    result = plan_around_file(quickly_planned(STOPS + 3, plan={"reserve": 1}), file, tmp_path / "other")
     assert (result.stops["right"], result.reserves) == (STOPS + 3, 1)
     with RunFile.open(tmp_path / "other") as other:
         stops = read_planned_stops(other)
     assert stops.frozen.tolist() == [True] * STOPS + [False] * 4
     same_stops(stops.take(range(STOPS)), replace(plan, frozen=np.ones(STOPS, dtype=np.bool_)))
     with pytest.raises(InputError, match=r"6 stops are kept, and plan\.stops and plan\.reserve ask for 6"):
-        plan_around_file(small_twin(STOPS), file, tmp_path / "full")
+        plan_around_file(quickly_planned(STOPS), file, tmp_path / "full")
 
 
 def test_a_run_without_a_plan_cannot_be_exported_extended_or_planned_again(tmp_path: Path) -> None:
-    with RunFile.create(tmp_path / "imported", small_twin()) as run:
+    with RunFile.create(tmp_path / "imported", quickly_planned()) as run:
         for act in (lambda: export_plan(run, tmp_path / "plan.csv"), lambda: extend_plan(run, 3), lambda: replan(run)):
             with pytest.raises(InputError, match="the run has no plan"):
                 act()
@@ -222,7 +228,7 @@ def test_the_reference_stop_stays_where_it_is(
 
 
 def test_reserves_are_planned_last(tmp_path: Path) -> None:
-    with new_planned_run(small_twin(4, plan={"reserve": 2}), tmp_path / "run") as run:
+    with new_planned_run(quickly_planned(4, plan={"reserve": 2}), tmp_path / "run") as run:
         before = read_planned_stops(run)
         result = replan(run)
         after = read_planned_stops(run)
@@ -250,7 +256,9 @@ def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run:
 def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Path) -> None:
     added = []
     for folder in ("one", "two"):
-        with RunFile.create(tmp_path / folder, small_twin(STOPS), lambda run: write_planned_stops(run, plan)) as run:
+        with RunFile.create(
+            tmp_path / folder, quickly_planned(STOPS), lambda run: write_planned_stops(run, plan)
+        ) as run:
             extend_plan(run, 2)
             replan(run)
             added.append(read_planned_stops(run))
@@ -259,7 +267,7 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
 
 @pytest.mark.fast
 def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
-    made = plan_new_run(small_twin(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
+    made = plan_new_run(quickly_planned(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
     with RunFile.open(tmp_path / "run") as run:
         again = plan_result(run)
     assert made == again
@@ -304,7 +312,7 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
     failed -= measured
     asked = set(range(9 - proposed, 9))
     stops = replace(some_stops(9), frozen=np.isin(np.arange(9), list(frozen)))
-    profile = small_twin(9 - proposed - reserve, plan={"reserve": reserve})
+    profile = quickly_planned(9 - proposed - reserve, plan={"reserve": reserve})
     with TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         write_planned_stops(run, stops, proposed=asked)
         for stop in sorted(measured | failed):

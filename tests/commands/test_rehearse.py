@@ -19,18 +19,31 @@ from cellapp.commands.rehearse.result import RehearsalLog, RehearsedMotionRecord
 from cellapp.commands.rehearse.run import run as rehearse
 from cellapp.commands.rehearse.view import log_section, view
 from cellapp.commands.view.table import Table
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ignore_words
 from drivers.arms.ur_settings import UrSettings
-from tests.commands.emulated_cell import emulated
+from tests.commands.emulated_cell import emulated, patiently, stalled
 from tests.commands.quiet_work import quiet_work
 from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
 
+pytestmark = pytest.mark.waits
+
 
 def one_rung(path: Path, say: Callable[[str], None] = ignore_words, **asked: Any) -> RehearseResult:
+    """A rung; a person begins it again where this computer stalled."""
     request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)
-    result = rehearse(request, quiet_work(say))
+
+    def begun(_: int) -> tuple[RehearseResult, list[str]]:
+        said = list[str]()
+        result = rehearse(request, quiet_work(said.append))
+        if stalled(result.ended):
+            raise HardwareError(result.ended)
+        return result, said
+
+    result, said = patiently(begun)
+    for words in said:
+        say(words)
     assert RehearseResult.from_json(result.to_json(), "test") == result
     return result
 

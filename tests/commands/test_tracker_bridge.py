@@ -35,6 +35,8 @@ from tests.commands.free_ports import on_free_ports
 from tests.trials.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
 
+pytestmark = pytest.mark.waits
+
 PATIENT_S = 30.0
 TOKEN = "correct horse battery staple"
 behind = partial(behind_bridge, timeout=2.0)

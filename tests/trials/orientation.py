@@ -20,16 +20,19 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
+from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run.nests import has_nests, nest_stops
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.turn_prediction import predicted_turns
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.nests import poses
+from cellapp.estimation.nests.shape import laid_on
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import rotation_vectors
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
 from tests.trials.kinds import EFFECTS, KINDS, PROBE, Bench, Truth
 
@@ -48,21 +51,42 @@ def trial(seed: int, kind: str, stops: int) -> dict[str, Any]:
     """One arm with one kind of readings."""
     bench = Bench(seed, stops)
     profile = bench.profile(**KINDS[kind])
-    found = found_in(profile, bench.measured(profile))
+    measured = bench.measured(profile)
+    found = found_in(profile, measured)
     names = sorted({one.effect for one in found.result.accepted})
     truth = bench.truth()
-    held = bounds(seed, truth, found.model) if kind == "6-D probe" else {}
+    held: dict[str, float] = {}
+    if found.model.geometry.probe is not None:
+        rng = np.random.default_rng([seed, 31])
+        turns = figure_turns(profile, measured, truth.q, rng) if has_nests(measured) else probe_turns(truth, rng)
+        held = bounds(truth.q, *turns, found.model)
     return {"seed": seed, "kind": kind, "names": names, **vars(truth.errors(found.model)), **held}
 
 
-def bounds(seed: int, truth: Truth, model: ArmModel) -> dict[str, float]:
-    """Shares of true components and of measured angles within what is stated."""
-    q, R_M_S = truth.q, truth.R_M_F
+def probe_turns(truth: Truth, rng: np.random.Generator) -> tuple[Array, Array]:
+    """True and measured orientations (n, 3, 3) of the probe."""
+    noise = Rotation.from_rotvec(PROBE["sigma"] * rng.standard_normal((len(truth.q), 3)))
+    return truth.R_M_F, noise.as_matrix() @ truth.R_M_F
+
+
+def figure_turns(profile: Profile, measured: Readings, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """True and measured orientations (n, 3, 3) of the figure that the readings show, at ``q`` (n, 6) [rad]."""
+    shape, plant = nest_stops(profile, "left", measured).shape, build_plant(profile)
+    assert shape is not None
+    at_rest, first = np.zeros_like(q), profile.arms["left"].smr.name
+    names = ["" if name == first else name for name in shape.names]
+    exact = [plant.smr_positions("left", q, approach=at_rest, nest=name) for name in names]
+    noisy = [plant.measure_positions(places, rng) for places in exact]
+    information = np.stack([np.linalg.inv(covariance) for _, covariance in noisy], axis=1)
+    turns, _, _ = poses(shape.points_S, np.stack([places for places, _ in noisy], axis=1), information)
+    return laid_on(shape.points_S, np.stack(exact, axis=1))[0], turns
+
+
+def bounds(q: Array, R_M_S: Array, measured: Array, model: ArmModel) -> dict[str, float]:
+    """Shares of components of the true ``R_M_S`` (n, 3, 3) and of ``measured`` angles within what is stated."""
     conditions = MeasurementConditions(approach=np.zeros_like(q), R_M_S=R_M_S)
     off = model.predict(q, conditions=conditions)
     sd = model.uncertainty(q, conditions)
-    noise = Rotation.from_rotvec(PROBE["sigma"] * np.random.default_rng([seed, 31]).standard_normal((len(q), 3)))
-    measured = noise.as_matrix() @ R_M_S
     angles = np.linalg.norm(rotation_vectors(model.orientation(q) @ measured.swapaxes(1, 2)), axis=1) * 1e3
     free = np.full((len(q), 3, 3), np.nan)
     stated = predicted_turns(

@@ -120,9 +120,9 @@ class PseudoTerminal:
                     raise TimeoutError(f"never came: {what}\n{self.shown()}")
         return time.monotonic()
 
-    def quiet(self, for_s: float) -> None:
-        """Wait until nothing was drawn for some time, at most ten times as long."""
-        end_s = time.monotonic() + 10.0 * for_s
+    def quiet(self, for_s: float, times: float = 10.0) -> None:
+        """Wait until nothing was drawn for some time, at most ``times`` as long: a job that runs always draws."""
+        end_s = time.monotonic() + times * for_s
         with self._changed:
             while self._changed.wait(for_s) and time.monotonic() < end_s:
                 pass

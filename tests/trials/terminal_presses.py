@@ -53,8 +53,8 @@ class Place:
 
 PLACES: Mapping[str, Place] = {
     "Collect": Place("", "", ""),
-    "another screen": Place("1", "", "3"),
-    "a text field": Place("/", "", "\r"),
+    "another screen": Place("1", "Devices", "3"),
+    "a text field": Place("/", "Enter goes to the log", "\r"),
     "the palette": Place(_CTRL_P, "Search for commands", _BESIDE),
     "the quit question": Place("q", "Quit?", _F10),
     "the handbook": Place("h", "follows a link", _F10),
@@ -134,7 +134,6 @@ class PressBench:
             self.terminal.forget()
             self.terminal.send(place.keys)
             self.terminal.until(partial(_contains, place.words), f"what '{place.words}' is drawn on")
-            self.terminal.quiet(_QUIET_S)
 
     def moves(self) -> bool:
         """Wait until all arms move; return whether that came about."""
@@ -180,7 +179,7 @@ class PressBench:
         self.terminal.send(place.back)
         end_s = since_s + _RESUMED_AT_LAST_S
         while time.monotonic() < end_s:
-            self.terminal.quiet(_QUIET_S)
+            self.terminal.quiet(_QUIET_S, times=2.0)
             self.terminal.send("c")
             if comes_about(partial(self._began, since_s), time.monotonic() + _RESUMED_WITHIN_S):
                 return

@@ -20,6 +20,8 @@ from tests.trials.storm_faults import FAULTS, KILL, drawn_events
 from tests.trials.storm_operator import stored
 from tests.twin import PROFILES
 
+pytestmark = pytest.mark.waits
+
 HOSTS = own_arms(51)
 TRACKER_HOST = own_address(51)
 

@@ -232,6 +232,8 @@ class _Checking:
             step=self.mover.step(name),
             dwell_s=_first(conditions.dwell_s),
             covariance_M=point.covariance_M,
+            quaternion_M=point.quaternion_M,
+            sigma_rad=point.sigma_rad,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,18 +38,21 @@ class Nests:
     cells: Mapping[str, Mapping[str, CellBodies]]
 
     @classmethod
-    def of(cls, profile: Profile, cell: CellBodies) -> Nests:
-        """The nests of a profile; those of unknown offset cannot be pointed at and are left out."""
+    def of(
+        cls, profile: Profile, cell: CellBodies, found: Mapping[str, Mapping[str, Array]] = MappingProxyType({})
+    ) -> Nests:
+        """The nests of a profile; those of unknown offset cannot be pointed at and are left out.
+
+        Offsets ``found``, arm -> nest -> (3,) [m] in F, come before those of the profile.
+        """
         names, cells = {}, {}
         for name, arm in profile.arms.items():
             if not arm.smr.nests:
                 continue
             names[name] = arm.smr.name
-            cells[name] = {
-                nest: _with_smr_at(cell, name, np.array(its.offset))
-                for nest, its in arm.smr.nests.items()
-                if its.offset != "unknown"
-            }
+            stated = {nest: np.array(its.offset) for nest, its in arm.smr.nests.items() if its.offset != "unknown"}
+            offsets = {nest: own for nest, own in {**stated, **found.get(name, {})}.items() if nest != arm.smr.name}
+            cells[name] = {nest: _with_smr_at(cell, name, offset_F) for nest, offset_F in offsets.items()}
         return cls(names, cell, cells)
 
     def seen(self, name: str, q: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:

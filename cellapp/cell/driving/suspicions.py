@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import fdtrc
+import scipy
 
 from cellapp.estimation.calibration.online import Innovation
 from cellapp.ground.progress import Suspicion
@@ -345,7 +345,7 @@ def _best(
     largest = float(chi_square[place]) / depends
     if largest <= 0.0:
         return []
-    chance = float(fdtrc(parameters, freedom, largest / parameters))
+    chance = float(scipy.special.fdtrc(parameters, freedom, largest / parameters))
     stops = int((_STOPS[_SLOW] if kind == "drift" else _STOPS[_SUDDEN])[place])
     return [_Explanation(kind, arm, largest, parameters, chance, values[place, :, 1], stops)]
 
@@ -358,7 +358,7 @@ def _play(arm: str | None, linear: Array, freedom: float) -> list[_Explanation]:
     place = int(np.argmax(gain))
     if gain[place] <= 0.0:
         return []
-    chance = float(fdtrc(coordinates[place], freedom, ratio[place]))
+    chance = float(scipy.special.fdtrc(coordinates[place], freedom, ratio[place]))
     return [_Explanation("play", arm, float(gain[place]), 1, chance, np.zeros(0), _STEPS[place])]
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.targets.command import Command
@@ -274,7 +274,7 @@ def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array 
     """
     if point.quaternion_M is None or wanted_M is None or arm.geometry.probe is None or np.isnan(wanted_M).any():
         return None
-    R_M_S = Rotation.from_quat(np.roll(point.quaternion_M, -1)).as_matrix()
+    R_M_S = scipy.spatial.transform.Rotation.from_quat(np.roll(point.quaternion_M, -1)).as_matrix()
     R_M_F = R_M_S @ rotation_from_vector(arm.geometry.probe).T
     return np.asarray(rotation_vectors((R_M_F @ wanted_M.T)[None])[0])
 

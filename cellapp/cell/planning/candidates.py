@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.exclusions import shortage
 from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
-from cellapp.cell.planning.usable import Usable, admitted_by_gate, usable
+from cellapp.cell.planning.usable import Usable, admitted_by_gate, together, usable
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, visible
 from cellapp.ground.errors import InputError
@@ -24,6 +23,8 @@ _OBLIQUE_SHARE = 0.25
 worse measurement, but effects of the incidence need some."""
 _INDEPENDENT = 4000
 """Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
+_ASKED_AT_ONCE = 1000
+"""Configurations about which the safety gate is asked together."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
 """Draws after which the search ends: four times what a candidate takes in the twin cell, some seconds."""
@@ -82,21 +83,21 @@ def draw_pool(
     cancel, ranges = cancel or CancelToken(), joint_ranges(cell, profile, name)
     found: list[Usable] = []
     drawn = number = 0
-    while number < count and drawn < max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE):
-        cancel.check()
-        draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng)
-        found.append(admitted_by_gate(cell, name, usable(cell, cell.field, name, draws, keep)))
-        drawn, number = drawn + found[-1].drawn, number + len(found[-1].q)
+    most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
+    while number < count and drawn < most:
+        asked: list[Usable] = []
+        while drawn < most and sum(len(batch.q) for batch in asked) < min(count - number, _ASKED_AT_ONCE):
+            cancel.check()
+            draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng)
+            asked.append(usable(cell, cell.field, name, draws, keep))
+            drawn += asked[-1].drawn
+        found.append(admitted_by_gate(cell, name, together(asked)))
+        number += len(found[-1].q)
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, drawn))
-    rejected = sum((Counter(batch.rejected) for batch in found), Counter())
+    pool = together(found)
     order = rng.permutation(number)[:count]
-    return CandidatePool(
-        q=np.concatenate([batch.q for batch in found])[order],
-        incidence=np.concatenate([batch.incidence for batch in found])[order],
-        drawn=drawn,
-        rejected={constraint: rejected[constraint] for constraint in found[0].rejected},
-    )
+    return CandidatePool(pool.q[order], pool.incidence[order], drawn, pool.rejected)
 
 
 def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:

@@ -29,6 +29,10 @@ _ROUNDS = 3
 """In which spares take the places of stops that cannot be reached."""
 _LEAST_CHOICE = 3
 """Candidates within easy reach for each stop; with fewer there is no choice."""
+_SAMPLE = 1000
+"""Candidates whose reach is looked at first."""
+_FEW_HARD = 0.01
+"""Share of them that may be hard to reach without a look at the others: spares stand in for the few that are chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +131,11 @@ def _pool(
     """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops."""
     pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
-    reached = within_reach(cell, name, q, home_positions(profile).get(name))
+    home = home_positions(profile).get(name)
+    reached = np.ones(len(q), dtype=np.bool_)
+    reached[:_SAMPLE] = within_reach(cell, name, q[:_SAMPLE], home)
+    if np.mean(reached[:_SAMPLE]) < 1.0 - _FEW_HARD:
+        reached = within_reach(cell, name, q, home)
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}

@@ -11,9 +11,8 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components, dijkstra
 
 from cellapp.cell.planning.duration import motion_s
 from cellapp.cell.safety.bodies import place
@@ -70,8 +69,8 @@ class ArmRoadmap:
         k = np.append(np.tile(np.arange(n - 2), 2), n - 1)
         free = self.clear_ways(nodes[i], nodes[k])
         i, k = np.concatenate([i[free], self._edges[0]]), np.concatenate([k[free], self._edges[1]])
-        graph = coo_matrix((motion_s(self._arm, nodes[k] - nodes[i]) + 1e-9, (i, k)), shape=(n, n)).tocsr()
-        seconds, before = dijkstra(graph, directed=False, indices=n - 2, return_predecessors=True)
+        graph = scipy.sparse.coo_matrix((motion_s(self._arm, nodes[k] - nodes[i]) + 1e-9, (i, k)), shape=(n, n)).tocsr()
+        seconds, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=n - 2, return_predecessors=True)
         if not np.isfinite(seconds[n - 1]):
             return None
         found, node = [], int(before[n - 1])
@@ -122,8 +121,8 @@ class ArmRoadmap:
         """Number of the connected part of each node (m,)."""
         i, k = self._edges
         n = len(self._nodes)
-        graph = coo_matrix((np.ones(len(i)), (i, k)), shape=(n, n))
-        return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
+        graph = scipy.sparse.coo_matrix((np.ones(len(i)), (i, k)), shape=(n, n))
+        return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1], dtype=np.intp)
 
     @cached_property
     def _main_part(self) -> int:

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.balance import Columns, posture_functions
 from cellapp.cell.planning.duration import motion_s
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible_stops, with_margin_for_ways
+from cellapp.cell.safety.gate import (
+    CellBodies,
+    clear_alone,
+    clear_pairs,
+    clear_stops,
+    visible_stops,
+    with_margin_for_ways,
+)
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
@@ -111,12 +118,7 @@ class StopSet:
         a, b = self.names[first], self.names[second]
         two = replace(self.cell, arms={name: self.cell.arms[name] for name in (a, b)})
         pair = with_margin_for_ways(two, between_arms=True)
-        i, k = np.repeat(rows, len(partners)), np.tile(partners, len(rows))
-        q = {a: self.q[a][i], b: self.q[b][k]}
-        allowed = np.asarray(clear_stops(pair, q))
-        left = np.flatnonzero(allowed)
-        allowed[left] = visible_stops(pair, {name: rows_q[left] for name, rows_q in q.items()})
-        return allowed.reshape(len(rows), len(partners))
+        return clear_pairs(pair, (a, self.q[a][rows]), (b, self.q[b][partners]))
 
     def together(self, rows: Rows) -> NDArray[np.bool_]:
         """Whether all arms may stand and be seen at the stops ``rows`` (K, n), shape (n,) bool."""

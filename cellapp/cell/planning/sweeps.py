@@ -1,8 +1,8 @@
 """Sweeps: at each stop of a plan every arm swings about it, the others resting, its SMR turned to the tracker.
 
-Of several random motions that one is taken that tells most of the geometry beside those before it; it is made narrower
-until the tracker sees every sample of it and the gate accepts the whole way. Motions about successive stops take turns
-between two speeds.
+Of several random motions that one is taken that tells most in its time of geometry and effects beside
+the stops and sweeps before; it is made narrower until the tracker sees all of it and the gate accepts the whole way.
+Motions about successive stops take turns between two speeds.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import ValidationError
 
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops, last_motions
 from cellapp.cell.planning.records import SweepForecast
+from cellapp.cell.planning.sweep_design import SweepDesign
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate, refuse_motion, visible
 from cellapp.cell.safety.path_gate import refuse_path
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Record
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
+from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
 
@@ -44,10 +45,8 @@ _JERK_S = 0.1
 """An acceleration may build up within this time."""
 _FASTEST_M_S = 0.25
 """Of the SMR: the limit of a person's reach into the cell, and slow enough for any tracker."""
-_SEEN_S, _GATE_S, _TOLD = 0.1, 0.05, 40
-"""Samples of a motion for the tracker's sight, for the gate [s]; number of those for what it tells."""
-_SIGMA_M, _PRIOR = 2e-5, 1e-3
-"""Noise of a point, and what the geometry is known to before [m, rad]: only their ratio counts."""
+_SEEN_S, _GATE_S = 0.1, 0.05
+"""Samples of a motion for the tracker's sight, and for the gate [s]."""
 
 
 class PlannedSweep(Record):
@@ -79,9 +78,11 @@ class PlannedSweeps(Record):
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Of an arm: the joint positions of all its stops (n, N) [rad], and what its sweeps so far tell (P, P)."""
+    """Of an arm: the joint positions of all its stops (n, N) [rad], what sweeps shall tell, and what these and those so
+    far do (P, P)."""
 
     stops: Array
+    design: SweepDesign
     information: Array
 
 
@@ -113,7 +114,10 @@ def plan_sweeps(
     Cancelled
     """
     cancel, cell, found = cancel or CancelToken(), cell_bodies(profile), []
-    known = {name: _Known(q, np.eye(len(parameter_names(q.shape[1])))) for name, q in stops.q.items()}
+    step, known = last_motions(stops, home_positions(profile)), {}
+    for name, q in stops.q.items():
+        design = SweepDesign.of(profile, name)
+        known[name] = _Known(q, design, design.before(q, np.sign(step[name])))
     refused: list[str] = []
     for stop in range(len(stops)):
         listener(Progress("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}"))
@@ -125,7 +129,7 @@ def plan_sweeps(
             if motion is None:
                 refused.append(f"arm {name}: no sweep about stop {stop + 1} keeps clear and seen")
                 continue
-            told = known[name].information + _told(cell, name, motion)
+            told = known[name].information + known[name].design.told(motion)
             known[name] = replace(known[name], information=told)
             sine, cosine = (tuple(map(tuple, table.tolist())) for table in (motion.sine, motion.cosine))
             found.append(PlannedSweep(arm=name, stop=stop, period_s=motion.period_s, sine=sine, cosine=cosine))
@@ -161,9 +165,8 @@ def _sweep_about(
     drawn = [_seen(cell, name, _drawn(at[name], posture, period_s, rng), others) for posture in towards]
     seen = [_slow_enough(profile, cell, name, one) for one in drawn if one is not None]
     before = float(np.linalg.slogdet(known.information)[1])
-    worth = [
-        float(np.linalg.slogdet(known.information + _told(cell, name, one))[1] - before) / one.period_s for one in seen
-    ]
+    told = [float(np.linalg.slogdet(known.information + known.design.told(one))[1]) for one in seen]
+    worth = [(its - before) / one.period_s for its, one in zip(told, seen, strict=True)]
     for place in np.argsort(worth)[::-1]:
         motion: Sweep | None = seen[place]
         while motion is not None and refuse_sweep(cell, name, motion, others):
@@ -214,11 +217,3 @@ def _slow_enough(profile: Profile, cell: CellBodies, name: str, motion: Sweep) -
     way = np.diff(smr_positions(cell.arms[name].geometry, slower.at(time_s)), axis=0)
     fastest = float(np.linalg.norm(way, axis=1).max()) / (time_s[1] - time_s[0])
     return replace(slower, period_s=slower.period_s * max(1.0, fastest / _FASTEST_M_S))
-
-
-def _told(cell: CellBodies, name: str, motion: Sweep) -> Array:
-    """What points of a motion tell of the parameters of the geometry (P, P), in units of what is known before."""
-    q = motion.at(np.linspace(0.0, motion.period_s, _TOLD, endpoint=False))
-    _, J = jacobian(cell.arms[name].geometry, JointAngles.of(q), tuple(range(len(parameter_names(q.shape[1])))))
-    flat = J.transpose(1, 0, 2).reshape(J.shape[1], -1) * (_PRIOR / _SIGMA_M)
-    return np.asarray(flat @ flat.T)

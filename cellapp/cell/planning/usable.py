@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -85,6 +85,15 @@ def usable(
         rejected[constraint] = len(rows) - int(np.count_nonzero(clear))
         rows, placed = rows[clear], placed.take(clear)
     return Usable(seen.size, q[rows], smr_M[rows], incidence[rows], rejected)
+
+
+def together(batches: Sequence[Usable]) -> Usable:
+    """The configurations of several draws as one draw."""
+    q, smr_M, incidence = (
+        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")
+    )
+    rejected = {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected}
+    return Usable(sum(batch.drawn for batch in batches), q, smr_M, incidence, rejected)
 
 
 def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:

@@ -49,6 +49,7 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.cell.run.written_orientation import with_quaternions
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.estimation.sockets import in_sockets
@@ -143,7 +144,7 @@ def readings_from_csv(
         tied, notes = stations_text(first, ties, sentences), [*notes, *sentences]
 
     def fill(run: RunFile) -> None:
-        run.keep_columns(table.names)
+        run.keep_columns(with_quaternions(table)[0].names)
         for arm, rows in readings.items():
             run.add_readings(arm, rows)
         count = ", ".join(f"{len(rows)} of arm {arm}" for arm, rows in readings.items())
@@ -247,6 +248,7 @@ def _read(
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Readings, what their order of measurement gave, and notes."""
     problems = Problems(table.place)
+    table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
     for line, name in zip(table.lines, names, strict=True):
@@ -270,7 +272,7 @@ def _read(
             result, orders[arm] = in_measured_order(result)
         readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
     problems.check()
-    return readings, orders, [*_notes(table, joint_counts, readings), *order_sentences(orders)]
+    return readings, orders, [*_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:

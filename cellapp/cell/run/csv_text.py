@@ -138,10 +138,10 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
 
 
 @contextmanager
-def opened_text(path: Path, what: str) -> Iterator[TextIO]:
+def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[TextIO]:
     """A file of ``what`` in the body of a ``with``. Raises ``InputError`` if it cannot be read, or is not UTF-8."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with path.open(encoding=encoding, newline="") as file:
             yield file
     except FileNotFoundError:
         raise InputError(f"{path}: file not found; give a CSV file of {what}") from None

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.estimation.nests import NestShape, NestStops, StopGroups, by_stop, fit_shape
 from cellapp.estimation.nests.shape import UnseenPair, better_names, outlying
@@ -131,8 +131,8 @@ def _mirrored(profile: Profile, arm: str, one: Readings) -> Iterator[str]:
     T_M_B = register(one.p_M, smr_positions(nominal, one.q))
     rotations, _ = flange_poses(nominal.with_T_M_B(T_M_B), one.q)
     measured = np.isfinite(one.quaternion_M[:, 0])
-    R_M_S = Rotation.from_quat(np.roll(one.quaternion_M[measured], -1, axis=1))
-    turned = float((Rotation.from_matrix(rotations[measured]).inv() * R_M_S).mean().magnitude())
+    R_M_S = scipy.spatial.transform.Rotation.from_quat(np.roll(one.quaternion_M[measured], -1, axis=1))
+    turned = float((scipy.spatial.transform.Rotation.from_matrix(rotations[measured]).inv() * R_M_S).mean().magnitude())
     if turned > _TURNED_RAD:
         yield (
             f"by the published arm the nests are turned by {np.degrees(turned):.0f} degrees on the flange of arm {arm};"

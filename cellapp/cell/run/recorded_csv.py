@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.csv_text import NUMBER, Problems, short
+from cellapp.cell.run.written_orientation import QUATERNION, written_orientation
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 
@@ -34,7 +35,6 @@ _JOINT = re.compile(
     r"(?:actual_|measured_|act_|target_)?(?:joint|axis|theta|rax|ax|q|j|a|t)(?:_?pos|_?angle)?[_ .]?([1-9])"
 )
 _POINT = re.compile(r"(?:smr|tracker|point|pos|position|meas|measured|target|tcp|p|at960|leica)?[_ .]?([xyz])")
-_QUATERNION = re.compile(r"(?:quaternion|quat|q|orientation|o)[_ .]?([wxyz])")
 _UNITS_OF_NAMES: Mapping[str, str] = {
     "deg": "deg",
     "degree": "deg",
@@ -129,8 +129,10 @@ def read_recorded(path: Path) -> Recorded:
             " as q1,q2,q3,q4,q5,q6,x,y,z"
         )
     comma = separator != "," and any(DECIMAL_COMMA.fullmatch(cell) for _, row in body for cell in row)
+    body = [(n, [_point(cell) if comma else cell for cell in row]) for n, row in body]
+    names, body = _with_quaternions(path, names, body)
     columns = _columns(path, lines[0][0], names)
-    rows = _rows(path, columns, [(n, [_point(cell) if comma else cell for cell in row]) for n, row in body])
+    rows = _rows(path, columns, body)
     found = Recorded(
         path, _SEPARATORS[separator], comma, columns, tuple(n for n, _ in body), tuple(rows), angles="", lengths=""
     )
@@ -195,6 +197,22 @@ def _point(cell: str) -> str:
     return cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
 
 
+def _with_quaternions(
+    path: Path, names: list[str], body: list[tuple[int, list[str]]]
+) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Names and rows with the orientation of a probe as a quaternion, where the names say how it is written."""
+    written, _ = written_orientation(names)
+    if written is None or any(len(row) != len(names) for _, row in body):
+        return names, body
+    at = {name: place for place, name in enumerate(names)}
+    found, fault = written.quaternions({name: [row[at[name]] for _, row in body] for name in written.columns})
+    if fault is not None:
+        raise InputError(f"{path}:{body[fault[0]][0]}: {fault[1]}: {fault[2]}")
+    kept = [place for place, name in enumerate(names) if name not in written.columns]
+    rows = [(n, [*(row[place] for place in kept), *own]) for (n, row), own in zip(body, found, strict=True)]
+    return [*(names[place] for place in kept), *QUATERNION], rows
+
+
 # -- the columns ------------------------------------------------------------------------------------------------------
 
 
@@ -224,7 +242,7 @@ def _column(name: str) -> RecordedColumn:
     match = _UNIT.search(name)
     unit = "" if match is None else _UNITS_OF_NAMES.get(match.group(1).lower(), "")
     stem = (name if match is None else name[: match.start()]).strip().lower()
-    for pattern, letter in ((_JOINT, "q"), (_POINT, ""), (_QUATERNION, "quat_")):
+    for pattern, letter in ((_JOINT, "q"), (_POINT, "")):
         if found := pattern.fullmatch(stem):
             return RecordedColumn(name, letter + found.group(1), unit)
     return RecordedColumn(name, _OTHER_NAMES.get(stem, ""), unit)

@@ -32,7 +32,7 @@ from cellapp.cell.run.stream_columns import (
 )
 from cellapp.cell.run.stream_csv import StreamFile, StreamTable, read_header, read_stream_table
 from cellapp.cell.run.stream_names import Kind, understood
-from cellapp.cell.run.stream_units import in_si
+from cellapp.cell.run.stream_units import in_si, without_part_of_orientation
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -140,7 +140,9 @@ def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTab
     _check_columns(file, kind, known.names, quantities)
     required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
     table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
-    return in_si(table, kind, known)
+    in_units, said = in_si(table, kind, known)
+    whole, left_out = without_part_of_orientation(in_units)
+    return whole, said + left_out
 
 
 def _check_columns(

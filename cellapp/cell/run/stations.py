@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.estimation.readings import Readings
@@ -117,7 +117,9 @@ def in_one_frame(readings: Readings, poses: Poses) -> Readings:
     covariance, quaternion = readings.covariance_M, readings.quaternion_M
     if quaternion is not None:
         own = np.isfinite(quaternion[:, 0])
-        found = Rotation.from_matrix(turn[own]) * Rotation.from_quat(np.roll(quaternion[own], -1, axis=1))
+        found = scipy.spatial.transform.Rotation.from_matrix(turn[own]) * scipy.spatial.transform.Rotation.from_quat(
+            np.roll(quaternion[own], -1, axis=1)
+        )
         quaternion = quaternion.copy()
         quaternion[own] = np.roll(found.as_quat(canonical=True), 1, axis=1)
     return replace(

@@ -5,6 +5,7 @@ Cells are looked at one by one only where numpy refuses the file: line and colum
 
 from __future__ import annotations
 
+import codecs
 import csv
 import itertools
 import math
@@ -22,6 +23,9 @@ from cellapp.cell.run.recorded_csv import COMMENTS, DECIMAL_COMMA
 from cellapp.ground.errors import InputError
 
 _ROW = "a row per sample"
+_INDEX = "index"
+"""Name of a first column without one: numbers of rows, as data frames are written."""
+_LOOKED_AT_BYTES = 1_000_000
 _LOOKED_AT = 80
 """Lines at the beginning of a file among which the names and the first numbers are."""
 _UNIT_ALONE = re.compile(r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|(?:deg|rad)/s|A|Nm|°C?")
@@ -75,11 +79,12 @@ class StreamFile:
     decimal_comma: bool = False
     trailing: bool = False
     """Whether each row ends with a separator."""
+    encoding: str = "utf-8-sig"
 
     @property
     def plain(self) -> bool:
         """Whether it is plain CSV from its first line on."""
-        return self.separator == "," and self.head == 1 and not self.trailing
+        return (self.separator, self.head, self.trailing, self.encoding) == (",", 1, False, "utf-8-sig")
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Line and cells of each row below the header; as ``csv_rows``, which raises the same."""
@@ -100,7 +105,7 @@ class StreamFile:
             yield text
 
     def _numbered(self) -> Iterator[tuple[int, str]]:
-        with opened_text(self.path, self.what) as file:
+        with opened_text(self.path, self.what, self.encoding) as file:
             for line, text in enumerate(file, start=1):
                 kept = text.strip("\r\n")
                 if line > self.head and kept.strip() and not kept.lstrip().startswith(COMMENTS):
@@ -110,17 +115,34 @@ class StreamFile:
 def read_header(path: Path, what: str) -> StreamFile:
     """How a file of ``what`` is written. Raises ``InputError`` if it cannot be read, has no row of names, or a name is
     missing or there twice."""
-    with opened_text(path, what) as file:
+    encoding = _encoding(path, what)
+    with opened_text(path, what, encoding) as file:
         lines = [(n, line.strip("\r\n")) for n, line in enumerate(itertools.islice(file, _LOOKED_AT), start=1)]
         lines = [(n, line) for n, line in lines if line]
     found = _written(path, what, lines)
     if found is None:
         line, names = next(csv_rows(path, what, _ROW))
         found = StreamFile(path, what, line, tuple(names))
+    found = replace(found, encoding=encoding)
+    if len(found.names) > 2 and not found.names[0]:
+        found = replace(found, names=(_INDEX, *found.names[1:]))
     problems = Problems(lambda _: f"{path}:{found.head}")
     check_names(CsvTable(path, found.names, (), {}), problems)
     problems.check()
     return found
+
+
+def _encoding(path: Path, what: str) -> str:
+    """UTF-8, or what programs of Windows write: UTF-16 with its mark, else Latin-1 where that gives text."""
+    with opened_text(path, what, "latin-1") as file:
+        begin = file.read(_LOOKED_AT_BYTES).encode("latin-1")
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8-sig")().decode(begin)
+    except UnicodeDecodeError:
+        return "utf-8-sig" if b"\x00" in begin else "latin-1"
+    return "utf-8-sig"
 
 
 def _written(path: Path, what: str, lines: Sequence[tuple[int, str]]) -> StreamFile | None:
@@ -212,6 +234,8 @@ def _seconds(cell: str) -> float:
         if re.match(r"\d{4}-", text):
             when = datetime.fromisoformat(text)
             return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+        if date := re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]", text):
+            return _seconds(f"{date[3]}-{date[2]:0>2}-{date[1]:0>2}T{text[date.end() :]}")
         day = re.fullmatch(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)", text)
         return math.nan if day is None else 3600.0 * int(day[1]) + 60.0 * int(day[2]) + float(day[3].replace(",", "."))
     except ValueError:
@@ -234,7 +258,7 @@ def _load(
         skiprows=file.head if file.plain else 0,
         usecols=range(len(names)) if file.trailing else None,
         converters=converters or None,
-        encoding="utf-8-sig",
+        encoding=file.encoding,
         ndmin=2,
     )
     return np.asfortranarray(table), codes

@@ -26,7 +26,8 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 }
 _SPEED_UNIT = re.compile(r"(deg|°|rad)\s*(?:/\s*s|s-1|s\^-1|_?per_?s|_s)")
 _OF_UNIT = re.compile(r"\s*(?:\[\s*([^\]]+?)\s*\]|\(\s*([^)]+?)\s*\)|[ _.]([a-zA-Zµμ°]+(?:/s|_per_s)?))\s*$")
-_TIME = {"time", "timestamp", "timestamps", "stamp", "stamps", "t", "zeit", "clock", "epoch"}
+_DATE = {"datetime", "date", "datum"}
+_TIME = _DATE | {"time", "timestamp", "timestamps", "stamp", "stamps", "t", "zeit", "clock", "epoch"}
 _OF_JOINTS: Mapping[str, frozenset[str]] = {
     "qd": frozenset({"qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "omega"}),
     "tau": frozenset({"tau", "torque", "torques", "effort", "efforts", "moment", "moments"}),
@@ -44,7 +45,10 @@ _POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
 _QUATERNION = re.compile(r"(?:.*[^a-z])?(?:q|quat|quaternion|o|orientation|rotation)[ _.]?([wxyz0-3])")
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-"""Joints of a UR arm in its controller's order: messages of ROS name them, in another order."""
+_PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
+"""Joints of a UR arm in its controller's order: messages of ROS name them, in another order, and the pendant does."""
+_OF_ROBOT = {"tcp", "robot", "flange", "tool"}
+"""Points of these are the controller's, not the tracker's."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,8 @@ def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understo
     A quantity that two columns may be is left out, unless one of them is the measured one.
     """
     nothing = _Read("")
+    if kind == "joints" and any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
+        own = [name for name in own if name.rstrip("0123456789") == name]  # joints from 0 are none of cellapp's names
     read = [_Read(name, None, -1) if name in own else _read(name, kind) or nothing for name in names]
     places: dict[str, list[int]] = {}
     for place, one in enumerate(read):
@@ -109,7 +115,7 @@ def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understo
         said.append(f"{new} = {names[place]}")
         if one.factor is not None:
             factors[new] = one.factor
-    if any(read[place].rank == _COMMAND for place in chosen):
+    if any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items()):
         said.append("positions that were commanded, as there are no measured ones: their lag is part of the delay")
     return Understood(tuple(result), factors, tuple(said))
 
@@ -121,7 +127,8 @@ def _read(name: str, kind: Kind) -> _Read | None:
         if quantity is not None and factor is None:
             continue
         if quantity in ("time", None) and _words(stem)[-1:] and _words(stem)[-1] in _TIME:
-            return _Read("time_s", factor, 0 if "header" in _words(stem) else 1)
+            words = set(_words(stem))
+            return _Read("time_s", factor, 0 if "header" in words else 2 if words & _DATE else 1)
         if kind == "points" and quantity in ("length", None) and (point := _point(stem, factor)):
             return point
         if kind == "joints" and quantity in ("angle", None) and (joint := _joint(stem, factor)):
@@ -151,7 +158,7 @@ def _words(stem: str) -> list[str]:
 
 
 def _point(stem: str, factor: float | None) -> _Read | None:
-    rank = 1 if set(_words(stem)) & _COMMANDED else 0
+    rank = 1 if set(_words(stem)) & (_COMMANDED | _OF_ROBOT) else 0
     if (match := _QUATERNION.fullmatch(stem)) is not None:
         axis = match.group(1)
         return _Read(f"quat_{'wxyz'[int(axis)] if axis.isdigit() else axis}", None, rank) if factor is None else None
@@ -163,9 +170,12 @@ def _point(stem: str, factor: float | None) -> _Read | None:
 
 
 def _joint(stem: str, factor: float | None) -> _Read | None:
-    named = next((k for k, joint in enumerate(_UR_JOINTS, 1) if joint in stem.replace(" ", "_")), None)
+    joined = stem.replace(" ", "_")
+    named = next((k for k, joint in enumerate(_UR_JOINTS, 1) if joint in joined), None)
     if named is not None:
-        stem = stem.replace(" ", "_").replace(_UR_JOINTS[named - 1], "joint")
+        stem = joined.replace(_UR_JOINTS[named - 1], "joint")
+    elif joined in _PENDANT:
+        named, stem = _PENDANT.index(joined) + 1, "joint"
     numbers, words = re.findall(r"\d+", stem), _words(stem)
     if len(numbers) != (named is None):
         return None

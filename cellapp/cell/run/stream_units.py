@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.stream_columns import QUATERNION
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.run.stream_names import Kind, Understood
 
@@ -27,8 +28,9 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
         return table, []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
     if known.unsaid("time_s"):
-        unit, factors["time_s"] = _time_unit(columns["time_s"])
-        guessed.append(f"stamps in {unit}")
+        unit = time_unit(columns["time_s"])
+        factors["time_s"] = 1.0 if unit is None else _UNITS_OF_TIME[unit]
+        guessed.append("stamps in seconds" if unit is None else f"stamps in {unit}, by the step between them")
     if kind == "joints":
         positions = [name for name in columns if _is_joint(name, "q")]
         guessed += _angles(columns, factors, [name for name in positions if known.unsaid(name)])
@@ -47,14 +49,27 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
     return replace(table, columns=columns), ["; ".join([text, *guessed])]
 
 
-def _time_unit(stamps: NDArray[np.float64]) -> tuple[str, float]:
-    """The unit of stamps by the median step between them; seconds where none is usual."""
+def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[str]]:
+    """The table without orientations that not every row has, and a sentence about it: a fit uses points only."""
+    if any(name not in table.columns for name in QUATERNION):
+        return table, []
+    turned = np.column_stack([table.columns[name] for name in QUATERNION])
+    empty = np.isnan(turned).any(axis=1) | (turned == 0.0).all(axis=1)
+    if not empty.any():
+        return table, []
+    kept = {name: values for name, values in table.columns.items() if name not in QUATERNION}
+    words = f"{table.path}: {int(empty.sum())} of {len(empty)} rows have no orientation: the quaternions are left out"
+    return replace(table, columns=kept), [words]
+
+
+def time_unit(stamps: NDArray[np.float64]) -> str | None:
+    """The unit of stamps by the median step between them; None where none is usual for recordings."""
     step = np.diff(stamps)
     usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
     for unit, factor in _UNITS_OF_TIME.items():
         if _FASTEST_S <= usual * factor < _SLOWEST_S:
-            return f"{unit}, by the step between them", factor
-    return "seconds", 1.0
+            return unit
+    return None
 
 
 def _angles(columns: dict[str, NDArray[np.float64]], factors: dict[str, float], names: list[str]) -> list[str]:

@@ -179,15 +179,43 @@ def clear_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
     clear = np.ones(len(next(iter(q.values()))), dtype=bool)
     placed = {}
     for name, arm in cell.arms.items():
-        low, high = arm.limits.T
-        clear &= np.all((q[name] >= low - _ROUNDING_RAD) & (q[name] <= high + _ROUNDING_RAD), axis=1)  # not for NaN
         placed[name] = place(arm, q[name])
-        clear &= clear_alone(cell, placed[name]) & (arm.links > 0)
+        clear &= within_limits(arm, q[name]) & clear_alone(cell, placed[name])
     for first, second in combinations(placed, 2):
         rows = np.flatnonzero(clear)
         gap = gap_at_rest(placed[first].take(rows), placed[second].take(rows), cell.clearance)
         clear[rows] = gap >= cell.clearance
     return clear
+
+
+def clear_pairs(cell: CellBodies, first: tuple[str, Array], second: tuple[str, Array]) -> np.ndarray:
+    """Whether two arms may stand and be seen at each pair of configurations, (m, p) bool.
+
+    As ``clear_stops`` and ``visible_stops`` say of all pairs; each arm alone is looked at once only. ``first`` and
+    ``second`` are the name of an arm and its configurations (m, N) and (p, N) [rad].
+    """
+    placed = [place(cell.arms[name], q) for name, q in (first, second)]
+    alone = [
+        within_limits(cell.arms[name], q) & clear_alone(cell, bodies) & visible(cell, name, q)
+        for (name, q), bodies in zip((first, second), placed, strict=True)
+    ]
+    allowed = alone[0][:, None] & alone[1]
+    i, k = np.nonzero(allowed)
+    if len(i) and cell.field is not None:
+        one, other = placed[0].take(i), placed[1].take(k)
+        tracker = cell.field.T_C_M[:3, 3]
+        free = gap_at_rest(one, other, cell.clearance) >= cell.clearance
+        for target, bodies in ((one.smr, other), (other.smr, one)):
+            rows = np.flatnonzero(free)
+            free[rows] = beam_clearance(tracker, target[rows], bodies.take(rows), own=False) > BEAM_RADIUS
+        allowed[i, k] = free
+    return np.asarray(allowed)
+
+
+def within_limits(arm: ArmBodies, q: Array) -> np.ndarray:
+    """Whether an arm with bodies may stand at ``q`` (n, N) [rad] by its joint limits, (n,) bool; not at NaN."""
+    low, high = arm.limits.T
+    return np.asarray(np.all((q >= low - _ROUNDING_RAD) & (q <= high + _ROUNDING_RAD), axis=1) & (arm.links > 0))
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.targets import Target, WorkFrame
 from cellapp.robot.kinematics.chain import Geometry
@@ -92,7 +92,7 @@ def _rotations(rpy: Sequence[tuple[float, float, float] | None]) -> Array:
     given = ~np.isnan(angles[:, 0])
     rotation = np.full((len(angles), 3, 3), np.nan)
     if np.any(given):  # some versions of scipy refuse an empty batch
-        rotation[given] = Rotation.from_euler("ZYX", angles[given][:, ::-1]).as_matrix()
+        rotation[given] = scipy.spatial.transform.Rotation.from_euler("ZYX", angles[given][:, ::-1]).as_matrix()
     return rotation
 
 

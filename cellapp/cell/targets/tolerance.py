@@ -14,7 +14,7 @@ them (Satterthwaite 1946), as the shift is too coarse there; it is at most the t
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
 
 from cellapp.estimation.uncertainty.decision import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict
@@ -36,8 +36,8 @@ def length_bounds(covariance: Array) -> tuple[Array, Array]:
     some = k1 > 0.0
     k1, k2, k3 = (np.where(some, k, 1.0) for k in (k1, k2, k3))
     freedom = 8.0 * k2**3 / k3**2
-    high = k1 + np.sqrt(0.5 * k2 / freedom) * (2.0 * gammaincinv(0.5 * freedom, LIKELY) - freedom)
-    low = 0.5 * k2 / k1 * 2.0 * gammaincinv(k1**2 / k2, 1.0 - LIKELY)
+    high = k1 + np.sqrt(0.5 * k2 / freedom) * (2.0 * scipy.special.gammaincinv(0.5 * freedom, LIKELY) - freedom)
+    low = 0.5 * k2 / k1 * 2.0 * scipy.special.gammaincinv(k1**2 / k2, 1.0 - LIKELY)
     return np.sqrt(np.where(some, low, 0.0)), np.sqrt(np.where(some, high, 0.0))
 
 

@@ -17,6 +17,7 @@ from cellapp.cell.targets.unknown_conditions import unknown_conditions
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.posterior import PosteriorDraws
 
 
 def predicted_turns(
@@ -47,7 +48,8 @@ def predicted_turns(
         unknown = unknown_conditions(arm, here, replace(stated, R_M_S=turned), ranges)
         true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
         off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
-        found += _judged(model, true, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE])
+        measured = _with_noise(true, arm.posterior)
+        found += _judged(model, true, measured, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE])
     return found
 
 
@@ -67,11 +69,28 @@ def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted
     return [None if any_will_do else angle for any_will_do, angle in zip(free.tolist(), off.tolist(), strict=True)]
 
 
+def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
+    """Covariances (n, 3, 3) [rad^2] of measured orientations, of those of the ``true`` ones.
+
+    About which axes several SMRs tell least depends on where they are seen from: the same axes as of the true ones are
+    taken, which gives the widest bound.
+    """
+    assert posterior.noise_rad is not None
+    if posterior.noise_axes_rad is None:
+        return np.asarray(true + posterior.noise_rad**2 * np.eye(3))
+    values, vectors = np.linalg.eigh(true)
+    return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise_axes_rad**2, vectors))
+
+
 def _judged(
-    model: Array, true: Array, noise_rad: float, off_mrad: Sequence[float | None], tolerances: Sequence[float | None]
+    model: Array,
+    true: Array,
+    measured: Array,
+    noise_rad: float,
+    off_mrad: Sequence[float | None],
+    tolerances: Sequence[float | None],
 ) -> list[PredictedTurn | None]:
-    """Predictions from covariances (n, 3, 3) [rad^2] by the model alone and under any plausible conditions."""
-    measured = true + noise_rad**2 * np.eye(3)
+    """Predictions from covariances (n, 3, 3) [rad^2] by the model alone, under any plausible conditions, measured."""
     low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
     return [
         PredictedTurn(

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import numpy as np
+import scipy
 from pydantic import AllowInfNan, Strict, TypeAdapter
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.target_source import checked, placed_error
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, zyx_angles
@@ -60,7 +60,7 @@ def _of_quaternion(value: object) -> Array:
             f"its norm is {norm:.6g}, {abs(norm - 1.0):.2g} from one (at most {_LARGEST:g}), so it is no rotation; give"
             " w, x, y, z of unit norm",
         )
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix())
 
 
 def _of_vector(value: object) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, dri
 from cellapp.cell.driving.check_stops import check_candidates
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.requests.running import running_job
-from cellapp.cell.driving.smr_search import points_of
+from cellapp.cell.driving.smr_search import FoundPoint, points_of
 from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, read_readings_csv
 from cellapp.cell.run.csv_import import joint_limits
@@ -50,7 +51,7 @@ from cellapp.ground.profile.schema import Plant
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
-from cellapp.robot.model import CellModel
+from cellapp.robot.model import ArmModel, CellModel
 
 
 def run(request: CheckRequest, work: Work) -> CheckResult:
@@ -97,7 +98,7 @@ def check_run(
     control = control or JobControl()
     if stops < FEWEST_STOPS:
         raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
-    checked = _checked(run)
+    checked = _checked(run, [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None])
     chosen = _stops(run.profile, checked, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
@@ -193,8 +194,8 @@ class _Checked:
         return "; ".join(filter(None, (self.stages.outdated_arms(), self.stages.outdated_station())))
 
 
-def _checked(run: RunFile) -> _Checked:
-    """Raises ``InputError`` if the run is not calibrated."""
+def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
+    """What is checked, with orientation of the arms ``turned``. Raises ``InputError`` if the run is not calibrated."""
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
     readings = {name: known_readings(run, name) for name in run.profile.arms}
@@ -202,7 +203,12 @@ def _checked(run: RunFile) -> _Checked:
     if used.name == LOCATE:
         located_T = np.array(LocateResult.from_json(used.text, f"{run.path}: {LOCATE}").T_new_old)
     belief = check_belief(
-        run.profile, model_of(run, arms), readings, station_free=located_T is not None, T_new_old=located_T
+        run.profile,
+        model_of(run, arms),
+        readings,
+        turned=turned,
+        station_free=located_T is not None,
+        T_new_old=located_T,
     )
     return _Checked(stages, used, arms, model_of(run, used), belief, readings, located_T)
 
@@ -267,6 +273,7 @@ def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Co
 def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
     points = points_of(list(stop.found.values()))
     expected = predicted_points(model, points)
+    turned = {name: _turned_mrad(model.arms[name], one) for name, one in stop.found.items()}
     return CheckedStop.like(
         stop.state,
         points={
@@ -274,11 +281,18 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
                 q=tuple(own.q[0].tolist()),
                 measured_M=xyz_of(own.measured_M[0]),
                 error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
+                error_mrad=turned[name],
             )
             for name, own in points.items()
         },
         time_s=stop.time_s,
     )
+
+
+def _turned_mrad(arm: ArmModel, found: FoundPoint) -> float | None:
+    """Angle [mrad] of the measured orientation from the computed one; None where none was measured."""
+    turn = measured_turn(arm, found.point, arm.flange(found.q[None], found.conditions)[0][0])
+    return None if turn is None else float(np.linalg.norm(turn)) * 1e3
 
 
 def _next_step(verdict: CheckVerdict, folder: Path) -> str:

@@ -80,8 +80,10 @@ def evidence_sentence(result: CheckResult) -> str:
 def change_sentence(change: FoundChange) -> str:
     """What changed, by how much, and how sure that is."""
     amount = "" if change.value is None else f" by {_amount(change)}"
+    turned = "" if change.turned_mrad is None else f", and turns its probe by {change.turned_mrad:.3f} mrad,"
     return (
-        f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm rms over the calibration's readings"
+        f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm{turned} rms over the calibration's"
+        " readings"
         f" (p {_chance(change.p_value)})"
     )
 
@@ -117,6 +119,10 @@ def _station_sentences(result: CheckResult) -> list[str]:
 
 
 def _arm_table(result: CheckResult) -> Table:
+    turned = (
+        ("expected [mrad]", lambda row: row[1].expected_mrad, ".3f"),
+        ("measured [mrad]", lambda row: row[1].rms_mrad, ".3f"),
+    )
     return table_of(
         "Check: rms position errors at the stops, and of the model over the readings [mm]",
         result.arms.items(),
@@ -125,6 +131,7 @@ def _arm_table(result: CheckResult) -> Table:
         ("expected", lambda row: row[1].expected_mm, ".3f"),
         ("measured", lambda row: row[1].rms_mm, ".3f"),
         ("of the model alone", lambda row: row[1].left_mm, ".3f"),
+        *(turned if any(one.rms_mrad is not None for one in result.arms.values()) else ()),
     )
 
 
@@ -138,6 +145,7 @@ def _change_table(result: CheckResult) -> Table:
         ("standard error", lambda one: _shown(one)[1], ".2g"),
         ("unit", lambda one: _shown(one)[2]),
         ("SMR moves [mm]", "moved_mm", ".3f"),
+        *((("probe turns [mrad]", "turned_mrad", ".3f"),) if any(one.turned_mrad for one in result.changes) else ()),
         ("p", lambda one: _chance(one.p_value)),
         ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
     )
@@ -156,8 +164,8 @@ def _weak_table(result: CheckResult) -> Table:
 
 
 def _stop_table(result: CheckResult) -> Table:
-    def error_at(name: str, stop: CheckedStop) -> float | None:
-        return stop.points[name].error_mm if name in stop.points else None
+    def error_at(name: str, stop: CheckedStop, of: str = "error_mm") -> float | None:
+        return getattr(stop.points[name], of) if name in stop.points else None
 
     return table_of(
         "Check: errors and evidence stop by stop",
@@ -165,6 +173,11 @@ def _stop_table(result: CheckResult) -> Table:
         ("stop", lambda row: row[0], "d"),
         ("time [s]", lambda row: row[1].time_s, ".0f"),
         *((f"{name} [mm]", lambda row, name=name: error_at(name, row[1]), ".3f") for name in result.arms),
+        *(
+            (f"{name} [mrad]", lambda row, name=name: error_at(name, row[1], "error_mrad"), ".3f")
+            for name, arm in result.arms.items()
+            if arm.rms_mrad is not None
+        ),
         ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
         ("evidence of none", lambda row: row[1].log_valid, ".2f"),
         ("p", lambda row: _chance(row[1].p_value)),

@@ -17,7 +17,7 @@ from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.recordings_export import write_recordings_csv
 from cellapp.cell.run.samples import known_readings
-from cellapp.cell.run.stream_columns import Kind
+from cellapp.cell.run.stream_names import Kind
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands
 from cellapp.commands.plan.run import export_plan

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.csv_text import table_text
 from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
 from cellapp.cell.run.stream_columns import POINT
-from cellapp.cell.run.stream_csv import read_header
+from cellapp.cell.run.stream_csv import StreamFile, is_number, read_header
 from cellapp.cell.run.stream_names import understood
+from cellapp.cell.run.stream_units import time_unit
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -33,6 +35,8 @@ ARM = "robot"
 _IDENTIFY_SHARE = 0.75
 """Of the rows; the others are held out and show what the calibration is worth."""
 _PREVIEWED = 3
+_SWIFT_ROWS = 50
+"""Rows that tell a motion from stops."""
 _UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres"}
 
 Choose = Callable[[str, tuple[str, ...]], str]
@@ -68,11 +72,13 @@ class OwnData:
 
 @dataclass(frozen=True)
 class OwnDataWritten:
-    """The files that were written, and what was understood; no readings for recordings of motion."""
+    """The files that were written, and what was understood; no readings for recordings of motion, which may have points
+    beside the joints."""
 
     profile: Path
     readings: Path | None
     notes: tuple[str, ...]
+    points_beside: bool = False
 
 
 def nobody(question: str, answers: tuple[str, ...]) -> str:
@@ -88,8 +94,8 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     InputError
         If the readings or rows cannot be understood, an answer lacks and nobody can be asked, or a file exists.
     """
-    if (joints := _joints_of_motion(own.readings)) > 0:
-        return _for_recordings(own, joints, folder, outputs)
+    if (motion := _motion_of(own.readings)) is not None:
+        return _for_recordings(own, motion, folder, outputs)
     recorded = read_recorded(own.readings)
     types = _types(own, recorded.joints)
     angles, lengths = _decided_units(own, recorded, types, choose)
@@ -109,21 +115,40 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     return OwnDataWritten(profile, readings, notes)
 
 
-def _joints_of_motion(path: Path) -> int:
-    """Number of joints of a recording of joint positions alone (time_s, q1, q2, ...); 0 for other files."""
+@dataclass(frozen=True)
+class _Motion:
+    """A recording of joint positions: number of joints, and whether the points of the tracker stand beside them."""
+
+    joints: int
+    points_beside: bool
+
+
+def _motion_of(path: Path) -> _Motion | None:
+    """What a recording of joint positions has (time_s, q1, q2, ...); None for other files, as readings at rest."""
     try:
-        header = read_header(path, "joint positions").names
+        file = read_header(path, "joint positions")
+        names = understood(file.names, "joints", ()).names
+        points = set(POINT) <= set(understood(file.names, "points", ()).names)
+        if "time_s" not in names or (points and not _is_swift(file, names.index("time_s"))):
+            return None
     except InputError:
-        return 0  # the reader of readings says what is wrong
-    names, points = understood(header, "joints", ()).names, understood(header, "points", ()).names
-    if "time_s" not in names or set(POINT) <= set(points):
-        return 0
-    return sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
+        return None  # the reader of readings says what is wrong
+    joints = sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
+    return _Motion(joints, points) if joints else None
 
 
-def _for_recordings(own: OwnData, joints: int, folder: Path, outputs: Outputs) -> OwnDataWritten:
+def _is_swift(file: StreamFile, column: int) -> bool:
+    """Whether rows follow one another as samples of a motion do, in whatever unit, and not as stops."""
+    cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
+    if len(cells) < _SWIFT_ROWS or not all(is_number(cell) and cell for cell in cells):
+        return False
+    steps = np.diff([float(cell) for cell in cells])
+    return bool((steps >= 0.0).all() and time_unit(np.cumsum(steps)) is not None)
+
+
+def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:
     """Profile and arm type for recordings of motion, of which this file has the joints."""
-    types = _types(own, joints)
+    types = _types(own, motion.joints)
     if not own.arm:
         words = ", ".join(one.name for one in types)
         raise InputError(
@@ -133,10 +158,16 @@ def _for_recordings(own: OwnData, joints: int, folder: Path, outputs: Outputs) -
     name = own.name or own.readings.stem.lower().replace(" ", "-")
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    head = f"# For recordings of motion: `cellapp import {profile} --joints {own.readings} --points FILE --run DIR`.\n"
+    points = own.readings if motion.points_beside else "FILE"
+    head = (
+        f"# For recordings of motion: `cellapp import {profile} --joints {own.readings} --points {points} --run DIR`.\n"
+    )
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
-    note = f"{own.readings}: joint positions of a motion, {joints} joints; the points come from a file of their own"
-    return OwnDataWritten(profile, None, (note,))
+    where = (
+        "the points of the tracker stand beside them" if motion.points_beside else "the points come from another file"
+    )
+    note = f"{own.readings}: joint positions of a motion, {motion.joints} joints; {where}"
+    return OwnDataWritten(profile, None, (note,), motion.points_beside)
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------

@@ -24,7 +24,8 @@ def run(request: InitRequest, work: Work) -> InitResult:
         )
         own = write_own_data(given, request.folder, work.choose, work.outputs)
         if own.readings is None:
-            return InitResult(profile=str(own.profile), notes=own.notes, joints=str(request.readings))
+            joints, points = str(request.readings), str(request.readings) if own.points_beside else None
+            return InitResult(profile=str(own.profile), notes=own.notes, joints=joints, points=points)
         return InitResult(profile=str(own.profile), notes=own.notes, readings=str(own.readings))
     if request.answers is not None:
         written = write_answers(request.answers, request.folder)

@@ -23,7 +23,7 @@ def _next_command(result: InitResult) -> str:
     logs = Path("logs") / path.stem
     run = path.parent.parent / logs
     if result.joints is not None:
-        streams = ["--joints", result.joints, "--points", "POINTS.csv"]
+        streams = ["--joints", result.joints, "--points", result.points or "POINTS.csv"]
         return shlex.join(["cellapp", "import", result.profile, *streams, "--run", str(run)])
     if result.readings is not None:
         return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])

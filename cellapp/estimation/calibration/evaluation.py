@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.distance import cdist
+import scipy
 
 from cellapp.estimation.calibration.quantities import Quantities
 from cellapp.estimation.calibration.records import Repeatability
@@ -53,7 +53,9 @@ def position_errors(measured: Array, computed: Array) -> Array:
 
 def distance_errors(measured: Array, computed: Array) -> Array:
     """ISO 9283 distance error ``|d_M - d_C|`` of every pair of points (n, 3) of one arm, shape (n, n) [m]."""
-    return np.asarray(np.abs(cdist(measured, measured) - cdist(computed, computed)))
+    return np.asarray(
+        np.abs(scipy.spatial.distance.cdist(measured, measured) - scipy.spatial.distance.cdist(computed, computed))
+    )
 
 
 def distance_summary(measured: Array, computed: Array) -> ErrorSummary:

@@ -17,7 +17,7 @@ Sources: Golub, Van Loan, Matrix Computations, 4th ed., sections 4.2 and 5.5; va
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
+import scipy
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -33,7 +33,7 @@ _SMALLEST = 1e-300
 
 def cholesky(gram: Array) -> Array | None:
     """Lower Cholesky factor of ``gram`` (p, p), zero above the diagonal; None where it would be inaccurate."""
-    factor, failed = lapack.dpotrf(gram, lower=1)
+    factor, failed = scipy.linalg.lapack.dpotrf(gram, lower=1)
     if failed or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
         return None
     return np.asarray(factor)
@@ -43,7 +43,7 @@ def solve_psd(gram: Array, rhs: Array) -> Array:
     """``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm where ``gram`` (p, p) is singular."""
     factor = cholesky(gram)
     if factor is not None:
-        return np.asarray(lapack.dpotrs(factor, rhs, lower=1)[0])
+        return np.asarray(scipy.linalg.lapack.dpotrs(factor, rhs, lower=1)[0])
     values, vectors = _significant(gram)
     return np.asarray((vectors / values) @ (vectors.T @ rhs))
 
@@ -52,7 +52,7 @@ def inverse_psd(gram: Array) -> Array:
     """Inverse of ``gram`` (p, p); the pseudo-inverse where it is singular."""
     factor = cholesky(gram)
     if factor is not None:
-        lower = lapack.dpotri(factor, lower=1)[0]  # leaves the zeros above the diagonal
+        lower = scipy.linalg.lapack.dpotri(factor, lower=1)[0]  # leaves the zeros above the diagonal
         inverse = lower + lower.T
         np.fill_diagonal(inverse, lower.diagonal())
         return np.asarray(inverse)
@@ -70,11 +70,11 @@ def covariance_with_priors(information: Array, sds: Array) -> Array:
 def inverse_diagonal(gram: Array) -> Array:
     """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
     factor = cholesky(gram)
-    inverse = inverse_psd(gram) if factor is None else lapack.dpotri(factor, lower=1)[0]
+    inverse = inverse_psd(gram) if factor is None else scipy.linalg.lapack.dpotri(factor, lower=1)[0]
     return np.asarray(inverse.diagonal())
 
 
-def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
+def orthonormal_basis(design: Array, precision: Array | None = None, gram: Array | None = None) -> Array:
     """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
 
     Parameters
@@ -83,15 +83,17 @@ def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
         Columns X.
     precision : array, shape (p,), optional
         Diagonal of P: inverse prior variances, zero without a prior.
+    gram : array, shape (p, p), optional
+        X^T X, where it is known.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(design, axis=0), _SMALLEST)
     scaled = design * scale
-    gram = scaled.T @ scaled
+    gram = scaled.T @ scaled if gram is None else gram * (scale[:, None] * scale)
     if precision is not None:
         gram = gram + np.diag(precision * scale**2)
     factor = cholesky(gram)
     if factor is not None:
-        return np.ascontiguousarray(solve_triangular(factor, scaled.T, lower=True, check_finite=False).T)
+        return np.ascontiguousarray(scipy.linalg.solve_triangular(factor, scaled.T, lower=True, check_finite=False).T)
     values, vectors = _significant(gram)
     return np.asarray(scaled @ (vectors / np.sqrt(values)))
 

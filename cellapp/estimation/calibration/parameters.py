@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from cellapp.robot.kinematics.chain import (
     Geometry,
@@ -279,7 +279,7 @@ def _undetermined(information: Array) -> NDArray[np.bool_]:
     ridge = _RIDGE + _ROUNDING * diagonal
     while True:
         np.fill_diagonal(work, diagonal + np.where(held, _HELD, ridge))
-        factor, _ = lapack.dpotrf(work, lower=1)
+        factor, _ = scipy.linalg.lapack.dpotrf(work, lower=1)
         own = np.diag(factor) ** 2
         low = np.flatnonzero(own <= 1.0 + ridge)
         inexact = np.flatnonzero(own[low] > _EXACT * ridge[low])

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
@@ -78,7 +78,7 @@ def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
     if not len(rows):
         return rows, np.zeros((0, 3, 3))
     w, x, y, z = readings.quaternion_M[rows].T
-    return rows, np.asarray(Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix())
+    return rows, np.asarray(scipy.spatial.transform.Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix())
 
 
 def measured_quantities(readings: Readings, conditions: MeasurementConditions | None = None) -> Quantities:
@@ -163,8 +163,8 @@ def _of_quaternions(order: tuple[int, ...], signs: tuple[float, ...]) -> Callabl
     """Rotations whose quaternions (x, y, z, w) have their components taken in another order, and with signs."""
 
     def changed(rotations: Array) -> Array:
-        quaternions = Rotation.from_matrix(rotations).as_quat()[:, order] * np.array(signs)
-        return np.asarray(Rotation.from_quat(quaternions).as_matrix())
+        quaternions = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()[:, order] * np.array(signs)
+        return np.asarray(scipy.spatial.transform.Rotation.from_quat(quaternions).as_matrix())
 
     return changed
 

@@ -130,6 +130,8 @@ class ArmPriorResult(Record):
 
     ``run`` and ``stage`` name it, ``since`` is the day of its run, ``sha256`` the hash of its model and readings,
     ``readings`` their number. ``effects`` were carried over; ``left_behind`` belong to the earlier installation.
+    ``scatter_mm`` is that of a coordinate of the new readings beyond the stated uncertainty, ``scatter_mrad`` of a
+    component of their orientation, None where none was measured.
     """
 
     run: str
@@ -143,6 +145,7 @@ class ArmPriorResult(Record):
     effects: tuple[str, ...]
     left_behind: tuple[str, ...] = ()
     scatter_mm: float
+    scatter_mrad: float | None = None
     tested: int
     changes: tuple[SignatureChange, ...] = ()
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc
+import scipy
 
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import MeasurementConditions
@@ -126,7 +126,11 @@ class StationFit:
     @property
     def probability(self) -> float:
         """Probability of a larger chi-squared if the fit holds; 1 without degrees of freedom."""
-        return float(chdtrc(self.degrees_of_freedom, self.chi_squared)) if self.degrees_of_freedom > 0 else 1.0
+        return (
+            float(scipy.special.chdtrc(self.degrees_of_freedom, self.chi_squared))
+            if self.degrees_of_freedom > 0
+            else 1.0
+        )
 
     @property
     def explains(self) -> bool:

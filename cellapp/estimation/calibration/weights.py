@@ -6,8 +6,8 @@ import math
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -68,7 +68,7 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -
 
     if surplus(0.0) <= _CHANCE * math.sqrt(2.0 * degrees_of_freedom):  # chi-square has variance 2 f
         return 0.0
-    return float(brentq(surplus, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
+    return float(scipy.optimize.brentq(surplus, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
 
 
 def excess_of_kinds(

@@ -54,7 +54,7 @@ class Effort:
         Stops at the beginning that are put in order.
     """
 
-    subset: int = 1500
+    subset: int = 1000
     promising: int = 400
     shortlist: int = 2
     batches: int = 20

@@ -35,6 +35,8 @@ _ROWS_AT_ONCE = 6000
 """Rows of an information matrix that are brought to double precision at once."""
 _LEFT_OUT = 0.02
 """Share of the trace of C W C that is left out in the first look at all candidates."""
+_FIRST_ORDER = 2
+"""Candidates of the largest gains to first order that are looked at for each that is asked for."""
 _APART = 40
 """Changes after which C and C W C are changed: until then products with narrow matrices stand for them."""
 Rows = NDArray[np.intp]
@@ -217,8 +219,11 @@ class BlockDesign:
         if count >= len(rows):
             return np.arange(len(rows))
         C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
-        all_of = _Tracked.of(rows.astype(np.float32, copy=False), C, CWC)
-        return np.argpartition(-_trace_of_solution(all_of.V, all_of.U, 1.0), count)[:count]
+        # tr(U) is the gain to first order, and takes a third of the time
+        first_order = np.einsum("sap,sap->s", (rows.reshape(-1, len(C)) @ CWC).reshape(rows.shape), rows)
+        looked_at = np.argpartition(-first_order, min(_FIRST_ORDER * count, len(rows) - 1))[: _FIRST_ORDER * count]
+        all_of = _Tracked.of(rows[looked_at].astype(np.float32, copy=False), C, CWC)
+        return looked_at[np.argpartition(-_trace_of_solution(all_of.V, all_of.U, 1.0), count)[:count]]
 
     def promising(self, rows: Array, count: int) -> Rows:
         """Numbers of the ``count`` candidates of the largest tr(U) among ``rows`` (s, 3, p): their gain to first order.

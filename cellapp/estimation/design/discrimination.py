@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -84,7 +84,7 @@ class Discrimination:
         columns = scaled.candidates[:, chosen].reshape(len(scaled.run), -1)
         signals = self.candidate_signals[:, chosen].reshape(len(self.run_signals), -1)
         moment = scaled.run @ self.run_signals.T + columns @ signals.T
-        eta = cho_solve(cho_factor(scaled.gram + columns @ columns.T, lower=True), moment)
+        eta = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram + columns @ columns.T, lower=True), moment)
         # from the residual: the difference of two large sums of squares would lose precision
         left = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2) + np.sum((signals - eta.T @ columns) ** 2))
         return (left + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
@@ -92,7 +92,7 @@ class Discrimination:
     def start_design(self) -> SequentialDesign:
         """The state before the first further stop."""
         scaled = self._scaled()
-        inverse = cho_solve(cho_factor(scaled.gram, lower=True), np.eye(len(scaled.gram)))
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram, lower=True), np.eye(len(scaled.gram)))
         eta = inverse @ (scaled.run @ self.run_signals.T)
         left = float(np.sum((self.run_signals - eta.T @ scaled.run) ** 2))
         left += float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))

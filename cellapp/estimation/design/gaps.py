@@ -24,7 +24,9 @@ _EMPTY_SPACINGS = 10.0
 _IMMOVABLE = 1e-12
 """Replaces a limit of zero, of a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
-"""Candidates for one gap that are compared: more of them differ little."""
+"""Candidates for one gap that are looked at: more of them differ little."""
+_COMPARED = 8
+"""Of these the best are compared in double precision."""
 
 
 def largest_gaps(q: Array) -> Array:
@@ -90,6 +92,7 @@ def close_gaps(
         if inside is None:
             break
         inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
+        inside = inside[design.largest(candidates.rows[inside], _COMPARED)]
         best = int(inside[np.argmax(design.gains_of(candidates.rows[inside]))])
         free = staying & _dispensable(np.concatenate([stops, q[[best]]]), limits, staying)
         if not free.any():

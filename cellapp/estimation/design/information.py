@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,12 @@ class NuisanceProjector:
     basis: Array
 
     @classmethod
-    def of(cls, rows: Array, precision: Array | None = None) -> NuisanceProjector:
-        """From the whitened columns X^T as rows (p, d) and their prior precisions (p,), zero where not given."""
-        return cls(orthonormal_basis(np.ascontiguousarray(rows.T), precision))
+    def of(cls, rows: Array, precision: Array | None = None, gram: Array | None = None) -> NuisanceProjector:
+        """From the whitened columns X^T as rows (p, d) and their prior precisions (p,), zero where not given.
+
+        ``gram`` (p, p) is X^T X, where it is known.
+        """
+        return cls(orthonormal_basis(np.ascontiguousarray(rows.T), precision, gram))
 
     @property
     def effective_parameters(self) -> float:
@@ -46,7 +50,15 @@ class NuisanceProjector:
 
     def project(self, rows: Array) -> Array:
         """``rows`` (..., d) times M."""
+        coordinates, size = self.basis.shape
+        if 2 * size > coordinates and rows.size > coordinates * size:  # M itself has fewer numbers than Q and Q^T
+            return np.asarray(rows @ self._matrix)
         return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
+
+    @cached_property
+    def _matrix(self) -> Array:
+        """M (d, d)."""
+        return np.asarray(np.eye(len(self.basis)) - self.basis @ self.basis.T)
 
 
 def visible_norms(rows: Array, projected: Array) -> Array:

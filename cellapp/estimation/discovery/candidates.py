@@ -116,14 +116,16 @@ def whitened_displacements(columns: Sequence[EffectColumn], by_joint: Array, whi
         Whitening of each point [1/m].
     """
     n = white.shape[2]
+    offsets = np.array([one.offset for one in columns if one.offset is not None])
+    joints: NDArray[np.intp] = np.array([one.index for one in columns if one.offset is not None], dtype=np.intp)
+    of_joints = np.take(by_joint.swapaxes(0, 1), joints, axis=0)
+    if len(joints):
+        of_joints *= offsets[:, None]
+    if len(joints) == len(columns):
+        return np.asarray(of_joints.reshape(len(columns), 3 * n))
     rows = np.empty((len(columns), 3, n))
-    of_joints = [place for place, column in enumerate(columns) if column.joint is not None]
-    of_smr = [place for place, column in enumerate(columns) if column.joint is None]
-    if of_joints:
-        joints: NDArray[np.intp] = np.array([columns[place].joint for place in of_joints], dtype=np.intp)
-        offsets = np.array([columns[place].offset for place in of_joints])
-        rows[of_joints] = by_joint[:, joints].swapaxes(0, 1) * offsets[:, None]
-    if of_smr:
-        shifts = np.array([columns[place].shift_M for place in of_smr])
-        rows[of_smr] = np.einsum("acn,mnc->man", white, shifts)
+    offset = np.array([one.offset is not None for one in columns])
+    rows[offset] = of_joints
+    shifts = np.array([one.shift_M for one in columns if one.offset is None])
+    rows[~offset] = np.einsum("acn,mnc->man", white, shifts)
     return rows.reshape(len(columns), 3 * n)

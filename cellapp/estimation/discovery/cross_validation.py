@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from cellapp.estimation.calibration.linear import PIVOT, cholesky
 from cellapp.estimation.design.information import SMALLEST
@@ -99,7 +99,7 @@ def _left_out(
             yield one.out, one.left, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.solver.normal.moment
-        values = lapack.dpotrs(factor, moment, lower=1)[0]
+        values = scipy.linalg.lapack.dpotrs(factor, moment, lower=1)[0]
         yield one.out, one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
 
 
@@ -117,7 +117,7 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
     key = fold.tobytes()
     if key not in fit.derived:
         rows, target, found = fit.rows, fit.target, []
-        whole = NormalMatrix.of(rows, target)
+        whole = fit.normal
         for number in range(int(fold.max()) + 1):
             out = fold == number
             solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)

@@ -24,6 +24,7 @@ from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.terms import Excess, ModelTerms, TermLayout, prior_sd, smoothness_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
@@ -39,6 +40,8 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
 much, relatively, an effect of 0.3 mm by 0.3 µm."""
+_ALIKE_AXES = 0.01
+"""Share by which the noise of orientations about its axes differs before it is stated axis by axis."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -128,9 +131,14 @@ class JointFit:
         return slice(None) if turned is None else ~turned
 
     @cached_property
+    def normal(self) -> NormalMatrix:
+        """Normal matrix of all columns and ``target``: projectors, criterion and cross-validation share it."""
+        return NormalMatrix.of(self.rows, self.target)
+
+    @cached_property
     def projector(self) -> NuisanceProjector:
         """Projector onto the complement of all fitted parameters."""
-        return NuisanceProjector.of(self.rows, self.precision)
+        return NuisanceProjector.of(self.rows, self.precision, self.normal.gram)
 
     @cached_property
     def projected_residual(self) -> ProjectedResidual:
@@ -149,15 +157,18 @@ class JointFit:
         values = self.identification.values
         square = float(self.residual @ self.residual) + float(self.precision[smooth] @ values[smooth] ** 2)
         log_variance = -2.0 * float(np.sum(np.log(np.einsum("aan->an", self.white))))
-        flat = NuisanceProjector.of(self.rows[~smooth], self.precision[~smooth])
-        price = flat.effective_parameters * math.log(len(self.residual))
-        return square + log_variance + price + _log_occam(self.rows[smooth], self.precision[smooth], flat)
+        flat = int(np.count_nonzero(~smooth))
+        order = np.argsort(smooth, kind="stable")
+        rest, determined = self.normal.take(order).behind(flat, self.precision[order[:flat]])
+        price = determined * math.log(len(self.residual))
+        return square + log_variance + price + rest.log_occam(1.0 / self.precision[smooth])
 
     def residual_without(self, term: int) -> ProjectedResidual:
         """Residual of the model without one term, in the complement of that model's parameters."""
         if term not in self._behind:
             kept = self.layout.all_but(term)
-            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept])
+            gram = self.normal.take(kept).gram
+            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept], gram)
             self._behind[term] = ProjectedResidual(projector, self.residual + self.signal(term))
         return self._behind[term]
 
@@ -223,17 +234,6 @@ class JointFit:
         return blocks_beyond_bounds(self.term_columns(term), self.term_values(term), errors)
 
 
-def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
-    """Log determinant of ``I + V^1/2 S M S^T V^1/2`` of smooth columns S behind the other parameters, V their prior."""
-    if not len(rows):
-        return 0.0
-    explained = rows @ flat.basis
-    root = 1.0 / np.sqrt(precision)
-    gram = (rows @ rows.T - explained @ explained.T) * (root[:, None] * root)
-    gram[np.diag_indices_from(gram)] += 1.0
-    return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
-
-
 def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:
     """Fit geometry and terms to all readings and linearise there; from ``near``, if a fit of these terms is known."""
     found, columns = _identify(data, terms, near)
@@ -286,15 +286,25 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
     return replace(fit.model, posterior=draws)
 
 
-def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, float]:
+def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, Any]:
     """Standard deviations of a coordinate and of a component of an orientation that weigh the readings, times a scale.
 
-    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured.
+    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured, with ``noise_axes_rad`` (3,) where these
+    have covariances of their own.
     """
-    if data.turned is None:
-        return {"noise_m": math.sqrt(mean_variance(data.sigma)) * scale}
-    variances = mean_variance(data.sigma[~data.turned]), mean_variance(data.sigma[data.turned])
-    return {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
+    return noise_by_kind(data.sigma, data.turned, scale)
+
+
+def noise_by_kind(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> dict[str, Any]:
+    """The same of readings that ``sigma`` (n,) or (n, 3, 3) weighs, of which ``turned`` (n,) are orientations."""
+    if turned is None:
+        return {"noise_m": math.sqrt(mean_variance(sigma)) * scale}
+    variances = mean_variance(sigma[~turned]), mean_variance(sigma[turned])
+    found = {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
+    if sigma.ndim == 1:
+        return found
+    axes = np.sqrt(np.linalg.eigvalsh(sigma[turned]).mean(axis=0)) * scale
+    return found if np.ptp(axes) <= _ALIKE_AXES * axes[-1] else {**found, "noise_axes_rad": axes}
 
 
 def mean_variance(sigma: Array) -> float:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack
+import scipy
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import cholesky, inverse_psd, solve_psd
 from cellapp.robot.kinematics.transforms import Array
@@ -41,6 +42,17 @@ class NormalMatrix:
     def __sub__(self, other: NormalMatrix) -> NormalMatrix:
         """Without some of the readings."""
         return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
+
+    def take(self, places: NDArray[np.intp] | NDArray[np.bool_]) -> NormalMatrix:
+        """Of some of the columns."""
+        return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
+
+    def log_occam(self, variance: Array) -> float:
+        """``ln det(I + V^1/2 X^T X V^1/2)`` of columns with prior variances V (p,): what their freedom costs."""
+        root = np.sqrt(variance)
+        gram = self.gram * (root[:, None] * root)
+        gram.flat[:: len(gram) + 1] += 1.0
+        return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
     @property
     def scale(self) -> Array:
@@ -95,7 +107,7 @@ class Solver:
         scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
         if self._factor is None:
             return np.asarray(scale * solve_psd(self._scaled(), scale * rhs))
-        return np.asarray(scale * lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
+        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
 
     def _scaled(self) -> Array:
         """X^T X + P with each parameter in its scale; not kept, as it is large."""

@@ -16,9 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
-from scipy.special import gammaincc, ndtr
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
@@ -154,7 +153,7 @@ class _Tests:
         towards = self.data.context.approach.T * self.about_axes
         size = np.sqrt(np.sum(towards**2, axis=1))
         moved = size > 0.0
-        found: list[float] = (2.0 * ndtr(-np.abs(towards[moved].sum(axis=1)) / size[moved])).tolist()
+        found: list[float] = (2.0 * scipy.special.ndtr(-np.abs(towards[moved].sum(axis=1)) / size[moved])).tolist()
         return found
 
     def against_position(self) -> list[float]:
@@ -216,8 +215,8 @@ def pearson3_tail(values: Array, skewness: Array) -> Array:
     """
     skewed = np.maximum(skewness, _LEAST_SKEWNESS)
     shape = (2.0 / skewed) ** 2
-    of_gamma = gammaincc(shape, np.maximum(2.0 / skewed * values + shape, 0.0))
-    return np.asarray(np.where(skewness < _LEAST_SKEWNESS, ndtr(-values), of_gamma))
+    of_gamma = scipy.special.gammaincc(shape, np.maximum(2.0 / skewed * values + shape, 0.0))
+    return np.asarray(np.where(skewness < _LEAST_SKEWNESS, scipy.special.ndtr(-values), of_gamma))
 
 
 def _along(values: Array) -> Pairs:
@@ -229,7 +228,7 @@ def _along(values: Array) -> Pairs:
 
 def _nearest(points: Array) -> Pairs:
     """Pairs of nearest neighbours among points (n, d), each pair once."""
-    _, near = KDTree(points).query(points, k=_NEIGHBOURS + 1)
+    _, near = scipy.spatial.KDTree(points).query(points, k=_NEIGHBOURS + 1)
     first = np.repeat(np.arange(len(points)), _NEIGHBOURS)
     second = np.asarray(near[:, 1:], dtype=np.intp).ravel()
     code = np.unique(np.minimum(first, second) * len(points) + np.maximum(first, second))

@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import maximum_filter1d, median_filter
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
 from cellapp.estimation.motion.joint_path import JointPath
@@ -143,8 +142,8 @@ def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArra
     grid = np.arange(time_s[0], time_s[-1], step)
     place = np.clip(np.searchsorted(time_s, grid, side="right"), 1, len(time_s) - 1)
     known = time_s[place] - time_s[place - 1] < 3.0 * max(step, float(np.median(np.diff(time_s))))
-    p = np.column_stack([np.interp(grid, time_s, median_filter(p_M[:, axis], 5)) for axis in range(3)])
-    speed = median_filter(np.linalg.norm(np.diff(p, axis=0), axis=1) / step, 5)
+    p = np.column_stack([np.interp(grid, time_s, scipy.ndimage.median_filter(p_M[:, axis], 5)) for axis in range(3)])
+    speed = scipy.ndimage.median_filter(np.linalg.norm(np.diff(p, axis=0), axis=1) / step, 5)
     return speed, known[1:] & known[:-1]
 
 
@@ -156,12 +155,12 @@ def _masked_correlation(
 
     Coefficients are NaN where the overlap is too short.
     """
-    size = next_fast_len(len(a) + len(b), real=True)
+    size = scipy.fft.next_fast_len(len(a) + len(b), real=True)
     ma, mb = seen_a.astype(np.float64), seen_b.astype(np.float64)
     a, b = (a - a[seen_a].mean()) * ma, (b - b[seen_b].mean()) * mb
 
     def correlate(x: Array, y: Array) -> Array:
-        return np.asarray(irfft(rfft(x, size) * np.conj(rfft(y, size)), size))
+        return np.asarray(scipy.fft.irfft(scipy.fft.rfft(x, size) * np.conj(scipy.fft.rfft(y, size)), size))
 
     n = np.maximum(correlate(ma, mb), 0.0)
     enough = n >= max(_LEAST_OVERLAP * min(ma.sum(), mb.sum()), _LEAST_OVERLAP_S / step)
@@ -180,7 +179,7 @@ def _masked_correlation(
 def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
     """Places of the peaks nearly as high as the best with the longest overlaps, and of the best, by overlap."""
     heights = np.where(np.isfinite(correlation), correlation, -np.inf)
-    highest = maximum_filter1d(heights, 2 * max(1, round(_APART_S / step)) + 1, mode="wrap")
+    highest = scipy.ndimage.maximum_filter1d(heights, 2 * max(1, round(_APART_S / step)) + 1, mode="wrap")
     found = np.flatnonzero((heights == highest) & (heights >= heights.max() - _NEAR_BEST))
     longest = found[np.argsort(-overlap[found], kind="stable")][:_PEAKS].tolist()
     best = int(np.argmax(heights))

@@ -25,10 +25,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
-from scipy.special import expit
 
 from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution
@@ -94,9 +92,9 @@ class _Missing:
     precision: Array
 
 
-def allow_for_missing(problem: Problem, solution: Solution) -> Solution:
+def allow_for_missing(problem: Problem, solution: Solution, *, with_clocks: bool = True) -> Solution:
     """The solution with clocks that are free of what the model lacks, with the arm that belongs to them, and with a
-    covariance that allows for it."""
+    covariance that allows for it; without ``with_clocks`` clocks stay as they are, and the covariance alone allows."""
     seen, layout = _seen(problem, solution), problem.layout
     fitted = ~seen.laws
     fit_bands = [bands.of(fitted) for bands in seen.rest]
@@ -105,6 +103,8 @@ def allow_for_missing(problem: Problem, solution: Solution) -> Solution:
     towards_prior = solution.precision * (problem.mean - solution.values)
     missing = _missing(seen, level, solution.precision, towards_prior)
     arm = noise_model(fit_bands, ones, still, solution.precision, solution.information, _as_fitted(seen, missing))
+    if not with_clocks:
+        return replace(solution, noise=arm)
     step, of_clocks = _weighed(seen, missing, level, solution.precision, towards_prior)
     clocks = np.concatenate([layout.clock(number) for number in range(len(problem.tracks))])
     values, change, of_arm = solution.values.copy(), step[fitted][clocks], np.arange(layout.arm)
@@ -230,7 +230,7 @@ class _Likelihood:
         unit = 1.0 / np.sqrt(np.diag(normal)[:-1] + own + 1e-300)
         H = normal[:-1, :-1] * unit * unit[:, None] + np.diag(own * unit**2 + 1e-11)
         L = np.linalg.cholesky(H)
-        y = solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
+        y = scipy.linalg.solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
         logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
         logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
         by_prior = np.sum((logs - self.centre[: len(logs)]) ** 2) / _LOG_SD**2
@@ -240,7 +240,7 @@ class _Likelihood:
         """The most probable logarithms of the first ``count`` variances, and the logarithm of the evidence (Laplace),
         less what all counts have in common."""
         options = {"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED}
-        found = minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
+        found = scipy.optimize.minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
         bent = [
             (self.cost(found.x + step) + self.cost(found.x - step) - 2.0 * found.fun) / _LOG_STEP**2
             for step in _LOG_STEP * np.eye(count)
@@ -253,7 +253,7 @@ def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_pr
     """Sizes of what lacks by restricted maximum likelihood, times the probability that anything does."""
     likelihood = _Likelihood.of(seen, level, precision, towards_prior)
     (nothing, alone), (some, beside) = (likelihood.best(count) for count in (1, len(likelihood.centre)))
-    share = float(expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
+    share = float(scipy.special.expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
     without, lacking = likelihood.sizes(nothing), likelihood.sizes(some)
     variance = share * lacking.variance + (1.0 - share) * without.variance
     return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))

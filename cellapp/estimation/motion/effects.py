@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, solve
@@ -139,7 +139,7 @@ class _Search:
         final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
-        freed = final.solution if late else allow_for_missing(final.problem, final.solution)
+        freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         fit = motion_fit(final.problem, freed)
         entered = list(dict.fromkeys(step.law for step in steps))
         named = [effect_of(final, law, steps) for law in entered]
@@ -347,7 +347,7 @@ class _Search:
             return None
         trial = self._extended(state, terms)
         evidence = {pair: statistic_of(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
-        limit = float(chdtri(2, _CHANCE / power.size))
+        limit = float(scipy.special.chdtri(2, _CHANCE / power.size))
         kept = tuple(term for term in terms if evidence[term.joint, term.cycles] > limit)
         if not kept:
             return None
@@ -363,7 +363,7 @@ class _Search:
 
 def _by_chance(statistic: float, parameters: int, tried: int) -> float:
     """Probability of a chi-square as large as this by chance, in the best of the alternatives that were ``tried``."""
-    return min(1.0, float(chdtrc(parameters, statistic)) * tried)
+    return min(1.0, float(scipy.special.chdtrc(parameters, statistic)) * tried)
 
 
 def _whitened(state: State) -> State:

@@ -14,13 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cellapp.estimation.calibration.linear import covariance_with_priors
-from cellapp.estimation.calibration.parameters import (
-    ParameterSet,
-    SetName,
-    estimated_parameters,
-    prior_sds,
-    typical_spreads,
-)
+from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.plan_forecast import accuracy_of
 from cellapp.estimation.discovery.records import PlannedAccuracy
@@ -58,19 +52,17 @@ class LawForecast:
 
 def forecast_motion(
     nominal: Geometry,
-    parameter_set: SetName,
-    stated: Mapping[str, float],
+    estimated: ParameterSet,
+    priors: Array,
     sources: Mapping[str, Expected],
     at: Array,
     scatter_m: float,
 ) -> tuple[dict[str, PlannedAccuracy], tuple[LawForecast, ...]]:
     """Expected errors of positions at ``at`` (n, N) [rad], and the smallest sizes of the laws, by source and for all
-    ``sources`` together ("both"). Raises ``ValueError`` if the parameter set is not for this arm."""
-    estimated, _ = estimated_parameters(parameter_set, nominal, stated)
-    priors = prior_sds(estimated, {**typical_spreads(nominal.joints), **stated})
-    laws = _laws(nominal.joints)
+    ``sources`` together ("both"); ``priors`` are what is known of the ``estimated`` parameters of the geometry."""
+    laws = foreseen_laws(nominal.joints)
     terms = tuple(term for its in laws for term in its)
-    told = {name: _information(nominal, estimated, terms, one) for name, one in sources.items()}
+    told = {name: motion_information(nominal, estimated, terms, one) for name, one in sources.items()}
     told["both"] = np.sum(list(told.values()), axis=0)
     _, J = jacobian(nominal, JointAngles.of(at), estimated.columns)
     k = len(estimated.columns)
@@ -88,8 +80,8 @@ def forecast_motion(
     return accuracy, tuple(_aliased(one) if one.cycles >= DENSE else one for one in forecasts)
 
 
-def _laws(joints: int) -> list[tuple[JointTerm, ...]]:
-    """Terms of all joints, law by law."""
+def foreseen_laws(joints: int) -> list[tuple[JointTerm, ...]]:
+    """Terms of all joints, law by law, of what is foreseen."""
     plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in _PLAIN]
     lines = [
         tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint in range(joints) for sine in (False, True))
@@ -103,15 +95,18 @@ def _names(terms: tuple[JointTerm, ...]) -> list[str]:
     return [f"joint {term.joint + 1}" for term in terms if not term.sine]
 
 
-def _information(nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected) -> Array:
-    """Information on the geometry, the terms, and last the delay between the clocks."""
+def motion_information(
+    nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected
+) -> Array:
+    """Information (P, P) on the geometry, the terms, and last the delay between the clocks."""
     state, k = expected.state, len(estimated.columns)
     thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
     _, J = jacobian(nominal, JointAngles.of(state.q), (*estimated.columns, *thetas))
     by_joint = J[:, k:]
-    of_terms = np.stack([by_joint[:, term.joint] * term.offset(state) for term in terms], axis=1)
-    delay = -np.einsum("ajn,nj->an", by_joint, state.qd)[:, None]
-    X = np.einsum("acn,ckn->kan", whitening(expected.covariance), np.concatenate([J[:, :k], of_terms, delay], axis=1))
+    of_terms = [by_joint[:, term.joint] * term.offset(state) for term in terms]
+    delay = -np.einsum("ajn,nj->an", by_joint, state.qd)
+    columns = np.concatenate([J[:, :k], np.stack([*of_terms, delay], axis=1)], axis=1)
+    X = np.einsum("acn,ckn->kan", whitening(expected.covariance), columns)
     flat = X.reshape(len(X), -1)
     return np.asarray(flat @ flat.T)
 

@@ -30,6 +30,8 @@ from cellapp.robot.kinematics.transforms import Array
 _LEAST_POINTS = 50
 _STILL_RAD = 0.02
 """Range of a joint below which a motion tells next to nothing of it."""
+_FAR_MM = 10.0
+"""Median distance of held-out points from the published arm from which it may be another one."""
 _FEW_DETERMINED = 2.0 / 3.0
 """Share of the parameters of the geometry below which motions excite the arm little: good ones leave a fifth open."""
 _BAD = 5.0
@@ -330,6 +332,13 @@ def _undetermined(
             0,
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
             " record motions of all joints, each alone and together, through a larger part of their range",
+        )
+    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.held_out]
+    if far and (far_mm := float(np.median(far))) > _FAR_MM:
+        said.insert(
+            0,
+            f"whether it is an arm of this type: the published one lies {far_mm:.0f} mm from the points wherever"
+            " its base is, where some mm are usual; of another arm, all that was found holds near these motions only",
         )
     merged = identification.parameter_set.merged
     for name, into in merged.items():

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
 from cellapp.estimation.motion.responses import EvenPath, even_grid
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
@@ -48,8 +48,8 @@ class JointPath:
     stamps: Stamps
     recorded_speeds: bool
     direction: Array = field(repr=False)
-    _position: PPoly = field(repr=False)
-    _speed: PPoly = field(repr=False)
+    _position: scipy.interpolate.PPoly = field(repr=False)
+    _speed: scipy.interpolate.PPoly = field(repr=False)
     inertia: Callable[[Array], Array] | None = field(default=None, repr=False)
 
     def known(self, time_s: Array) -> NDArray[np.bool_]:
@@ -104,7 +104,7 @@ def joint_path(joints: JointStream) -> JointPath:
     qd = None if joints.qd is None else stamps.averaged(joints.qd)
     recorded = qd is not None and _agree(t, q, qd, stamps)
     slopes = qd if recorded else _slopes(t, q, stamps)
-    position = CubicHermiteSpline(t, q, slopes)
+    position = scipy.interpolate.CubicHermiteSpline(t, q, slopes)
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
     return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed)
@@ -142,7 +142,7 @@ def _slopes(t: Array, q: Array, stamps: Stamps) -> Array:
     slopes = np.zeros_like(q)
     for first, last in _runs(stamps):
         if last - first >= 4:
-            slopes[first:last] = CubicSpline(t[first:last], q[first:last]).derivative()(t[first:last])
+            slopes[first:last] = scipy.interpolate.CubicSpline(t[first:last], q[first:last]).derivative()(t[first:last])
         elif last - first >= 2:
             slopes[first:last] = np.gradient(q[first:last], t[first:last], axis=0)
     return slopes

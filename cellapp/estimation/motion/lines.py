@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.observe import residuals
@@ -55,7 +55,7 @@ def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
                 sums[joint] += np.einsum("cn,cn,n->c", np.conj(_powers(q[:, joint])), gain, turned[:, joint])
                 energy[joint] += (gain.real**2 + gain.imag**2) @ weight[:, joint]
     raw = np.abs(sums) ** 2 / np.maximum(energy, 1e-300)
-    floor = median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2
+    floor = scipy.ndimage.median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2
     return raw / np.maximum(floor, 1e-300), (high - low) / (2.0 * math.pi)
 
 

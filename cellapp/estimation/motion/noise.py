@@ -19,10 +19,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import dct, irfft, next_fast_len, rfft
-from scipy.linalg import solve_toeplitz, solve_triangular
-from scipy.special import stdtrit
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -96,7 +94,7 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
         np.mean(r**2) * np.sum(X**2, axis=(0, 1)), 1e-300
     )
     if in_time:
-        X, r = dct(X, axis=0, norm="ortho"), dct(r, axis=0, norm="ortho")
+        X, r = scipy.fft.dct(X, axis=0, norm="ortho"), scipy.fft.dct(r, axis=0, norm="ortho")
         octaves = np.arange(0.0, np.log2(max(m, 2)), 1.0 / _PER_OCTAVE)
         edges = np.unique(np.concatenate([[0], np.round(2.0**octaves), [m]])).astype(np.intp).tolist()
     parts = [slice(first, last) for first, last in pairwise(edges)]
@@ -141,7 +139,7 @@ class NoiseModel:
 
     def half_width(self, probability: float = 0.95) -> Array:
         """Half widths (k,) of the intervals of this probability, in standard errors."""
-        return np.asarray(stdtrit(self.freedom, 0.5 + probability / 2.0))
+        return np.asarray(scipy.special.stdtrit(self.freedom, 0.5 + probability / 2.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ def noise_model(
     unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
     H = information * unit * unit[:, None] + np.diag(precision * unit**2)
     L = np.linalg.cholesky(H + 1e-12 * np.eye(len(H)))
-    root = solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
+    root = scipy.linalg.solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
     bands = [
         band
         for number, (source, worth) in enumerate(zip(sources, worths, strict=True))
@@ -218,11 +216,11 @@ def whitening_filter(r: Array, period_s: float) -> Array:
     """Coefficients (p + 1,), the first 1, that turn residuals ``r`` (n, 3) in order of time into white noise: those of
     an autoregressive model by the Yule-Walker equations."""
     order = int(np.clip(_MEMORY_S / period_s, 2, _MOST_ORDER))
-    size = next_fast_len(len(r) + order, real=True)
-    power = np.abs(rfft(r, size, axis=0)) ** 2
-    covariance = irfft(power.sum(axis=1), size)[: order + 1]
+    size = scipy.fft.next_fast_len(len(r) + order, real=True)
+    power = np.abs(scipy.fft.rfft(r, size, axis=0)) ** 2
+    covariance = scipy.fft.irfft(power.sum(axis=1), size)[: order + 1]
     covariance[0] *= 1.0 + 1e-9
-    return np.concatenate([[1.0], -solve_toeplitz(covariance[:-1], covariance[1:])])
+    return np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])])
 
 
 def _is_last(number: int, bands: Sequence[_Band]) -> bool:

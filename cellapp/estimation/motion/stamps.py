@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -185,7 +185,9 @@ def _counted(time: Array, period: float) -> Array:
         number = np.arange(last - first)
         slope, at_zero = np.polyfit(number, time[first:last], 1)
         left = time[first:last] - slope * number - at_zero
-        regular[first:last] = slope * number + at_zero + uniform_filter1d(left, 2 * half + 1, mode="nearest")
+        regular[first:last] = (
+            slope * number + at_zero + scipy.ndimage.uniform_filter1d(left, 2 * half + 1, mode="nearest")
+        )
     return np.maximum.accumulate(regular)
 
 
@@ -203,7 +205,9 @@ def _by_phase(time: Array, period: float) -> Array:
 def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128]:
     """Mean of the phases of stamps within some seconds, as complex numbers; near length 1 where they are alike."""
     turned = np.exp(2j * np.pi * since / period)
-    return np.asarray(uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest"))
+    return np.asarray(
+        scipy.ndimage.uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest")
+    )
 
 
 def _roughness(time: Array, values: Array) -> float:

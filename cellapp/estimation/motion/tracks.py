@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from cellapp.estimation.motion.clock_start import ClockStart, clock_start, start_by_trigger
 from cellapp.estimation.motion.joint_path import JointPath, joint_path
@@ -102,7 +102,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         raise InputError(f"{where}: {error}") from None
     points, time = recording.points, stamps.time_s
     p_M = points.p_M[stamps.rows]
-    usual = np.linalg.norm(p_M - median_filter(p_M, (7, 1)), axis=1) < _SPIKE_M
+    usual = np.linalg.norm(p_M - scipy.ndimage.median_filter(p_M, (7, 1)), axis=1) < _SPIKE_M
     start = clock_start(nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown, where=where)
     trigger = None
     if not stamps.steps and not path.stamps.steps:
@@ -115,7 +115,8 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     if start.rms_m > _ABSURD_M:
         raise InputError(
             f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
-            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time"
+            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time,"
+            " stamps that are counted at a nominal rate"
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
     known = path.known(time - start.offset_s) & ~beside

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
 from cellapp.estimation.nests.stop_groups import StopGroups, covariances
@@ -89,13 +89,14 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     p_M, information = groups.p_M[turned], groups.information[turned]
     if not groups.stated:
         information = information / (shape.noise_m**2 if np.isfinite(shape.noise_m) and shape.noise_m > 0.0 else 1e-10)
-    rotation, origin = laid_on(shape.points_S, p_M)
-    rotation, origin, covariance = _weighted(shape.points_S, p_M, information, rotation, origin)
+    rotation, origin, covariance = poses(shape.points_S, p_M, information)
     S = len(one)
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
     sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
     points[turned] = origin
-    quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
+    quaternion[turned] = np.roll(
+        scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1
+    )
     turning[turned] = covariance[:, 3:, 3:]
     sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the axis that is known least
     stated: dict[str, Any] = {"turning_covariance_M": turning}
@@ -106,10 +107,12 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **stated)
 
 
-def _weighted(
-    points_S: Array, p_M: Array, information: Array, rotation: Array, origin: Array
-) -> tuple[Array, Array, Array]:
-    """Rotations and origins after a step of weighted least squares; covariances (S, 6, 6) of origin and rotation."""
+def poses(points_S: Array, p_M: Array, information: Array) -> tuple[Array, Array, Array]:
+    """Rotations (S, 3, 3) and origins (S, 3) of a figure (K, 3) at S stops, and the covariances (S, 6, 6) of both.
+
+    By weighted least squares, of points ``p_M`` (S, K, 3), NaN where not measured, with ``information`` (S, K, 3, 3).
+    """
+    rotation, origin = laid_on(points_S, p_M)
     arms = np.einsum("sab,kb->ska", rotation, points_S)
     J = twist_columns(arms)
     left = np.nan_to_num(p_M - origin[:, None] - arms)
@@ -118,5 +121,5 @@ def _weighted(
     normal = np.einsum("skai,skaj->sij", J, weighed) * unit * unit[:, None]
     covariance = np.linalg.inv(normal) * unit * unit[:, None]
     step = np.einsum("sij,skaj,ska->si", covariance, weighed, left)
-    turned = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
+    turned = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
     return turned, origin + step[:, :3], covariance

@@ -21,7 +21,7 @@ from cellapp.estimation.prior.linear_model import Measured, term_columns, values
 from cellapp.estimation.prior.posterior import Posterior, Prior
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import Geometry, parameter_names
+from cellapp.robot.kinematics.chain import Geometry, all_names, parameter_names
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
@@ -201,7 +201,7 @@ def geometry_sizes(profile: Profile, model: ArmModel, columns: tuple[int, ...]) 
     joints = model.geometry.joints
     stated, typical = prior_sigmas(model.nominal, profile.calibration.priors), typical_spreads(joints)
     deviation = values_of(model.geometry, (), columns, model.nominal)
-    names = [parameter_names(joints)[column] for column in columns]
+    names = [all_names(joints)[column] for column in columns]
     found = np.array([stated.get(name, math.inf) for name in names])
     for unit_size in set(typical.values()):
         places = [k for k, name in enumerate(names) if typical.get(name) == unit_size and name not in stated]

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.estimation.calibration.evaluation import evaluate
-from cellapp.estimation.calibration.gross_errors import gross_errors, without
+from cellapp.estimation.calibration.evaluation import evaluate_quantities
+from cellapp.estimation.calibration.gross_errors import without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, determined_set
-from cellapp.estimation.calibration.quantities import measured_orientations
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.records import ArmPriorResult
-from cellapp.estimation.discovery.joint_fit import mean_variance
+from cellapp.estimation.discovery.joint_fit import noise_by_kind
 from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
-from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.prior.earlier import Earlier, gross_vectors
+from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Posterior
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
@@ -74,11 +74,6 @@ def calibrate_with_prior(
         for name in arms
         if name not in earlier
     ]
-    notes += [
-        f"arm '{name}': beside an earlier calibration only positions are used, its orientations are not"
-        for name in earlier
-        if len(measured_orientations(readings[name])[0])
-    ]
     pair = calibration.pair
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
     with_effects, _ = calibrate_pair(profile, good, {name: _PairArm(arm.model) for name, arm in arms.items()})
@@ -98,8 +93,8 @@ def learned(
     """The readings that are learned from: of the identify and train splits, without gross errors."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")]).astype(np.intp)
     some, its = readings.take(rows), conditions.take(rows)
-    model = first_model(profile, name, some, its, earlier.belief)
-    good = ~gross_errors(some.p_M - model.predict(some.q, conditions=its))
+    model = first_model(profile, name, Measured.of(some, its), earlier.belief)
+    good = ~gross_vectors(model, some, its)
     return some.take(good), its.take(good)
 
 
@@ -125,12 +120,13 @@ def _calibrated(
     model = stated_model(outcome.found, profile.seed)
     rows = readings.in_split("validate")
     rows = rows[~np.isin(readings.configuration[rows], alone.left_out)]
-    held_out, its = readings.take(rows), conditions.take(rows)
+    held_out = measured_quantities(readings.take(rows), conditions.take(rows))
+    computed = model.predict(held_out.readings.q, conditions=held_out.conditions)
     return replace(
         alone,
         model=model,
         identification=_identification(profile, alone.identification, outcome.found),
-        validate={**alone.validate, "effects": evaluate(held_out.p_M, model.predict(held_out.q, conditions=its))},
+        validate={**alone.validate, "effects": evaluate_quantities(held_out, computed)},
         prior=prior_result(name, earlier, outcome),
     )
 
@@ -145,6 +141,7 @@ def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResul
         parts=outcome.parts,
         effects=tuple(dict.fromkeys(term.slug for term in earlier.belief.terms)),
         scatter_mm=outcome.scatter_m * 1e3,
+        scatter_mrad=None if outcome.scatter_rad is None else outcome.scatter_rad * 1e3,
         tested=outcome.tested,
         changes=outcome.changes,
     )
@@ -167,8 +164,8 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
         columns=found.prior.columns,
         sizes=[len(term.names) for term in model.effects],
         covariance=found.covariance,
-        noise_m=math.sqrt(mean_variance(found.measured.sigma)),
         seed=(seed, _DRAW_SEED),
+        **noise_by_kind(found.measured.sigma, found.measured.turned),
     )
     return replace(
         model,
@@ -205,7 +202,6 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
         residuals=found.left_M,
-        turned=None,
-        freedom_of_turns=0.0,
-        excess_rad=0.0,
+        turned=found.measured.turned,
+        excess_rad=found.scatter_rad,
     )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import erfc
+import scipy
 
 from cellapp.estimation.calibration.records import SignatureChange
 from cellapp.estimation.prior.belief import Belief
@@ -79,7 +79,7 @@ def change_of(
             "standard_error": error,
             "unit": unit,
             "sigmas": sigmas,
-            "p_value": min(1.0, tested * float(erfc(sigmas / math.sqrt(2.0)))),
+            "p_value": min(1.0, tested * float(scipy.special.erfc(sigmas / math.sqrt(2.0)))),
             "sentence": f"{one.what}: {'vanished, ' if gone else ''}{factor * value:+.3g} {shown}"
             f" +- {factor * error:.2g} since {since} ({sigmas:.1f} sigma){after}",
         }

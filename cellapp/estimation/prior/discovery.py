@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from cellapp.estimation.calibration.quantities import measured_orientations
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.outcome import Discovery
@@ -96,6 +98,13 @@ def since_words(earlier: Earlier, found: Discovery) -> str:
 
 
 def without_effects(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> Readings:
-    """The readings at the true joint positions and without the shifts of a model's effects."""
+    """The readings at the true joint positions, without the shifts and turns of a model's effects."""
     moved = model.effect_displacement(readings.q, conditions=conditions)
-    return replace(readings, q=readings.q + moved.joints, p_M=readings.p_M - np.asarray(moved.shift_M))
+    plain = replace(readings, q=readings.q + moved.joints, p_M=readings.p_M - np.asarray(moved.shift_M))
+    if readings.quaternion_M is None:
+        return plain
+    rows, R_M_S = measured_orientations(readings)
+    quaternion = readings.quaternion_M.copy()
+    turned = model.turns(readings.q, conditions)[rows].swapaxes(1, 2) @ R_M_S
+    quaternion[rows] = Rotation.from_matrix(turned).as_quat(scalar_first=True)
+    return replace(plain, quaternion_M=quaternion)

@@ -14,13 +14,12 @@ more than chance explains.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, qr
-from scipy.optimize import minimize
 
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.robot.kinematics.transforms import Array
@@ -33,7 +32,9 @@ by more than a tenth has a cause of its own: a jump, which names it; a drift of 
 _FIRST_DRIFT: Mapping[SignaturePart, float] = {"geometry": 1e-5, "effects": 0.02, "curves": 0.02}
 """Where the search for the drifts begins: metals of an arm grow by some 10 um with a degree."""
 _SCATTER_M = (1e-7, 1e-2)
-"""Least and largest scatter of a coordinate beyond what is stated [m]."""
+"""Least and largest scatter of a coordinate beyond what is stated [m, rad]."""
+_FIRST_SCATTER = (2e-5, 1e-4)
+"""Where the search for the scatter begins, of a coordinate [m] and of a component of an orientation [rad]."""
 _EVALUATIONS = 160
 """Evaluations of the likelihood for two to four numbers; it settles after some 80."""
 _DEPENDENT = 1e-9
@@ -53,11 +54,20 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Drifts:
-    """Sizes of changes of all parameters of each part, the readings' scatter [m], and the log likelihood there."""
+    """Sizes of changes of all parameters of each part, the readings' scatter [m], and the log likelihood there.
+
+    ``scatter_rad`` is that of a component of an orientation [rad], None where none was measured.
+    """
 
     of_parts: Mapping[SignaturePart, float]
     scatter_m: float
     log_likelihood: float
+    scatter_rad: float | None = None
+
+    @property
+    def scatters(self) -> tuple[float, ...]:
+        """Of positions, and of orientations where they were measured."""
+        return (self.scatter_m,) if self.scatter_rad is None else (self.scatter_m, self.scatter_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +95,8 @@ class Evidence:
         Stated covariance of the readings [m^2], zero where none is stated.
     drift : mapping
         Part -> ``X U X^T`` (d, d), U the squares of the parameters' units of drift.
+    of_turns : array, shape (d, d), or None
+        Covariance of what scatters by 1 rad in each component of the orientations alone.
     """
 
     left: Array
@@ -92,53 +104,56 @@ class Evidence:
     believed: Array
     stated: Array
     drift: Mapping[SignaturePart, Array]
+    of_turns: Array | None = None
 
     def jumped(self, candidate: Candidate) -> Evidence:
         """The same after a jump of some parameters is taken as possible."""
         rows = self.rows[candidate.places] * candidate.sd[:, None]
         return replace(self, believed=self.believed + rows.T @ rows)
 
-    def covariance(self, drifts: Mapping[SignaturePart, float], scatter_m: float) -> Array:
-        """K (d, d) [m^2]."""
+    def covariance(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> Array:
+        """K (d, d) [m^2, m rad, rad^2]; ``scatters`` as in ``Drifts``."""
         K = self.believed + self.stated
         for part, size in drifts.items():
             K = K + size**2 * self.drift[part]
-        K.flat[:: len(K) + 1] += scatter_m**2
+        K.flat[:: len(K) + 1] += scatters[0] ** 2
+        if self.of_turns is not None:
+            K += (scatters[1] ** 2 - scatters[0] ** 2) * self.of_turns
         return K
 
-    def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatter_m: float) -> float:
+    def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> float:
         """Log of the marginal likelihood, without the constants."""
-        factor, lower = cho_factor(self.covariance(drifts, scatter_m), lower=True, check_finite=False)
-        solved = cho_solve((factor, lower), self.left, check_finite=False)
+        factor, lower = scipy.linalg.cho_factor(self.covariance(drifts, scatters), lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve((factor, lower), self.left, check_finite=False)
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
         """The drifts and the scatter of the greatest likelihood, searched from ``start``."""
-        parts = list(self.drift)
+        parts, kinds = list(self.drift), 1 if self.of_turns is None else 2
         bounds = [
             *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),
-            (math.log(_SCATTER_M[0]), math.log(_SCATTER_M[1])),
+            *((math.log(_SCATTER_M[0]), math.log(_SCATTER_M[1])),) * kinds,
         ]
 
         def loss(x: Array) -> float:
             inside = np.clip(x, [low for low, _ in bounds], [high for _, high in bounds])
             sizes = np.exp(inside).tolist()
-            return -self.log_likelihood(dict(zip(parts, sizes[:-1], strict=True)), sizes[-1])
+            return -self.log_likelihood(dict(zip(parts, sizes[:-kinds], strict=True)), sizes[-kinds:])
 
         first = [_FIRST_DRIFT[part] for part in parts] if start is None else [start.of_parts[part] for part in parts]
-        scatter = 2e-5 if start is None else start.scatter_m
-        x0 = np.log(np.array([*first, scatter]))
+        x0 = np.log(np.array([*first, *(_FIRST_SCATTER[:kinds] if start is None else start.scatters)]))
         simplex = np.vstack([x0, x0 + 1.5 * np.eye(len(x0))])
         options = {"maxfev": _EVALUATIONS, "xatol": _TOLERANCE, "fatol": _TOLERANCE, "initial_simplex": simplex}
-        found = minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
+        found = scipy.optimize.minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
         sizes = np.exp(found.x).tolist()
-        return Drifts(dict(zip(parts, sizes[:-1], strict=True)), sizes[-1], -float(found.fun))
+        of_parts = dict(zip(parts, sizes[:-kinds], strict=True))
+        return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)
 
     def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
         """What each candidate's jump would be, and by how much it raises the log likelihood."""
-        K = self.covariance(drifts.of_parts, drifts.scatter_m)
-        factor = cho_factor(K, lower=True, check_finite=False)
-        solved = cho_solve(factor, self.rows.T, check_finite=False)
+        K = self.covariance(drifts.of_parts, drifts.scatters)
+        factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
+        solved = scipy.linalg.cho_solve(factor, self.rows.T, check_finite=False)
         moment = solved.T @ self.left
         found = []
         for one in candidates:
@@ -154,7 +169,13 @@ class Evidence:
 
 
 def evidence(
-    free: Array, own: Array, left: Array, covariance: Array, stated: Array, units: Mapping[SignaturePart, Array]
+    free: Array,
+    own: Array,
+    left: Array,
+    covariance: Array,
+    stated: Array,
+    units: Mapping[SignaturePart, Array],
+    turned: NDArray[np.bool_] | None = None,
 ) -> Evidence:
     """The linear model behind what is free.
 
@@ -172,9 +193,11 @@ def evidence(
         Of the readings [m^2].
     units : mapping
         Part -> unit of drift (p,) of each parameter, zero outside the part.
+    turned : array, shape (3 n,), optional
+        Which components are those of orientations.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    Q, R, _ = qr((free * scale[:, None]).T, pivoting=True)
+    Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)
     pivots = np.abs(np.diag(R))
     Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z
@@ -184,4 +207,5 @@ def evidence(
         believed=rows.T @ covariance @ rows,
         stated=Z.T @ stated @ Z,
         drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
+        of_turns=None if turned is None else Z[turned].T @ Z[turned],
     )

@@ -2,6 +2,7 @@
 
 With W the whitening of a reading and J, A its derivatives by geometric parameters and by those of the effects, the rows
 are W [J, A]. Values are deviations from a reference: geometric parameters from those of ``reference``, effects from 0.
+Orientations that were measured are rows behind the positions, see ``quantities``.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.estimation.discovery.joint_fit import LinearModel
 from cellapp.estimation.readings import Readings
@@ -28,18 +30,47 @@ _CHUNK = 512
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Readings of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weighs them."""
+    """Measured vectors of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weighs them.
+
+    ``stated`` is the uncertainty that the readings state, in the same shapes; None where they state none.
+    """
 
     readings: Readings
     conditions: MeasurementConditions
     sigma: Array
+    stated: Array | None = None
+
+    @classmethod
+    def of(cls, readings: Readings, conditions: MeasurementConditions) -> Measured:
+        """All that was measured at some readings, positions and then orientations, weighed alike."""
+        its = measured_quantities(readings, conditions)
+        return cls(its.readings, its.conditions, np.ones(len(its.readings)), its.stated)
 
     def __len__(self) -> int:
         return len(self.readings)
 
-    def take(self, rows: NDArray[np.intp]) -> Measured:
-        """Some of the readings."""
-        return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows])
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measured:
+        """Some of the vectors."""
+        stated = None if self.stated is None else self.stated[rows]
+        return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows], stated)
+
+    @property
+    def turned(self) -> NDArray[np.bool_] | None:
+        """Which vectors (n,) are orientations; None where none is."""
+        return self.conditions.turned
+
+    @property
+    def points(self) -> NDArray[np.bool_]:
+        """Which vectors (n,) are positions."""
+        return np.ones(len(self), dtype=np.bool_) if self.turned is None else ~self.turned
+
+    @property
+    def positions(self) -> Measured:
+        """The measured positions alone."""
+        if self.turned is None:
+            return self
+        its = self.take(self.points)
+        return replace(its, conditions=replace(its.conditions, R_M_S=None))
 
     def chunks(self) -> Iterator[Measured]:
         """The readings in parts; those in sockets as a whole, as the points tie them together."""
@@ -50,7 +81,7 @@ class Measured:
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
     def left(self, model: ArmModel) -> Array:
-        """Measured less predicted positions (n, 3) [m]."""
+        """Measured less predicted positions (n, 3) [m], and rotations from computed to measured orientations [rad]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
         return np.asarray(measured_positions(self.readings, computed) - computed)
 
@@ -87,7 +118,9 @@ def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Arr
     white = whitener(measured.sigma)
     if white.ndim == 1:
         white = np.eye(3)[:, :, None] * white
-    return LinearModel.of(model.geometry, measured.readings.q, white, columns, term_columns(model, measured)).rows
+    terms = term_columns(model, measured)
+    R_M_S = measured.conditions.R_M_S
+    return LinearModel.of(model.geometry, measured.readings.q, white, columns, terms, R_M_S).rows
 
 
 def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:

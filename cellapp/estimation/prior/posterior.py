@@ -7,14 +7,15 @@ solution is by Gauss-Newton steps; geometry and effects are a hundredth of a mil
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
+from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.prior.linear_model import Measured, NormalMatrix, normal_matrix, values_of, with_values
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import Contacts, in_sockets
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
@@ -31,6 +32,8 @@ _LEAST_SCATTER_M = 1e-6
 """Scatter of a coordinate where the readings state no uncertainty and the model leaves nothing [m]."""
 _FIRST_SCATTER_M = 1e-4
 """Scatter of a coordinate before any reading tells it [m]."""
+_FIRST_SCATTER_RAD = 2e-4
+"""The same of a component of an orientation [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class Posterior:
     """Values (p,), their covariance (p, p), the model at the values, and how the readings were weighed.
 
     ``scatter_m`` is the standard deviation of a coordinate beyond the stated uncertainty, all of it where none is
-    stated; ``left_M`` (n, 3) [m] is measured less predicted.
+    stated, ``scatter_rad`` that of a component of an orientation; ``left_M`` (n, 3) [m, rad] is measured less computed.
     """
 
     prior: Prior
@@ -62,17 +65,18 @@ class Posterior:
     normal: NormalMatrix
     scatter_m: float
     left_M: Array
+    scatter_rad: float = 0.0
 
 
 def posterior(
     model: ArmModel, readings: Readings, conditions: MeasurementConditions, prior: Prior, scatter_m: float | None = None
 ) -> Posterior:
     """Posterior from a start ``model``, whose effects are those of the values; a ``scatter_m`` that is given stays."""
-    stated = stated_uncertainty(readings)
-    scatter = _FIRST_SCATTER_M if scatter_m is None else scatter_m
+    every = Measured.of(readings, conditions)
+    scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
-        measured = Measured(readings, conditions, _sigma(stated, len(readings), scatter))
+        measured = replace(every, sigma=_sigma(every, *scatter))
         normal = normal_matrix(model, measured, prior.columns, prior.reference)
         found, covariance = solution(normal, prior)
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -82,11 +86,32 @@ def posterior(
         left_M = measured.left(model)
         before = scatter
         if scatter_m is None:
-            freedom = 3 * (len(readings) - _unknown_points(readings)) - float(np.sum(covariance * normal.gram))
-            scatter = scatter_of(left_M, stated, freedom)
-        if moved < _SETTLED and abs(scatter - before) <= _SCATTER_SETTLED * before:
+            scatter = _scatter(every, left_M, float(np.sum(covariance * normal.gram)))
+        settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
+        if moved < _SETTLED and settled:
             break
-    return Posterior(prior, values, covariance, model, measured, normal, before, left_M)
+    of_turns = 0.0 if measured.turned is None else before[1]
+    return Posterior(prior, values, covariance, model, measured, normal, before[0], left_M, of_turns)
+
+
+def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:
+    """Scatter of a coordinate [m] and of a component of an orientation [rad] about a model of ``fitted`` parameters.
+
+    Each kind pays for the share of the parameters that its readings are of all.
+    """
+    readings, turned, stated = measured.readings, measured.turned, measured.stated
+    if turned is None:
+        return scatter_of(left_M, stated, 3 * (len(readings) - _unknown_points(readings)) - fitted), _FIRST_SCATTER_RAD
+    assert stated is not None
+    kinds = [
+        scatter_of(
+            left_M[rows],
+            None if states_nothing(stated[rows]) else stated[rows],
+            3.0 * int(rows.sum()) - fitted * float(rows.mean()),
+        )
+        for rows in (~turned, turned)
+    ]
+    return kinds[0], kinds[1]
 
 
 def _unknown_points(readings: Readings) -> int:
@@ -111,5 +136,7 @@ def scatter_of(left_M: Array, stated: Array | None, freedom: float) -> float:
     return math.sqrt(excess_variance(left_M, stated, degrees))
 
 
-def _sigma(stated: Array | None, count: int, scatter_m: float) -> Array:
-    return np.full(count, scatter_m) if stated is None else with_excess(stated, scatter_m**2)
+def _sigma(measured: Measured, scatter_m: float, scatter_rad: float) -> Array:
+    if measured.stated is None:
+        return np.full(len(measured), scatter_m)
+    return with_excess(measured.stated, scatter_m**2, measured.turned, scatter_rad**2)

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
 from cellapp.estimation.prior.belief import Belief, is_own, sizes
 from cellapp.estimation.prior.changes import SURE, alike, candidates, change_of
 from cellapp.estimation.prior.evidence import Drifts, Evidence, evidence
 from cellapp.estimation.prior.linear_model import Measured, design, term_columns
 from cellapp.estimation.prior.posterior import Posterior, posterior
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
@@ -33,9 +34,9 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
 _MOST_CHANGES = 10
 """Jumps at most: all joints of an arm may have got new gears."""
 _MOST_READINGS = 300
-"""Readings that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
+"""Measured vectors that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
 _FEW_READINGS = 100
-"""Readings that judge at most which parts are believed at all: a part that is wrong contradicts most of them."""
+"""Vectors that judge at most which parts are believed at all: a part that is wrong contradicts most of them."""
 _SUBSET_SEED = 0x51A7
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
 _PARTS: tuple[tuple[SignaturePart, ...], ...] = (
@@ -60,6 +61,7 @@ class Updated:
     changes: tuple[SignatureChange, ...]
     tested: int
     scatter_m: float
+    scatter_rad: float | None = None
 
     @property
     def used(self) -> bool:
@@ -67,11 +69,10 @@ class Updated:
         return not self.belief.is_forgotten
 
 
-def first_model(
-    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, belief: Belief
-) -> ArmModel:
-    """The arm as it was believed, its base and tool fitted to the new readings."""
-    arm = profile.arms[name]
+def first_model(profile: Profile, name: str, measured: Measured, belief: Belief) -> ArmModel:
+    """The arm as it was believed, its base, tool and probe fitted to the new readings."""
+    arm, its = profile.arms[name], measured.positions
+    readings, conditions = its.readings, its.conditions
     nominal = nominal_arm(arm)
     unknown = arm.smr.offset == "unknown"
     model = ArmModel(
@@ -85,7 +86,12 @@ def first_model(
     believed = belief.geometry(nominal)
     model = replace(model, geometry=believed.with_T_M_B(model.nominal.T_M_B()))
     true_q = model.true_joints(readings.q, conditions=conditions)
-    return replace(model, geometry=start_from_nominal(believed, true_q, readings.p_M, tool_unknown=True))
+    model = replace(model, geometry=start_from_nominal(believed, true_q, readings.p_M, tool_unknown=True))
+    if measured.turned is None:
+        return model
+    true_q = model.true_joints(measured.readings.q, conditions=measured.conditions)
+    geometry = with_probe(model.geometry, true_q, measured.conditions.R_M_S)
+    return replace(model, geometry=geometry, nominal=replace(model.nominal, probe=geometry.probe))
 
 
 def update(
@@ -104,10 +110,10 @@ def update(
     numpy.linalg.LinAlgError
         If readings are not finite.
     """
-    measured = Measured(readings, conditions, np.ones(len(readings)))
+    measured = Measured.of(readings, conditions)
     supported = _supported(profile, name, measured, belief)
-    model = first_model(profile, name, readings, conditions, supported)
-    judged = measured.take(_subset(profile, len(readings), _MOST_READINGS))
+    model = first_model(profile, name, measured, supported)
+    judged = measured.take(_subset(profile, len(measured), _MOST_READINGS))
     changed, drifts, changes, tested = _changed(supported, model, judged, since)
     first = len(sizes(profile, model, measured))
     model = replace(model, effects=(*model.effects, *further))
@@ -115,7 +121,7 @@ def update(
         model, readings, conditions, changed.prior(model.nominal, sizes(profile, model, measured)[first:])
     )
     parts = {part: _part(belief, part, drifts.of_parts.get(part)) for part in dict.fromkeys(belief.parts)}
-    return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m)
+    return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m, drifts.scatter_rad)
 
 
 def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
@@ -129,7 +135,7 @@ def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) 
     alternatives = {len(one.mean): one for parts in kept for one in [belief.restricted(parts)]}
     found = []
     for one in (*alternatives.values(), belief.forgotten()):
-        model = first_model(profile, name, some.readings, some.conditions, one)
+        model = first_model(profile, name, some, one)
         problem = _evidence(one, model, some)
         if one.is_forgotten:
             problem = replace(problem, drift={})
@@ -174,15 +180,16 @@ def _changed(
 
 def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
     joints = model.geometry.joints
-    free = tuple(column for column in range(9 + 5 * joints) if not is_own(column, joints))
+    free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
     rows = design(model, judged, (*free, *belief.columns))
     return evidence(
         free=rows[: len(free)],
         own=rows[len(free) :],
         left=judged.left(model).T.ravel(),
         covariance=belief.covariance,
-        stated=_covariance_matrix(stated_uncertainty(judged.readings), len(judged)),
+        stated=_covariance_matrix(judged.stated, len(judged)),
         units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
+        turned=None if judged.turned is None else np.tile(judged.turned, 3),
     )
 
 

@@ -281,7 +281,13 @@ def joined(parts: Sequence[Readings]) -> Readings:
                     for part, value in zip(parts, own, strict=True)
                 ]
             )
-    return readings_from_columns(values, {})
+    found, turning = readings_from_columns(values, {}), [part.turning_covariance_M for part in parts]
+    if all(its is None for its in turning):
+        return found
+    known = [
+        np.full((len(part), 3, 3), np.nan) if its is None else its for part, its in zip(parts, turning, strict=True)
+    ]
+    return replace(found, turning_covariance_M=np.concatenate(known))
 
 
 def stated_uncertainty(readings: Readings) -> _Floats | None:

@@ -13,7 +13,9 @@ from cellapp.ground.profile import Profile
 def turn_budget(
     profile: Profile, arm: str, model_mrad: float, noise_mrad: float, basis: str = "at the command"
 ) -> tuple[TurnContribution, ...]:
-    """Contributions to the uncertainty of the rotation of a flange that a probe measured [mrad].
+    """Contributions to the uncertainty of the rotation of a flange that a probe or several SMRs measured [mrad].
+
+    What several SMRs tell is known by its scatter about the model alone, which the arm's repeatability is part of.
 
     Parameters
     ----------
@@ -24,20 +26,17 @@ def turn_budget(
     basis : str
         Of which command ``model_mrad`` is.
     """
-    probe = profile.arms[arm].smr.probe
-    stated = None if probe is None else probe.sigma * 1e3
+    smr, scatter = profile.arms[arm].smr, f"orientations scatter by {noise_mrad:.4f} mrad about the model"
+    stated = None if smr.probe is None else smr.probe.sigma * 1e3
     beyond = math.sqrt(max(noise_mrad**2 - (stated or 0.0) ** 2, 0.0))
-    said = "not given: the profile states no probe (smr.probe)"
-    lines = (
+    said = "not given: the profile states no probe (smr.probe), and fewer than three nests (smr.nests)"
+    lines = [
         ("6-D probe", stated, "B", said if stated is None else "stated standard uncertainty about each axis"),
-        (
-            "repeatability of the arm",
-            beyond,
-            "A",
-            f"orientations scatter by {noise_mrad:.4f} mrad about the model; what exceeds the probe's",
-        ),
+        ("repeatability of the arm", beyond, "A", f"{scatter}; what exceeds the probe's"),
         ("calibrated model", model_mrad, "A", f"posterior of the model in force {basis}"),
-    )
+    ]
+    if smr.probe is None and smr.tells_orientation:
+        lines[:2] = [("several SMRs", noise_mrad, "A", f"{scatter}, with the repeatability of the arm")]
     return tuple(
         TurnContribution.model_validate(
             {"source": source, "standard_mrad": value, "evaluation": kind, "basis": words, "where": arm}

@@ -78,6 +78,11 @@ class Smr(GrownSection):
         """Names of all SMRs on the flange, this one first."""
         return (self.name, *self.nests)
 
+    @property
+    def tells_orientation(self) -> bool:
+        """Whether what is on the flange tells its orientation: a 6-D probe, or three nests and more."""
+        return self.probe is not None or len(self.names) >= 3
+
     @field_validator("normal")
     @classmethod
     def _unit_vector(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:

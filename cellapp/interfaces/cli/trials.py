@@ -329,6 +329,7 @@ def league(
         str, typer.Option("--rows", metavar="LIST", help="Numbers of rows to learn from, separated by commas.")
     ] = "100,300,all",
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Draws of each.")] = 8,
+    first: FirstSeed = 0,
     network: Annotated[bool, typer.Option("--network", help="Train the residual networks too; slow.")] = False,
     curve: Annotated[bool, typer.Option("--curve", help="Also a learning curve of series C.")] = False,
     data: SeriesFolder = DATA,
@@ -341,9 +342,8 @@ def league(
     from cellapp.commands.trials.skeleton import Stated, complained
 
     names = [name.strip() for name in series.split(",")]
-    result = league_trials(
-        names, parse_rows(rows), seeds, work, data=data, profiles=profiles, network=network, curve=curve
-    )
+    chosen, sizes = range(first, first + seeds), parse_rows(rows)
+    result = league_trials(names, sizes, chosen, work, data=data, profiles=profiles, network=network, curve=curve)
     return Stated(result, league_tables(result), league_sentences(result), complained("league", result))
 
 

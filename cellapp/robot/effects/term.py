@@ -46,6 +46,14 @@ class Displacement:
     joints: Array
     shift_M: Array
 
+    @classmethod
+    def total(cls, parts: Sequence[Displacement], n: int, joints: int) -> Displacement:
+        """Sum of displacements at ``n`` stops of an arm with so many joints."""
+        nothing = np.zeros((n, joints)), np.zeros((n, 3))
+        return cls(
+            sum((one.joints for one in parts), start=nothing[0]), sum((one.shift_M for one in parts), start=nothing[1])
+        )
+
 
 def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
     """Sum of the displacements of all terms."""

@@ -54,6 +54,8 @@ _REFERENCES = (
     IN_TRACKER_AXES,
 )
 """``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
+_AT_ONCE = 8192
+"""Configurations whose frames are in memory at once where only positions are asked for: some 6 MB."""
 _PARALLEL = math.sin(math.radians(5.0))
 """Sine of 5 degrees. Joint axes closer to parallel than that make D-H parameters nearly singular."""
 
@@ -235,7 +237,13 @@ def smr_positions(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> A
 
 def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
     """SMR positions in the tracker frame, shape (3, n) [m], or rotation vectors [rad]: component first."""
-    return _computed(geometry, angles, _new_frames(geometry, angles))
+    if angles.count <= _AT_ONCE:
+        return _computed(geometry, angles, _new_frames(geometry, angles))
+    P: Array = np.empty((3, angles.count))
+    for first in range(0, angles.count, _AT_ONCE):
+        part = angles.part(first, min(first + _AT_ONCE, angles.count))
+        P[:, first : first + part.count] = _computed(geometry, part, _new_frames(geometry, part))
+    return P
 
 
 def probe_rotations(geometry: Geometry, q: Array) -> Array:

@@ -8,7 +8,7 @@ whose solutions are a continuum, they give a spread.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, frame_poses
 from cellapp.robot.kinematics.inverse import solve_pose
@@ -51,7 +51,7 @@ def sampled_solutions(
     samples = sampled_configurations(limits, near, seed)
     rotations, _ = flange_poses(geometry, samples)
     at, reach = _positions(geometry, samples)
-    tree = cKDTree(np.hstack([at / reach, rotations.reshape(-1, 9)]))
+    tree = scipy.spatial.cKDTree(np.hstack([at / reach, rotations.reshape(-1, 9)]))
     found = []
     for begin in range(0, len(position_M), _AT_ONCE):
         P, R = position_M[begin : begin + _AT_ONCE], rotation_M[begin : begin + _AT_ONCE]
@@ -108,7 +108,7 @@ def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
 def _starts_near(geometry: Geometry, position_M: Array, table: Array, near: Array, among: int) -> Array:
     """The ``among`` entries of a table with the SMR nearest to each of n positions, those nearest to ``near`` first."""
     at, _ = _positions(geometry, table)
-    _, rows = cKDTree(at).query(position_M, k=min(among, len(table)))
+    _, rows = scipy.spatial.cKDTree(at).query(position_M, k=min(among, len(table)))
     rows = rows.reshape(len(position_M), -1)
     order = np.argsort(np.abs(table[rows] - near).max(axis=2), axis=1, kind="stable")
     return np.asarray(table[np.take_along_axis(rows, order, axis=1)])

@@ -1,7 +1,6 @@
 """Rotations and rigid transforms as arrays.
 
-``T_A_B`` (4, 4) maps coordinates of frame B into frame A. Conversions between rotation matrices, Euler angles and
-rotation vectors are those of ``scipy.spatial.transform.Rotation``.
+``T_A_B`` (4, 4) maps coordinates of frame B into frame A.
 """
 
 from __future__ import annotations
@@ -9,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 _SMALL_ANGLE = 1e-9
@@ -19,22 +18,22 @@ _SMALL_ANGLE = 1e-9
 
 def rotation_x(angle: float) -> Array:
     """Rotation about x by ``angle`` [rad], shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("x", angle).as_matrix())
+    return rotation_from_vector((angle, 0.0, 0.0))
 
 
 def rotation_y(angle: float) -> Array:
     """Rotation about y by ``angle`` [rad], shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("y", angle).as_matrix())
+    return rotation_from_vector((0.0, angle, 0.0))
 
 
 def rotation_z(angle: float) -> Array:
     """Rotation about z by ``angle`` [rad], shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("z", angle).as_matrix())
+    return rotation_from_vector((0.0, 0.0, angle))
 
 
 def rotation_zyx(z: float, y: float, x: float) -> Array:
     """``rot_z(z) rot_y(y) rot_x(x)`` from yaw, pitch and roll [rad], shape (3, 3)."""
-    return np.asarray(Rotation.from_euler("ZYX", [z, y, x]).as_matrix())
+    return np.asarray(rotation_z(z) @ rotation_y(y) @ rotation_x(x))
 
 
 def zyx_angles(rotation: Array) -> tuple[float, float, float]:
@@ -70,15 +69,23 @@ def rows_of(matrix: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def rotation_from_vector(vector: ArrayLike) -> Array:
-    """Rotation (3, 3) about the direction of ``vector`` (3,) by its length [rad]."""
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+    """Rotation (3, 3) about the direction of ``vector`` (3,) by its length [rad].
+
+    With the vector's cross product K and the angle t: I + sin(t) / t K + (1 - cos(t)) / t^2 K^2 (Rodrigues). Written
+    out, as every start of the program needs it, and scipy's rotations take a third of a second to load.
+    """
+    x, y, z = np.asarray(vector, dtype=np.float64).tolist()
+    angle = math.hypot(x, y, z)
+    K = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    first, second = np.sinc(angle / math.pi), 0.5 * np.sinc(0.5 * angle / math.pi) ** 2
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))
 
 
 def rotation_vectors(rotations: Array) -> Array:
     """Rotation vectors (n, 3) [rad], length 0 to pi, of rotations (n, 3, 3)."""
     if len(rotations) == 0:  # some versions of scipy refuse an empty batch
         return np.zeros((0, 3))
-    return np.asarray(Rotation.from_matrix(rotations).as_rotvec())
+    return np.asarray(scipy.spatial.transform.Rotation.from_matrix(rotations).as_rotvec())
 
 
 def left_jacobian(vector: Array) -> Array:
@@ -97,7 +104,7 @@ def left_jacobian(vector: Array) -> Array:
 
 def mean_rotation(rotations: Array) -> Array:
     """Rotation (3, 3) nearest to rotations (n, 3, 3) in least squares of their entries."""
-    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
+    return np.asarray(scipy.spatial.transform.Rotation.from_matrix(rotations).mean().as_matrix())
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import (
     EFFECTS,
     Displacement,
+    DriverVariable,
     EffectContext,
     EffectTerm,
     MeasurementConditions,
@@ -122,11 +123,19 @@ class ArmModel:
     ) -> Displacement:
         """Displacement by all effects of the model where the controller reads ``q`` (n, N) [rad]."""
         context = self.context(q, approach, payload_kg, conditions)
-        moved = displacement(self.effects, EFFECTS, context)
+        each = [displacement([term], EFFECTS, context) for term in self.effects]
+        moved = Displacement.total(each, len(context), q.shape[1])
         if not moved.joints.any():
             return moved
         # Gravity acts at the actual joint positions, a few mrad off: the loads change by some parts in a thousand.
-        return displacement(self.effects, EFFECTS, replace(context, q_actual=q + moved.joints))
+        actual = replace(context, q_actual=q + moved.joints)
+        again = [
+            one
+            if EFFECTS[term.slug].variables == {DriverVariable.JOINT_ANGLE} and not one.shift_M.any()
+            else displacement([term], EFFECTS, actual)
+            for term, one in zip(self.effects, each, strict=True)
+        ]
+        return Displacement.total(again, len(context), q.shape[1])
 
     def true_joints(
         self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
@@ -175,7 +184,7 @@ class ArmModel:
         """Rotations (n, 3, 3) of the flange, in the tracker frame, by links, bearings and base that give way."""
         some = conditions or MeasurementConditions()
         moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
-        return np.asarray(Rotation.from_rotvec(moved.shift_M).as_matrix())
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.

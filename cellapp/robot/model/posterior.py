@@ -42,6 +42,8 @@ class PosteriorDraws:
         Standard deviation of a measured coordinate about the true prediction [m].
     noise_rad : float, optional
         The same of each component of a measured orientation [rad]; None where none was measured.
+    noise_axes_rad : array, shape (3,), optional
+        The same about the axes that are known best to least, where these differ, as of several SMRs on a flange.
     """
 
     columns: tuple[int, ...]
@@ -49,6 +51,7 @@ class PosteriorDraws:
     terms: tuple[Array, ...]
     noise_m: float
     noise_rad: float | None = None
+    noise_axes_rad: Array | None = None
 
     @classmethod
     def of_covariance(
@@ -59,6 +62,7 @@ class PosteriorDraws:
         noise_m: float,
         seed: Sequence[int],
         noise_rad: float | None = None,
+        noise_axes_rad: Array | None = None,
     ) -> PosteriorDraws:
         """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -70,13 +74,13 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad)
+        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad, noise_axes_rad)
 
     def of_columns(self, end: int) -> PosteriorDraws:
         """The draws of the geometric parameters before ``end``, and of all terms; without noise of orientations."""
         kept = [place for place, column in enumerate(self.columns) if column < end]
         columns = tuple(self.columns[place] for place in kept)
-        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None)
+        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None, noise_axes_rad=None)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order; of an orientation [rad]."""
@@ -136,6 +140,7 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
         "terms": [_rounded(one) for one in posterior.terms],
         "noise_m": posterior.noise_m,
         **({} if posterior.noise_rad is None else {"noise_rad": posterior.noise_rad}),
+        **({} if posterior.noise_axes_rad is None else {"noise_axes_rad": posterior.noise_axes_rad.tolist()}),
     }
 
 
@@ -144,7 +149,8 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     geometry = np.array(content["geometry"], dtype=np.float64)
     terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
     noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad)
+    axes = np.array(content["noise_axes_rad"], dtype=np.float64) if "noise_axes_rad" in content else None
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes)
 
 
 def _rounded(values: Array) -> list[list[float]]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters
@@ -40,7 +40,7 @@ class JointVibration(Effect):
         for number, first in enumerate(range(0, len(q), block)):
             rows = slice(first, first + block)
             mass = bodies.mass_matrix(min(number, len(bodies.centers[0]) - 1))
-            squares, shapes = eigh(np.diag(self.stiffness), mass)
+            squares, shapes = scipy.linalg.eigh(np.diag(self.stiffness), mass)
             onto = shapes.T @ mass
             modal, late = self._modes(torque[rows] @ shapes, np.sqrt(squares), onto @ twist, onto @ speed, step_s)
             found[rows] = modal @ shapes.T

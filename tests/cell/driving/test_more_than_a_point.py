@@ -15,12 +15,14 @@ from cellapp.cell.driving.nests import Nests
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import view
+from cellapp.commands.push.run import push_run
 from cellapp.commands.view.table import Table
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
-from tests.twin import small_twin
+from tests.twin import PROFILES, small_twin
 
 STOPS = 8
 NESTS = {"B": (-0.045, 0.02, 0.06), "C": (0.0, 0.075, 0.06)}
@@ -93,6 +95,14 @@ def test_calibration_finds_the_nests_and_says_what_they_tell(tmp_path: Path) -> 
         made.write_plan(plan_stops(profile))
         collect_run(made)
         result = calibrate_run(made)
+        known = load_targets(PROFILES / "targets" / "twin.yaml", profile)
+        targets = [one for one in known if one.partner is None and one.arm in profile.arms]
+        verified = push_run(made, [*targets[:4], *targets[-4:]], verify=True)
+    turns = {one.arm: one.orientation for one in verified.targets if one.orientation is not None}
+    assert set(turns) == {"left", "right"}  # of three nests, and of a probe
+    for turn in turns.values():
+        assert turn.final_mrad is not None
+        assert turn.final_mrad < 3.0
     nests = result.arms["left"].nests
     assert nests is not None
     assert nests.stops == 30

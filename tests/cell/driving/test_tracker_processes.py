@@ -16,6 +16,8 @@ import pytest
 from cellapp.cell.driving.tracker_watch import monitored, watched
 from drivers.trackers.bridge import BridgeTracker
 
+pytestmark = pytest.mark.waits
+
 _PATIENT_S = 20.0
 
 BRIDGE = """

@@ -7,10 +7,12 @@ import pytest
 
 from cellapp.cell.driving.records import SweepCount
 from cellapp.cell.planning.planned_stops import straight_stops
+from cellapp.cell.planning.sweep_design import SweepDesign
 from cellapp.cell.planning.sweep_forecast import forecast_sweeps
 from cellapp.cell.planning.sweeps import PlannedSweep
 from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 from cellapp.ground.errors import InputError
+from cellapp.robot.paths.sweep import Sweep
 from tests.twin import small_twin
 
 SOURCES = ("stops", "sweeps", "both")
@@ -82,3 +84,26 @@ def test_tables_have_every_source_and_the_sentences_say_what_they_rest_on(profil
     assert "half second" in said
     assert sweep_sentences(None) == []
     assert sweep_tables(None) == []
+
+
+def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for(profile, planned):
+    """A joint that turns far and evenly tells of its lines; one that hardly moves tells nothing of them."""
+    stops, _ = planned
+    q = stops.q["left"]
+    rows = np.zeros((4, 6))
+    still, lively = rows.copy(), rows.copy()
+    still[0, 5] = 0.3
+    lively[:, 0] = 0.3
+    told = {}
+    for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
+        plan = profile.plan.model_copy(update={"effects": slugs})
+        design = SweepDesign.of(profile.model_copy(update={"plan": plan}), "left")
+        before = design.before(q, np.ones_like(q))
+        assert np.isfinite(before).all()
+        gains = [
+            np.linalg.slogdet(before + design.told(Sweep(q[0], sine, rows, 20.0)))[1] - np.linalg.slogdet(before)[1]
+            for sine in (still, lively)
+        ]
+        told[slugs] = gains[1] - gains[0]
+        assert gains[1] > gains[0] > 0.0
+    assert told[()] < told["transmission_error",] < told["transmission_error", "backlash"]

@@ -95,12 +95,29 @@ def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     rows = joints(TIMES, POINTS).tolist()
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
     cells = [[stamp, *map(repr, row[1:])] for stamp, row in zip(clock, rows, strict=True)]
-    cells[7][1:], cells[9][1:] = ["NaN"] * 3, ["0.0"] * 3
-    text = "stamp;x;y;z\n" + "".join(";".join(row) + "\n" for row in cells)
-    one, _ = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), text)
+    cells = [[*row, "1", "0", "0", "0"] for row in cells]
+    cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["0.0"] * 7
+    text = "stamp;x;y;z;qw;qx;qy;qz\n" + "".join(";".join(row) + "\n" for row in cells)
+    one, notes = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), text)
+    assert f"2 of {len(rows)} rows have no orientation" in notes[1]
     assert one.state.points.lost == 2
     kept = np.delete(TIMES, [7, 9])
     assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
+
+
+@pytest.mark.fast
+def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
+    points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    frame = text_of(",time,q0,q1", joints(np.arange(len(STAMPS)), STAMPS, Q))
+    one, notes = read(tmp_path, frame, points)
+    assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
+    assert any("'index' is unknown" in note for note in notes)
+    degrees = text_of("Zeit [s];A1 [°];A2 [°]", joints(STAMPS, np.degrees(Q)), ";", comma=True)
+    for encoding in ("latin-1", "utf-16"):
+        file = tmp_path / encoding
+        file.write_bytes(degrees.encode(encoding))
+        (one,), _ = read_recordings(two_arms(), [file], [tmp_path / "points.txt"], "left")
+        assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
 
 
 SHORT = "t;x;y;z\n" + "1;2;3;4\n" * 9

@@ -151,9 +151,9 @@ def test_the_league_in_tables_and_json(draw: LeagueDraw, monkeypatch: pytest.Mon
         return draw.model_copy(update={"seed": task.seed})
 
     monkeypatch.setattr("cellapp.commands.trials.league.draws.run_draw", as_drawn)
-    result = league_trials(["UR5"], [100], 2, data=DATA, profiles=PROFILES)
+    result = league_trials(["UR5"], [100], [4, 5], data=DATA, profiles=PROFILES)
     assert LeagueResult.from_json(result.to_json(), "league") == result
-    assert [(one.rows, one.seed) for one in result.draws] == [(100, 0), (100, 1)]
+    assert [(one.rows, one.seed) for one in result.draws] == [(100, 4), (100, 5)]
     assert [line.held_out for line in result.lines] == [920, 900, 20]
     text = markdown(league_tables(result), league_sentences(result))
     assert "| UR5 | 100 | 20 published |" in text

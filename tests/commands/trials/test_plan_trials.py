@@ -14,12 +14,14 @@ from cellapp.commands.trials.plan_trial import PlanTrialsResult, plan_trials
 from cellapp.commands.trials.whole_plans import as_driven, planned_motions
 from tests.twin import small_twin
 
+STOPS = 8
+
 
 def test_whole_plans_are_counted_checked_and_shown() -> None:
-    result = plan_trials(small_twin(20), [3], 20, 0, whole=20)
+    result = plan_trials(small_twin(STOPS, plan={"effects": ("backlash",)}), [3], STOPS, 0, whole=STOPS)
     plans = result.plans
-    assert [(one.seed, one.reached) for one in plans] == [(3, 20)]
-    assert plans[0].motions >= 41, "approach and last motion of each stop, and the way home"
+    assert [(one.seed, one.reached) for one in plans] == [(3, STOPS)]
+    assert plans[0].motions >= 2 * STOPS + 1, "approach and last motion of each stop, and the way home"
     assert plans[0].collisions == 0
     assert result.complaints() == []
     assert result == PlanTrialsResult.from_json(result.to_json(), "here")
@@ -32,7 +34,7 @@ def test_whole_plans_are_counted_checked_and_shown() -> None:
 
 
 def test_a_motion_through_the_other_arm_is_found() -> None:
-    profile = small_twin(8)
+    profile = small_twin(STOPS, plan={"method": "random"})
     stops, _ = make_stops(profile)
     homes = home_positions(profile)
     stretched = np.radians([0.0, -5.0, 0.0, 0.0, 0.0, 0.0])  # towards the other arm

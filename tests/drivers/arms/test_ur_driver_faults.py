@@ -42,6 +42,8 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 
+pytestmark = pytest.mark.waits
+
 FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost),
     "rst": (("drop", "rtde", "rst"), LinkLost),

@@ -67,6 +67,8 @@ from tests.trials.link_bench import travel_s
 from tests.trials.link_results import LinksResult
 from tests.trials.links import link_trials
 
+pytestmark = pytest.mark.waits
+
 ARMS = ("left", "right")
 TRIAL_HOSTS, SWAPPED_HOSTS = own_arms(43), own_arms(45)
 

@@ -31,6 +31,8 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 
+pytestmark = pytest.mark.waits
+
 ENDS_WITHIN_S = 0.5
 HANGS_S = 1.0
 """Start of a program that is uploaded: a client waits for it in one call that nothing interrupts."""

@@ -37,6 +37,8 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 
+pytestmark = pytest.mark.waits
+
 BUSY_S = 0.1
 """What a busy computer may add to a latency."""
 

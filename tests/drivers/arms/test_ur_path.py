@@ -42,6 +42,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     until,
 )
 
+pytestmark = pytest.mark.waits
+
 WAY = np.array([0.5, 0.2, -0.3, 0.2, 0.3, -0.4])
 
 

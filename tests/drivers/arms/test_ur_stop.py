@@ -55,6 +55,8 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 
+pytestmark = pytest.mark.waits
+
 COMMANDED_WITHIN_S = 0.1
 """From a request to stop until the controller has received it."""
 KNOWN_WITHIN_S = 0.3

@@ -22,6 +22,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     until,
 )
 
+pytestmark = pytest.mark.waits
+
 SUSPENDED_S = 3.0
 TIMES = 3
 """Of each of four programs: twelve suspensions."""

@@ -26,7 +26,10 @@ HOSTS, MEANWHILE_HOSTS = own_arms(61), own_arms(65)
 MEANWHILE = ("late_start", "watchdog", "emergency_stop")
 """Scenarios that run meanwhile, because they wait longest."""
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
+pytestmark = [
+    pytest.mark.waits,
+    pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1"),
+]
 
 
 @contextmanager

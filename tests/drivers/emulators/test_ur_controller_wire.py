@@ -33,6 +33,8 @@ from drivers.plant import Plant
 from drivers.plant.motion import travel
 from tests.drivers.emulators.test_ur_controller_state import Bench, control_text
 
+pytestmark = pytest.mark.waits
+
 PATIENT_S = 10.0
 MOVES_RECIPE = [f"input_double_register_{i}" for i in range(8)]
 CB3 = ControllerConfig("old", "127.0.0.1", personality("CB3", "UR10", "20153012345"), ports=FREE_PORTS)

@@ -68,7 +68,7 @@ def reference(data, sigma, length, angle):
 
 
 @pytest.mark.parametrize("rows", ARMS.values(), ids=ARMS.keys())
-@pytest.mark.parametrize(("n", "sigma"), [(60, 30e-6), (300, 15e-6)])
+@pytest.mark.parametrize(("n", "sigma"), [(60, 30e-6), pytest.param(300, 15e-6, marks=pytest.mark.long)])
 @pytest.mark.parametrize(("length", "angle"), [(LENGTH, ANGLE), (1e-3, 10e-3)], ids=["usual errors", "large errors"])
 def test_on_narrow_ranges_it_is_as_good_as_a_reference_that_knows_noise_and_priors(rows, n, sigma, length, angle):
     ratios = []

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 READINGS = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
 
 
-@pytest.mark.parametrize("seed", [None, 1, 2])
+@pytest.mark.parametrize("seed", [None, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     if seed is not None:
@@ -37,7 +37,7 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     assert np.linalg.norm(calibration.model.geometry.tool - [0.0, 0.0, 0.093]) < 2e-3
 
 
-@pytest.mark.parametrize("arm", ["left", "right"])
+@pytest.mark.parametrize("arm", ["right", pytest.param("left", marks=pytest.mark.long)])
 def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time(arm):
     result = coverage(load_profile(ROOT / "profiles" / "twin.yaml"), arm, runs=200)
     assert result.runs == 200
@@ -47,8 +47,9 @@ def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time
     assert min(result.by_parameter.values()) > 0.88  # 4.5 standard deviations of 200 draws
 
 
-def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
-    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(2))
+@pytest.mark.parametrize("seeds", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_the_redundant_model_does_not_converge_and_the_reduced_one_does(seeds):
+    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(seeds))
     assert result.failed == ()
     by_name = {(trial.parameter_set, trial.solver): trial for trial in result.arms["left"]}
     redundant, reduced = by_name["full", "plain"], by_name["auto", "plain"]

@@ -226,7 +226,7 @@ def remounted(model, name, shift):
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("draw", range(3))
+@pytest.mark.parametrize("draw", [0, *(pytest.param(draw, marks=pytest.mark.long) for draw in (1, 2))])
 @pytest.mark.parametrize("name", ["left", "right"])
 @pytest.mark.parametrize("size_m", [0.5e-3, 0.05], ids=["half a millimetre", "five centimetres"])
 @pytest.mark.parametrize("tracker_moved", [True, False], ids=["tracker moved", "tracker still"])

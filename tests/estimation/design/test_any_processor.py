@@ -39,12 +39,17 @@ print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "what", [pytest.param(CHOICE, marks=pytest.mark.fast, id="choice"), pytest.param(PLAN, id="plan")]
+    ("what", "kernels"),
+    [
+        pytest.param(CHOICE, KERNELS, marks=pytest.mark.fast, id="choice"),
+        pytest.param(PLAN, ("Sandybridge",), id="plan"),
+        pytest.param(PLAN, KERNELS, marks=pytest.mark.long, id="plan, each kernel"),
+    ],
 )
-def test_all_kernels_give_the_same(what: str) -> None:
+def test_all_kernels_give_the_same(what: str, kernels: tuple[str, ...]) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     given = {}
-    for kernel in ("", *KERNELS):
+    for kernel in ("", *kernels):
         own = {name: value for name, value in environment.items() if name != "OPENBLAS_CORETYPE"}
         of_kernel = {**own, "OPENBLAS_CORETYPE": kernel} if kernel else own
         ended = subprocess.run(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.discovery.cross_validation import _FOLD_SEED, cross_validated_gain
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 
 pytestmark = pytest.mark.fast
 
@@ -42,7 +43,8 @@ def test_the_gain_is_that_of_fits_to_the_other_folds(signal):
     precision = np.concatenate([np.zeros(6), rng.uniform(1.0, 500.0, 6)])
     target = rng.normal(size=3 * READINGS) + signal * new[0]
     data: Any = Data(profile=SimpleNamespace(seed=SEED, discovery=SimpleNamespace(folds=FOLDS)))
-    fit: Any = SimpleNamespace(rows=rows, precision=precision, target=target, derived={})
+    normal = NormalMatrix.of(rows, target)
+    fit: Any = SimpleNamespace(rows=rows, precision=precision, target=target, normal=normal, derived={})
     fold = np.tile(np.random.default_rng([SEED, _FOLD_SEED]).permutation(READINGS) % FOLDS, 3)
     before = left_out_square(rows, precision, target, fold)
     after = left_out_square(np.concatenate([rows, new]), np.concatenate([precision, np.zeros(3)]), target, fold)

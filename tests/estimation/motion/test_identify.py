@@ -312,6 +312,16 @@ def test_an_arm_of_which_one_joint_moves_is_fitted_and_the_sentence_says_what_it
     assert fit.heldout_rms_mm < 0.12
 
 
+def test_an_arm_of_another_type_is_doubted(case):
+    arm, motion, _ = case
+    longer = UR10.copy()
+    longer[2, 2] += 0.06
+    recording = record(np.random.default_rng(18), arm, motion, seconds=40.0)
+    other = RecordedArm(nominal_geometry(longer, np.zeros(3)), [recording], tool_unknown=True)
+    assert identify_from_motion(other).undetermined[0].startswith("whether it is an arm of this type: the published")
+    assert not any("type" in said for said in fit_of(recording).undetermined)
+
+
 @pytest.mark.fast
 @pytest.mark.parametrize(("digits", "polled"), [(None, 1), (3, 1), (None, 4)])
 def test_a_regular_clock_is_found_although_stamps_jitter_and_samples_are_lost_or_repeated(case, digits, polled):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
@@ -20,7 +21,7 @@ from cellapp.robot.model import ArmModel
 from tests.arms import true_geometry
 from tests.twin import PROFILES
 
-SIGMA_M = 1e-5
+SIGMA_M, SIGMA_RAD = 1e-5, 2e-5
 STIFF = np.array([1.0e-5, 1.5e-5, 3.0e-5, 8.0e-5, 8.0e-5])
 """Compliance of joints 2 to 6 [rad/Nm]."""
 
@@ -33,12 +34,19 @@ class SimulatedArm:
     model: ArmModel
 
     def readings(self, count: int, seed: int, learn: int | None = None) -> Readings:
-        """Readings at random configurations; those after the first ``learn`` are held out."""
+        """Readings at random configurations; those after ``learn`` are held out; a probe's have orientation."""
         rng = np.random.default_rng([seed, 7])
         q = rng.uniform(-2.0, 2.0, (count, 6))
         p_M = self.model.predict(q) + rng.normal(0.0, SIGMA_M, (count, 3))
         learn = count - 1 if learn is None else learn
+        quaternion_M = None
+        if self.model.geometry.probe is not None:
+            noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((count, 3)))
+            turns = noise * Rotation.from_matrix(self.model.orientation(q))
+            quaternion_M = turns.as_quat(scalar_first=True)
         return Readings(
+            quaternion_M=quaternion_M,
+            sigma_rad=None if quaternion_M is None else np.full(count, SIGMA_RAD),
             configuration=np.arange(count),
             time_s=np.full(count, np.nan),
             q=q,
@@ -52,6 +60,11 @@ class SimulatedArm:
         """The same arm on another base with another tool."""
         geometry = replace(self.model.geometry, tool=tool).with_T_M_B(T_M_B)
         return replace(self, model=replace(self.model, geometry=geometry))
+
+    def with_probe(self, probe: np.ndarray) -> SimulatedArm:
+        """The same arm with a probe in place of its SMR."""
+        geometries = (replace(one, probe=probe) for one in (self.model.geometry, self.model.nominal))
+        return replace(self, model=replace(self.model, geometry=next(geometries), nominal=next(geometries)))
 
     def with_rows(self, change: np.ndarray) -> SimulatedArm:
         """The same arm with D-H rows changed."""

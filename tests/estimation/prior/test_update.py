@@ -19,7 +19,8 @@ from cellapp.estimation.prior.posterior import posterior
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm
+from cellapp.robot.kinematics.transforms import rotation_vectors
+from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
 pytestmark = pytest.mark.fast
 TOOL = np.array([-0.03, 0.05, 0.11])
@@ -40,7 +41,7 @@ def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlie
     readings = replace(arm.readings(20, seed=3), sigma_m=np.full(20, 1e4))
     conditions = measurement_conditions(readings)
     belief = earlier.belief
-    model = first_model(arm.profile, "left", readings, conditions, belief)
+    model = first_model(arm.profile, "left", Measured.of(readings, conditions), belief)
     prior = belief.prior(model.nominal, np.zeros(0))
     after = Belief.of(posterior(model, readings, conditions, prior, scatter_m=0.0), np.ones(len(prior.mean)))
     absolute = [one.nominal.vector()[list(one.columns)] for one in (belief, after)]
@@ -60,7 +61,7 @@ def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedA
     columns = tuple(column for column in candidate_columns(arm.model.nominal) if is_own(column, 6))
     sigma = np.array([weak[parameter_names(6)[column]] for column in columns])
     belief = Belief(arm.model.nominal, columns, (), np.zeros(len(sigma)), np.diag(sigma**2), sigma)
-    model = first_model(arm.profile, "left", readings, conditions, belief)
+    model = first_model(arm.profile, "left", Measured.of(readings, conditions), belief)
     prior = belief.prior(model.nominal, np.zeros(0))
     found = posterior(model, readings, conditions, prior, scatter_m=0.0)
     today = identify(
@@ -70,6 +71,25 @@ def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedA
     q = np.random.default_rng(9).uniform(-2.0, 2.0, (100, 6))
     off = smr_positions(found.model.geometry, q) - smr_positions(today.geometry, q)
     assert np.abs(off).max() < 2e-7
+
+
+def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prove(arm: SimulatedArm) -> None:
+    six = arm.with_probe(np.array([0.1, -0.2, 0.3]))
+    change = np.zeros((6, 5))
+    change[4, 0], change[2, 0] = 2e-4, 1e-4
+    told = {}
+    for kind in (arm, six):
+        belief, count = believed(kind.profile, "left", {"left": kind.model}, {"left": kind.readings(200, seed=1)})
+        now = kind.mounted(ELSEWHERE, TOOL).with_rows(change)
+        now = now if kind is arm else now.with_probe(np.array([0.5, -0.2, 0.3]))
+        told[kind is six] = now, again(now, earlier_of(belief, count), 14)
+    assert told[False][1].changes == ()
+    now, outcome = told[True]
+    assert {one.what for one in outcome.changes} == {"zero of joint 3", "zero of joint 5"}
+    assert outcome.scatter_rad == pytest.approx(2e-5, abs=2e-5)
+    q = np.random.default_rng(9).uniform(-2.0, 2.0, (100, 6))
+    off = outcome.found.model.orientation(q) @ now.model.orientation(q).swapaxes(1, 2)
+    assert np.linalg.norm(rotation_vectors(off), axis=1).mean() < 2e-5
 
 
 def test_another_base_and_tool_do_not_leak_into_the_arm(arm: SimulatedArm, earlier: Earlier) -> None:
@@ -125,7 +145,7 @@ def test_an_arm_that_is_another_one_is_not_believed(arm: SimulatedArm, earlier: 
 
 def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earlier) -> None:
     readings = arm.readings(20, seed=2)
-    model = first_model(arm.profile, "left", readings, measurement_conditions(readings), earlier.belief)
+    model = first_model(arm.profile, "left", Measured.of(readings, measurement_conditions(readings)), earlier.belief)
     prior = earlier.belief.prior(model.nominal, np.zeros(0))
     free = [place for place, column in enumerate(prior.columns) if column < 6 or column >= 36]
     assert len(free) == 9

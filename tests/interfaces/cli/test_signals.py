@@ -20,6 +20,7 @@ BAR_S = 0.1
 LOADS = ("spin", "multiply", "query", "receive")
 
 pytestmark = [
+    pytest.mark.waits,
     pytest.mark.timeout(120),
     pytest.mark.skipif(sys.platform == "win32", reason="a parent cannot send these signals on Windows"),
 ]

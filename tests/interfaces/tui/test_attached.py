@@ -29,6 +29,8 @@ from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
 from tests.trials.polling import comes_about
 from tests.trials.storm_cell import StormCell, emulated_cell
 
+pytestmark = pytest.mark.waits
+
 LOGS = Path("logs")
 RUN = LOGS / "day"
 OTHER = LOGS / "other"

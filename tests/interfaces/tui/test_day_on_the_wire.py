@@ -21,6 +21,8 @@ from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import Terminal, cellapp
 from tests.trials.storm_cell import StormCell, emulated_cell
 
+pytestmark = pytest.mark.waits
+
 STOPS = 8
 PACE = 10.0
 """Seconds of the cell for each real one: enough of a motion is left to strike."""

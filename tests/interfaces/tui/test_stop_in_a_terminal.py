@@ -17,6 +17,8 @@ from tests.interfaces.tui.terminal import ROOT, Terminal
 from tests.trials.polling import comes_about
 from tests.trials.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 
+pytestmark = pytest.mark.waits
+
 WAIT_S = 30.0
 QUIET_S = 0.3
 """Three drawings of a running job; a lone Escape is known after a twentieth."""
@@ -70,7 +72,7 @@ def held(folder: Path, *options: str) -> Iterator[Held]:
     try:
         app = Held(terminal, file)
         app.says("STOP", {"--no-job": "n goes to the next step", "--asks": MOTION}.get("".join(options), "here"))
-        terminal.quiet(QUIET_S)
+        terminal.quiet(QUIET_S, times=2.0)
         yield app
     finally:
         terminal.close()
@@ -81,7 +83,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Held]:
     """An application whose job runs; each test leaves it so, on the screen Collect."""
     with held(tmp_path_factory.mktemp("held")) as app:
         app.terminal.send("3")
-        app.terminal.quiet(QUIET_S)
+        app.says("STOP", "Search")
         yield app
 
 
@@ -91,7 +93,6 @@ def test_each_press_stops_once_at_every_place(running: Held, place: str) -> None
     for key, sent in KEYS.items():
         running.terminal.send(there.keys)
         running.says(there.words)
-        running.terminal.quiet(QUIET_S)
         running.press(sent, 1)
         running.press(sent, 1)  # a second press is another one
         if key == "mouse":
@@ -153,7 +154,6 @@ def test_a_resume_that_was_pressed_before_a_stop_does_not_undo_it(running: Held)
     running.says("STOPPED")
     running.stays(len(running.calls()))
     running.press(b"c\x03", 1)
-    running.terminal.quiet(QUIET_S)
     running.says("collect STOPPED")
     running.resume()
 
@@ -188,7 +188,7 @@ def quits(key: str) -> Callable[[Terminal], None]:
     def leave(terminal: Terminal) -> None:
         terminal.send(key)
         terminal.until(lambda text: "Quit?" in text, "the question", WAIT_S)
-        terminal.quiet(QUIET_S)
+        terminal.quiet(QUIET_S, times=2.0)
         terminal.send("y")
 
     return leave

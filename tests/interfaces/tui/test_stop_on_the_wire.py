@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import shutil
 import signal
 import subprocess
@@ -21,9 +22,12 @@ from cellapp.commands.run.request import VERB as RUN
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import job_of
 from drivers.emulators.ur_controller import Control
+from tests.commands.emulated_cell import stalled
 from tests.latency import attempts
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
+
+pytestmark = [pytest.mark.waits, pytest.mark.usefixtures("drawn")]
 
 WAIT_S = 60.0
 BAR_S = 0.1
@@ -108,12 +112,26 @@ async def test_the_arms_stop_under_ones_finger(profile: Path, tmp_path: Path) ->
     with emulated(profile) as control:
         for took in attempts(stop=BAR_S, rest=SLACK_S, abort=BAR_S, rest_after_abort=SLACK_S):
             folder = tmp_path / f"run {time.monotonic()}"
-            took.update(await one_session(profile, folder, control))
-            with RunFile.open(folder) as run:
-                (session,) = run.sessions()
-                assert [kind for _, kind, _ in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
-                assert session.outcome == "aborted"
-                assert len(run.stops_done()) == 1
+            control("*", "pace", 1.0)
+            try:
+                took.update(await one_session(profile, folder, control))
+                with RunFile.open(folder) as run:
+                    (session,) = run.sessions()
+                    assert [kind for _, kind, _ in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
+                    assert session.outcome == "aborted"
+                    assert len(run.stops_done()) == 1
+            except AssertionError:
+                if not this_computer_stalled(folder):
+                    raise
+                took.update(dict.fromkeys(("stop", "rest", "abort", "rest_after_abort"), math.inf))
+
+
+def this_computer_stalled(folder: Path) -> bool:
+    """Whether a run was stopped because this computer was busy elsewhere, or a key came so late that a stop more was
+    measured: nothing is shown by it then."""
+    with RunFile.open(folder) as run:
+        reasons = [reason for session in run.sessions() for _, _, reason in session.requests]
+        return len(run.stops_done()) > 1 or any(map(stalled, reasons))
 
 
 async def one_session(profile: Path, folder: Path, control: Control) -> dict[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import signal
 from collections.abc import Callable
@@ -16,9 +17,13 @@ from tests.trials.pseudo_terminal import PseudoTerminal
 from tests.trials.terminal_presses import KEYS, PLACES, press_bench
 from tests.twin import PROFILES
 
+pytestmark = pytest.mark.waits
+
 HOSTS = {"127.0.0.2": own_address(67), "127.0.0.3": own_address(68)}
 TRACKER_HOST = own_address(67)
 WAIT_S = 60.0
+FEW = {"stops": "30\n  method: random", **dict.fromkeys(("identify", "train", "validate"), 10)}
+"""Of the profile: stops that last for the presses and are soon planned."""
 
 
 @pytest.fixture
@@ -31,6 +36,9 @@ def profile(tmp_path: Path) -> Path:
     for before, now in HOSTS.items():
         text = text.replace(before, now)
     path = tmp_path / "profiles" / "twin-rtde.yaml"
+    for key, size in FEW.items():
+        text, found = re.subn(rf"^  {key}: .*$", f"  {key}: {size}", text, flags=re.MULTILINE)
+        assert found == 1, key
     path.write_text(text, "utf-8")
     return path
 

@@ -107,11 +107,13 @@ def alignment_configurations(
 
 
 def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Alignment:
-    """``align`` to measured points, with the orientations of a probe where all have them."""
-    quaternions = [one.quaternion_M for one in points if one.quaternion_M is not None]
+    """``align`` to measured points, with the orientations that were measured."""
     R_M_S = None
-    if quaternions and len(quaternions) == len(points):
-        R_M_S = Rotation.from_quat(np.roll(np.array(quaternions), -1, axis=1)).as_matrix()
+    if any(one.quaternion_M is not None for one in points):
+        R_M_S = np.full((len(points), 3, 3), np.nan)
+        for row, one in enumerate(points):
+            if one.quaternion_M is not None:
+                R_M_S[row] = Rotation.from_quat(one.quaternion_M, scalar_first=True).as_matrix()
     return align(profile, name, q, np.array([one.p_M for one in points]).reshape(-1, 3), R_M_S)
 
 

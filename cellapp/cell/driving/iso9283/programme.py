@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from cellapp.cell.driving.iso9283.chosen_cube import approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
@@ -105,7 +105,7 @@ def pose_pairs(
     seen = {name: stops[name] for name in (first, second)}
     holds = (clear_stops(cell, stops) & visible_stops(cell, seen)).reshape(len(CYCLE), len(CYCLE))
     other = 1.0 - np.eye(len(CYCLE))
-    rows, columns = linear_sum_assignment(np.where(holds, other, 10.0 * len(POSES)))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(holds, other, 10.0 * len(POSES)))
     return [(CYCLE[i], CYCLE[k]) for i, k in zip(rows, columns, strict=True) if holds[i, k]]
 
 

@@ -129,7 +129,7 @@ def bar_words(bar: LeagueBar) -> str:
 def league_trials(
     series: Sequence[str],
     rows: Sequence[Rows],
-    seeds: int,
+    seeds: Sequence[int],
     work: Work = IN_PLACE,
     *,
     data: Path,
@@ -137,7 +137,7 @@ def league_trials(
     network: bool = False,
     curve: bool = False,
 ) -> LeagueResult:
-    """Run every series with every number of rows over the seeds 0 to ``seeds`` - 1.
+    """Run every series with every number of rows over some seeds of draws.
 
     Parameters
     ----------
@@ -155,14 +155,14 @@ def league_trials(
     Cancelled
         On request.
     """
-    if not (series and rows and seeds > 0):
+    if not (series and rows and seeds):
         raise InputError("trials league: ask for at least one series, one number of rows and one seed")
     texts = series_texts([*series, CURVE_SERIES] if curve else series, data, profiles)
     tasks = [
         DrawTask(series=name, rows=size, seed=seed, network=network)
         for name in dict.fromkeys(series)
         for size in dict.fromkeys(rows)
-        for seed in range(seeds)
+        for seed in seeds
     ]
     curve_tasks = _curve_tasks(seeds) if curve else []
     every = [*tasks, *curve_tasks]
@@ -172,7 +172,7 @@ def league_trials(
     gathered = work.gather(DRAWS, "league", texts, every, "series {0.series}, {0.rows} rows, seed {0.seed}")
     draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
     curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
-    return results_of(draws, curve_draws, seeds=seeds, jobs=gathered.workers, failed=gathered.failed)
+    return results_of(draws, curve_draws, seeds=len(seeds), jobs=gathered.workers, failed=gathered.failed)
 
 
 def results_of(
@@ -199,11 +199,11 @@ def results_of(
     )
 
 
-def _curve_tasks(seeds: int) -> list[DrawTask]:
+def _curve_tasks(seeds: Sequence[int]) -> list[DrawTask]:
     return [
         DrawTask(series=CURVE_SERIES, rows=size, seed=seed, learnable=CURVE_ROWS[-1])
         for size in CURVE_ROWS
-        for seed in range(seeds)
+        for seed in seeds
     ]
 
 

@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
-from scipy.optimize import minimize
 
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component
@@ -113,13 +112,15 @@ class _Factored:
         A.flat[:: len(A) + 1] += 1.0
         if not len(active):
             return cls(active, root, gram, A)
-        lower, failed = lapack.dpotrf(A.T, lower=1, overwrite_a=1)  # transposed: in the order of LAPACK, without a copy
+        lower, failed = scipy.linalg.lapack.dpotrf(
+            A.T, lower=1, overwrite_a=1
+        )  # transposed: in the order of LAPACK, without a copy
         return None if failed else cls(active, root, gram, lower)
 
     def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
         """Log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
         scaled = self.root * data.moment[self.active] / noise
-        solution = lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
+        solution = scipy.linalg.lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
         log_determinant = 2.0 * float(np.log(np.diag(self.lower)).sum())
         left = data.square / noise - float(scaled @ solution)
         return -0.5 * (data.coordinates * math.log(noise) + log_determinant + left), solution
@@ -141,7 +142,7 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
     by_variance = np.zeros(len(variance))
     inverse = np.zeros(0)
     if len(active):
-        triangle = lapack.dtrtri(factored.lower, lower=1)[0]  # zero above the diagonal, as the factor
+        triangle = scipy.linalg.lapack.dtrtri(factored.lower, lower=1)[0]  # zero above the diagonal, as the factor
         inverse = np.einsum("kl,kl->l", triangle, triangle)
         by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
     fitted = factored.root * solution
@@ -161,13 +162,13 @@ def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]
     if factored is None:
         return np.full(len(ends), math.inf)
     _, solution = factored.value(data, noise)
-    inverse = lapack.dpotri(factored.lower, lower=1)[0] if len(solution) else factored.lower
+    inverse = scipy.linalg.lapack.dpotri(factored.lower, lower=1)[0] if len(solution) else factored.lower
     found, first = np.zeros(len(ends)), 0
     for group, end in enumerate(np.searchsorted(factored.active, ends).tolist()):
         if end > first:
             block, x = inverse[first:end, first:end], solution[first:end]
-            lower = lapack.dpotrf(block, lower=1)[0]
-            explained = float(x @ lapack.dpotrs(lower, x, lower=1)[0])
+            lower = scipy.linalg.lapack.dpotrf(block, lower=1)[0]
+            explained = float(x @ scipy.linalg.lapack.dpotrs(lower, x, lower=1)[0])
             found[group] = float(np.log(np.diag(lower)).sum()) + 0.5 * explained
         first = end
     return found
@@ -236,7 +237,7 @@ def most_evident(
 
     bounds = packing.bounds(data.square / data.coordinates)
     low, high = np.array(bounds).T
-    found = minimize(
+    found = scipy.optimize.minimize(
         objective,
         np.clip(packing.pack(start), low, high),
         jac=True,

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
@@ -174,8 +174,10 @@ def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np
     noise, projector = process.values.noise, fit.projector
     projected = projector.project(rows)
     A = process.gram.gram / noise + np.diag(1.0 / np.maximum(process.values.variances(process.components), _SMALLEST))
-    lower = cholesky(A, lower=True, check_finite=False)
-    half = solve_triangular(lower, projected, lower=True, check_finite=False, overwrite_b=True) / math.sqrt(noise)
+    lower = scipy.linalg.cholesky(A, lower=True, check_finite=False)
+    half = scipy.linalg.solve_triangular(
+        lower, projected, lower=True, check_finite=False, overwrite_b=True
+    ) / math.sqrt(noise)
     behind = fit.projected_residual.projected
     left = behind - (half @ behind) @ half
     determined = np.sum(half**2, axis=0) + np.sum(projector.basis**2, axis=1)

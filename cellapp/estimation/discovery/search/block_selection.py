@@ -7,14 +7,17 @@ evenly over many joints no single block may gain enough, so that backward elimin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
+from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.robot.kinematics.transforms import Array
 
 NEXT_BLOCK = 10.0
@@ -25,6 +28,8 @@ _MOST_TOGETHER = 24
 hundreds of lines, all at once would fit noise."""
 _MOST_TRIED = 40
 """Blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
+_MOST_AT_ONCE = 128
+"""Columns up to which the information of all is computed at once; of more, as of hundreds of lines, only as needed."""
 _PSEUDO_INVERSE = 1e-10
 """Relative cut of singular values where only a ranking depends on it; far above rounding."""
 
@@ -77,20 +82,38 @@ class BlockSelection:
         """BIC gain of some columns, without the price of choosing the law, and R^2."""
         return self._scores([tuple(columns)])[0]
 
+    @cached_property
+    def _gram(self) -> Array:
+        """Information (m, m) of all columns."""
+        return np.asarray(self.candidate.rows @ self.projected.T)
+
+    def most(self) -> float:
+        """A score, without the price of choosing the law, that no selection exceeds; infinite for very many columns."""
+        if len(self.norms) > _MOST_AT_ONCE:
+            return math.inf
+        every = tuple(place for block in self.blocks for place in block)
+        share = self._scores([every])[0][1]
+        return -len(self.residual) * math.log1p(-min(share, MOST_SHARE)) - math.log(len(self.residual))
+
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
         """``score`` of several sets of columns; those of equal size are computed together."""
-        found = [(0.0, 0.0)] * len(sets)
+        values, shares = np.zeros((2, len(sets)))
         sizes = np.array([len(one) for one in sets])
+        place = np.concatenate(sets).astype(np.intp)
+        used: slice | NDArray[np.intp] = slice(None)
+        if len(self.norms) > _MOST_AT_ONCE:
+            used, place = np.unique(place, return_inverse=True)
+        gram = self._gram if isinstance(used, slice) else self.candidate.rows[used] @ self.projected[used].T
+        norms, moments = self.norms[used], self.moments[used]
+        first, N = np.cumsum(sizes) - sizes, len(self.residual)
         for size in np.unique(sizes).tolist():
-            numbers = np.flatnonzero(sizes == size).tolist()
-            places = np.array([sets[number] for number in numbers], dtype=np.intp)
-            gram = self.candidate.rows[places] @ self.projected[places].swapaxes(1, 2)
-            root, ranks = visible_root(gram, self.norms[places])
-            along = np.einsum("bkr,bk->br", root, self.moments[places])
-            shares = np.sum(along**2, axis=1) / self.residual.square
-            for number, share, rank in zip(numbers, shares.tolist(), ranks.tolist(), strict=True):
-                found[number] = (bic_gain(share, len(self.residual), rank), share)
-        return found
+            numbers = np.flatnonzero(sizes == size)
+            places = place[first[numbers, None] + np.arange(size)]
+            root, ranks = visible_root(gram[places[:, :, None], places[:, None, :]], norms[places])
+            along = np.einsum("bkr,bk->br", root, moments[places])
+            shares[numbers] = np.sum(along**2, axis=1) / self.residual.square
+            values[numbers] = -N * np.log1p(-np.minimum(shares[numbers], MOST_SHARE)) - ranks * math.log(N)
+        return list(zip(values.tolist(), shares.tolist(), strict=True))
 
     def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
         """The best score among sets of columns, and its number."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
+import scipy
 
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
@@ -44,7 +44,7 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
     if total <= 0.0:
         return None
     freedom = max(freedom, 1.0)
-    return Scatter(math.sqrt(total / freedom), float(chdtrc(freedom, total)))
+    return Scatter(math.sqrt(total / freedom), float(scipy.special.chdtrc(freedom, total)))
 
 
 def floor_reached(state: SearchState) -> bool:

@@ -38,7 +38,7 @@ def with_contradiction(problem: SearchProblem, state: SearchState) -> SearchStat
 def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | None:
     fit, residual = state.fit, state.fit.projected_residual
     scan = LawScan.of(_unused(state, fit.candidates(state.data, problem.slugs)), fit.projector)
-    for score in scan.ranked(residual)[:_TRIED]:
+    for score in scan.ranked(residual, least=problem.threshold)[:_TRIED]:
         if score.value <= problem.threshold:
             break
         if not impossible_blocks(residual, score, NEARLY)[0] or _left_over(state, score):

@@ -50,7 +50,7 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
     own = term_score(fit, number)
     best: SearchStep | None = None
     scan = LawScan.of(_laws_to_try(state, number), residual.projector)
-    for score in scan.ranked(residual, with_refinements=True)[:_TRIED]:
+    for score in scan.ranked(residual, with_refinements=True, least=own + needed)[:_TRIED]:
         least = needed if best is None else best.score
         same = score.candidate.law.name == term.law.name and set(score.names) == set(term.names)
         if same or score.value - own <= least:
@@ -115,14 +115,12 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
     term = fit.terms[number]
     joints, cycles = curve_prior(term.law, data.context.joints), term.law.constants[CYCLES.name]
     lines = next(law for law in EFFECTS[term.slug].laws(data.context) if law.form == LINES)
-    candidate = fit.candidate(data, term.slug, lines)
-    candidate = candidate.keep(
-        [
-            place
-            for place, column in enumerate(candidate.columns)
-            if column.joint in joints and column.cycles is not None and column.cycles > cycles
-        ]
-    )
+    beyond = [
+        column
+        for column in data.columns(term.slug, lines)
+        if column.joint in joints and column.cycles is not None and column.cycles > cycles
+    ]
+    candidate = CandidateLaw(term.slug, lines, tuple(beyond), fit.displacements(beyond))
     score = LawScan.of([candidate], fit.projector).score(0, fit.projected_residual)
     if score is None or score.value <= max(needed, problem.threshold):
         return None

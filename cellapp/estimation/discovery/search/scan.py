@@ -28,6 +28,8 @@ from cellapp.robot.kinematics.transforms import Array
 _MOST_LAWS = 10
 """Laws of one effect whose blocks are selected in full, the best by their best single block: selection costs a hundred
 times as much, and among dozens of onsets neighbours differ little."""
+_SLACK = 1.0
+"""Score that a selection may have above the bound, as directions that hardly show are cut: far below what decides."""
 NO_DISPLACEMENT = 1e-9
 """Whitened norm below which a column does not move the SMR: far below the standard uncertainty, which is 1."""
 _GRAMS_AT_ONCE = 256
@@ -114,8 +116,10 @@ class LawScan:
             np.maximum.at(best, group.candidate, value)
         return best
 
-    def ranked(self, residual: ProjectedResidual, *, with_refinements: bool = False) -> list[LawScore]:
-        """Scores of the candidates, best first.
+    def ranked(
+        self, residual: ProjectedResidual, *, with_refinements: bool = False, least: float = -math.inf
+    ) -> list[LawScore]:
+        """Scores of the candidates, best first, without those that no selection of blocks lifts above ``least``.
 
         Blocks that only refine others join ``with_refinements`` alone: a name is given for an effect's main blocks. Of
         each effect only the laws with the best single blocks are selected in full.
@@ -127,11 +131,21 @@ class LawScan:
             if np.isfinite(ahead[number])
         )
         numbers = [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
-        found = [self.score(number, residual, with_refinements=with_refinements) for number in numbers]
+        found = [self.score(number, residual, with_refinements=with_refinements, least=least) for number in numbers]
         return sorted((one for one in found if one is not None), key=lambda score: -score.value)
 
-    def score(self, number: int, residual: ProjectedResidual, *, with_refinements: bool = True) -> LawScore | None:
-        """Score of one candidate with the blocks that it needs; None where nothing of it is visible."""
+    def score(
+        self,
+        number: int,
+        residual: ProjectedResidual,
+        *,
+        with_refinements: bool = True,
+        least: float = -math.inf,
+    ) -> LawScore | None:
+        """Score of one candidate with the blocks that it needs.
+
+        None where nothing of it is visible, or where all its columns together show that it stays below ``least``.
+        """
         one, place = self.candidates[number], self.place(number)
         selection = BlockSelection.of(
             one, self.projected[place], self.visible_share[place], residual, with_refinements=with_refinements
@@ -139,6 +153,8 @@ class LawScan:
         if selection is None:
             return None
         price = choice_price(one.law)
+        if least > -math.inf and selection.most() - price < least - _SLACK:
+            return None
         chosen, value = selection.select(price)
         return LawScore(one, value - price, tuple(sorted(chosen)), selection.score(chosen)[1])
 

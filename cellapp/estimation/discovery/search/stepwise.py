@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore
+from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, reweighted
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
-from cellapp.estimation.discovery.search.comparison import best_state, floor_reached
+from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
 from cellapp.estimation.discovery.search.contradiction import with_contradiction
 from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
 from cellapp.estimation.discovery.search.free_part import (
@@ -56,6 +56,8 @@ LEAST_FREEDOM = 30.0
 few follows any law."""
 _EVEN_ODDS = 0.5
 """Probability below which no name, or answer set of names, is accepted."""
+_FAR = 3.0
+"""Scatter over that of the stated noise from which free functions are tried before laws with impossible values."""
 _NULL_SEED = 0xD15C
 """Beside the profile's seed: the simulated noise is then independent of all other draws."""
 
@@ -181,13 +183,14 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
         return reviewed(problem, with_effects_in_sockets(problem, start, scan))
     named = reviewed(problem, _with_library_effects(problem, start, scan))
     progress.step("beyond the library")
-    if not floor_reached(named):
+    first = with_smooth_terms(problem, start) if _far_from_floor(named) else None
+    if not floor_reached(named) and not _beats_all_names(problem, first, named):
         named = _with_contradictions(problem, start, named)
     instead = in_place_of_names(problem, start, named)
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
         return best
-    free = _with_free_functions(problem, start, named)
+    free = _with_free_functions(problem, first or with_smooth_terms(problem, start), named)
     if best_state([best, free]) is not best:
         best = free
     if floor_reached(best):
@@ -207,9 +210,24 @@ def _with_contradictions(problem: SearchProblem, start: SearchState, named: Sear
     return named
 
 
-def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
-    """The best model with smooth free functions, found before or beside the names; else that of named effects alone."""
-    first = with_smooth_terms(problem, start)
+def _far_from_floor(state: SearchState) -> bool:
+    """Whether what a model leaves is so much that one more law will hardly reach the noise."""
+    left = scatter(state.data, state.fit)
+    return left is None or left.ratio > _FAR
+
+
+def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState) -> bool:
+    """Whether free functions are better than names could be if every law added all that it explains alone."""
+    lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
+    if lead <= 0.0:
+        return False
+    scan = LawScan.of(named.fit.candidates(named.data, problem.slugs), named.fit.projector)
+    scores = best_law_of_each_effect(scan.ranked(named.fit.projected_residual, least=0.0))
+    return lead > sum(max(score.value, 0.0) for score in scores)
+
+
+def _with_free_functions(problem: SearchProblem, first: SearchState | None, named: SearchState) -> SearchState:
+    """The best model with smooth free functions, ``first`` before names or else beside them; else ``named`` alone."""
     if first is not None:
         first = reviewed(problem, _with_library_effects(problem, first))
         if best_state([named, first]) is first:
@@ -265,7 +283,9 @@ def _next_step(
     if scan is None:
         left = [slug for slug in problem.slugs if slug not in state.slugs]
         scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
-    scores = [score for score in scan.ranked(fit.projected_residual) if score.key not in refused]
+    scores = [
+        score for score in scan.ranked(fit.projected_residual, least=problem.threshold) if score.key not in refused
+    ]
     # beside smooth functions laws are seldom off, and their refinement is costly: last
     late = has_smooth_terms(fit.terms)
     if refining and not late:

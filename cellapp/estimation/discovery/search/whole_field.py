@@ -18,9 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
-from scipy.optimize import minimize
-from scipy.spatial.distance import cdist
+import scipy
 
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -71,7 +69,7 @@ class BesideField:
                 for moved in channel_directions(data.context, FIELD.channel)
             ]
             position = position_in_base(data.context)
-            fit.derived[cls] = cls(fit, fields[0], np.stack(unit), cdist(position, position))
+            fit.derived[cls] = cls(fit, fields[0], np.stack(unit), scipy.spatial.distance.cdist(position, position))
         found = fit.derived[cls]
         assert isinstance(found, cls)
         return found
@@ -102,7 +100,7 @@ class BesideField:
 
     def _whitened(self, rows: Array) -> Array:
         """Rows (..., 3 n) whitened by the covariance of field and noise."""
-        return np.asarray(solve_triangular(self._root, rows.T, lower=True, check_finite=False).T)
+        return np.asarray(scipy.linalg.solve_triangular(self._root, rows.T, lower=True, check_finite=False).T)
 
     @cached_property
     def _values(self) -> Array:
@@ -131,7 +129,7 @@ class BesideField:
         covariance = (self.unit.T @ self.unit) * np.tile(kernel, (3, 3))
         covariance += (smooth.T * variance) @ smooth
         covariance.flat[:: len(covariance) + 1] += noise
-        factor, failed = lapack.dpotrf(covariance, lower=1, overwrite_a=1)
+        factor, failed = scipy.linalg.lapack.dpotrf(covariance, lower=1, overwrite_a=1)
         return None if failed else np.asarray(factor)
 
     def _log_evidence(self, values: Array, without: int | None) -> float:
@@ -142,7 +140,7 @@ class BesideField:
         if factor is None:
             return -_IMPOSSIBLE
         both = np.concatenate([rows[~smooth], self.fit.target[None]])
-        white = solve_triangular(factor, both.T, lower=True, check_finite=False).T
+        white = scipy.linalg.solve_triangular(factor, both.T, lower=True, check_finite=False).T
         flat = NuisanceProjector.of(white[:-1], precision[~smooth])
         left = flat.project(white[-1])
         scale = np.linalg.norm(rows[~smooth], axis=1)
@@ -153,7 +151,7 @@ class BesideField:
     def _best(self, start: Array, without: int | None) -> Array:
         """Logarithms of amplitude, length scale and noise of greatest evidence near ``start``."""
         simplex = np.concatenate([start[None], start + _SPREAD * np.eye(len(start))])
-        found = minimize(
+        found = scipy.optimize.minimize(
             lambda values: -self._log_evidence(values, without),
             start,
             method="Nelder-Mead",

@@ -13,7 +13,7 @@ from cellapp.estimation.prior.belief import is_own, is_smooth
 from cellapp.estimation.prior.changes import parameter_words
 from cellapp.estimation.prior.linear_model import design, term_columns
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
+from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 
 GROWTH = "growth of all links, as by temperature"
@@ -88,12 +88,12 @@ def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> lis
 
 def centre_of(belief: CheckBelief) -> Array:
     """Middle (3,) of the points of the calibration [m]."""
-    return np.asarray(np.concatenate([arm.measured.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
+    return np.asarray(np.concatenate([arm.points.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
 
 
 def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
     joints = arm.model.geometry.joints
-    names, found = parameter_names(joints), []
+    names, found = all_names(joints), []
     for place, column in enumerate(arm.columns):
         word = names[column]
         kind: ChangeKind = "parameter" if is_own(column, joints) else ("base" if column < 6 else "smr")
@@ -106,12 +106,14 @@ def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
 def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
     """Values of laws, each by what moves the SMR by 0.05 mm rms over the readings of the calibration.
 
+    Where orientation is measured, by what moves and turns it as much together, 0.05 mm as 50 µrad.
+
     Left out are values of free functions, which are many and small by their priors, and values whose step is beyond
     what is physically possible: a joint without load shows no stiffness.
     """
     columns = term_columns(arm.model, arm.measured)
     every = design(arm.model, arm.measured, arm.columns)
-    rms = np.sqrt(np.sum(every[len(arm.columns) :] ** 2, axis=1) / len(arm.measured))
+    rms = np.sqrt(np.sum(every[len(arm.columns) :] ** 2, axis=1) / len(arm.points))
     found, place = _growth(name, arm, every), len(arm.columns)
     for term in arm.model.effects:
         for value, unit in enumerate(term.units):
@@ -134,5 +136,5 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
     if len(places) < _FEWEST_LENGTHS:
         return []
     shares = nominal[[arm.columns[place] for place in places]]
-    rms = math.sqrt(float(np.sum((shares @ rows[places]) ** 2)) / len(arm.measured))
+    rms = math.sqrt(float(np.sum((shares @ rows[places]) ** 2)) / len(arm.points))
     return [Direction(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]

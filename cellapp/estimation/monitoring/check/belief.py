@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.discovery.joint_fit import mean_variance
 from cellapp.estimation.monitoring.check.model import ArmBelief, CheckBelief
@@ -16,10 +18,10 @@ from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.earlier import calibration_posterior
 from cellapp.estimation.prior.linear_model import Measured, design
 from cellapp.estimation.prior.posterior import Posterior
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.relocation import relocated
@@ -33,6 +35,7 @@ def check_belief(
     model: CellModel,
     readings: Mapping[str, Readings],
     *,
+    turned: Collection[str] = (),
     station_free: bool = False,
     T_new_old: Array | None = None,
 ) -> CheckBelief:
@@ -45,6 +48,8 @@ def check_belief(
         The calibration in force (of ``calibrate`` or ``discover``), in the frame of its readings.
     readings : mapping
         Arm -> the readings that it was calibrated from, of all splits.
+    turned : collection of str
+        Arms of which the check measures orientation too; it counts where that of the calibration was measured.
     station_free : bool
         The tracker was set up anew since, so that its pose is unknown.
     T_new_old : array, shape (4, 4), optional
@@ -58,7 +63,9 @@ def check_belief(
     for name in model.arms:
         if name not in readings or not len(readings[name]):
             raise InputError(f"arm '{name}': the calibration has no readings of it; a check needs them")
-    own = {name: readings[name] for name in model.arms}
+    own = {
+        name: readings[name] if name in turned else replace(readings[name], quaternion_M=None) for name in model.arms
+    }
     bare = {name: _without_network(model.arms[name], its) for name, its in own.items()}
     found = {name: calibration_posterior(profile, name, model.arms, bare) for name in own}
     arms = {name: arm_belief(model.arms[name], *found[name]) for name in own}
@@ -105,18 +112,22 @@ def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBel
     p = len(found.values)
     covariance = np.zeros((p + added, p + added))
     covariance[:p, :p] = found.covariance
-    promised = _promised(stored, found, measured)
-    excess = _held_out_excess(stored, found, measured, promised)
+    promised, turned, sigma = _promised(stored, found, measured), measured.turned, found.measured.sigma
+    points = measured.points
+    excess = _held_out_excess(stored, found, measured, promised, points)
+    of_turns = 0.0 if turned is None else _held_out_excess(stored, found, measured, promised, turned)
     return ArmBelief(
         stored=stored,
         model=model,
         columns=found.prior.columns,
         covariance=covariance,
         scatter_m=math.sqrt(found.scatter_m**2 + excess),
-        noise_m=math.sqrt(mean_variance(found.measured.sigma) + excess),
-        day_m=_day_m(found.model, measured),
-        promised_m=math.sqrt(float(np.mean(np.trace(promised, axis1=1, axis2=2)))),
+        noise_m=math.sqrt(mean_variance(sigma[points]) + excess),
+        day_m=_day_m(found.model, measured.positions),
+        promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
+        scatter_rad=math.sqrt(found.scatter_rad**2 + of_turns),
+        noise_rad=0.0 if turned is None else math.sqrt(mean_variance(sigma[turned]) + of_turns),
     )
 
 
@@ -127,15 +138,21 @@ def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
     if stored.network is None:
         return np.asarray(covariance)
     spread = stored.network.spread(measured.readings.q)
+    if measured.turned is not None:
+        spread[measured.turned] = 0.0
     return np.asarray(covariance + spread[:, :, None] ** 2 * np.eye(3))
 
 
-def _held_out_excess(stored: ArmModel, found: Posterior, measured: Measured, promised: Array) -> float:
-    """Variance [m^2] of a coordinate by which readings that were not learned from scatter beyond what is promised.
+def _held_out_excess(
+    stored: ArmModel, found: Posterior, measured: Measured, promised: Array, kind: NDArray[np.bool_]
+) -> float:
+    """Variance [m^2, rad^2] of a coordinate by which readings of a kind (n,) that were not learned from scatter beyond
+    what is promised.
 
     What a model leaves of the arm is small at the readings that it was chosen by, and not at others.
     """
     rows = measured.readings.in_split("validate")
+    rows = rows[kind[rows]]
     if len(rows) < _FEWEST_HELD_OUT:
         return 0.0
     held_out = measured.take(rows)
@@ -156,16 +173,30 @@ def _day_m(model: ArmModel, measured: Measured) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-def point_covariance(arm: ArmBelief, readings: Readings) -> Array:
-    """Covariance (n, 3, 3) [m^2] of measured points: as stated, and the arm's scatter beyond it.
+def measured_vectors(arm: ArmBelief, readings: Readings, conditions: MeasurementConditions) -> Measured:
+    """Measured positions of an arm, then the orientations that its belief can judge."""
+    if arm.model.geometry.probe is None:
+        readings = replace(readings, quaternion_M=None)
+    return Measured.of(readings, conditions)
 
-    Readings that state none are taken to be as uncertain as those of the calibration.
+
+def noise_covariance(arm: ArmBelief, measured: Measured) -> Array:
+    """Covariance (n, 3, 3) [m^2, rad^2] of measured vectors: as stated, and the arm's scatter beyond it.
+
+    A kind of readings that states none is taken to be as uncertain as those of the calibration.
     """
-    stated = stated_uncertainty(readings)
-    if stated is None:
-        return np.broadcast_to(arm.noise_m**2 * np.eye(3), (len(readings), 3, 3))
-    whole = with_excess(stated, arm.scatter_m**2)
-    return whole if whole.ndim == 3 else whole[:, None, None] ** 2 * np.eye(3)
+    whole: Array = np.empty((len(measured), 3, 3))
+    points = measured.points
+    for rows, noise, scatter in ((points, arm.noise_m, arm.scatter_m), (~points, arm.noise_rad, arm.scatter_rad)):
+        if not rows.any():
+            continue
+        stated = None if measured.stated is None else measured.stated[rows]
+        if stated is None or states_nothing(stated):
+            whole[rows] = noise**2 * np.eye(3)
+        else:
+            own = with_excess(stated, scatter**2)
+            whole[rows] = own if own.ndim == 3 else own[:, None, None] ** 2 * np.eye(3)
+    return whole
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
@@ -175,12 +206,21 @@ def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
     model = replace(arm.model, posterior=None, identified=(*names, *terms), covariance=arm.covariance)
     model = relocated(CellModel({"": model}), T).arms[""]
     assert model.covariance is not None
-    its = arm.measured.readings
-    turned = None if its.covariance_M is None else T[:3, :3] @ its.covariance_M @ T[:3, :3].T
+    its, R = arm.measured, T[:3, :3]
+    R_M_S = its.conditions.R_M_S
+    p_M = apply(T, its.readings.p_M)
+    if its.turned is not None:
+        p_M[its.turned] = 0.0
+    stated = its.stated if its.stated is None or its.stated.ndim == 1 else R @ its.stated @ R.T
     return replace(
         arm,
         stored=relocated(CellModel({"": arm.stored}), T).arms[""],
         model=model,
         covariance=model.covariance,
-        measured=replace(arm.measured, readings=replace(its, p_M=apply(T, its.p_M), covariance_M=turned)),
+        measured=replace(
+            its,
+            readings=replace(its.readings, p_M=p_M),
+            conditions=replace(its.conditions, R_M_S=None if R_M_S is None else R @ R_M_S),
+            stated=stated,
+        ),
     )

@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import brentq
-from scipy.special import chdtrc, chdtri, chndtr
+import scipy
 
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
 from cellapp.estimation.monitoring.check.model import Conclusion, Power, SequentialState
@@ -17,7 +15,7 @@ from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.monitoring.check.stops import power_of
 from cellapp.ground.counting import counted
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_vectors
 
 _VERDICTS: Mapping[str, CheckVerdict] = {
     "tracker": "tracker moved",
@@ -45,8 +43,10 @@ def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
 
 def _needed(critical: float, rank: int, miss: float) -> float:
     """Non-centrality at which a test of ``rank`` numbers misses a change with the chance ``miss``."""
-    limit = float(chdtri(rank, critical))
-    return float(brentq(lambda size: float(chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED))
+    limit = float(scipy.special.chdtri(rank, critical))
+    return float(
+        scipy.optimize.brentq(lambda size: float(scipy.special.chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED)
+    )
 
 
 def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
@@ -69,7 +69,8 @@ def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclu
             if one.alternative.kind == "base" and one.motion is not None
         },
         smr_offsets_F={
-            one.alternative.arm: design.belief.arms[one.alternative.arm].model.geometry.tool + _in_units(design, one)
+            one.alternative.arm: design.belief.arms[one.alternative.arm].model.geometry.tool
+            + _in_units(design, one)[:3]
             for one in found.causes
             if one.alternative.kind == "smr"
         },
@@ -100,13 +101,13 @@ def stray_point(stops: StopRows) -> int | None:
     """The point without which the others show no change; None if there is none, or more."""
     moments, factor = Moments.of(stops), stops.factor
     white, degrees = moments.white, int(moments.degrees[-1]) - 3
-    own = solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
+    own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
     left = []
     for point in range(own.shape[1]):
         basis = np.linalg.qr(own[:, point])[0]
         left.append(float(white @ white - np.sum((white @ basis) ** 2)))
     best = int(np.argmin(left))
-    return best if degrees > 0 and chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
+    return best if degrees > 0 and scipy.special.chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
 
 
 def _weak(design: Design, moments: Moments) -> tuple[Power, ...]:
@@ -134,6 +135,7 @@ def _change(design: Design, cause: Cause) -> FoundChange:
         unit=direction.unit if single else "",
         p_value=cause.p_value,
         moved_mm=moved_m(design, cause, None) * 1e3,
+        turned_mrad=_turned_mrad(design, cause),
         rivals=cause.rivals,
     )
 
@@ -144,13 +146,25 @@ def moved_m(design: Design, cause: Cause, arm: str | None) -> float:
     names = [arm] if arm is not None else (list(belief.arms) if one.kind == "tracker" else [one.arm])
     squares, count = 0.0, 0
     for name in names:
-        p_M = belief.arms[name].measured.readings.p_M
+        p_M = belief.arms[name].points.readings.p_M
         if cause.motion is not None:
             moved = apply(cause.motion, p_M) - p_M
         else:
-            moved = np.tensordot(cause.sizes, design.motions[name][list(one.members)], axes=1)
+            moved = np.tensordot(cause.sizes, design.motions[name][list(one.members), : len(p_M)], axes=1)
         squares, count = squares + float(np.sum(moved**2)), count + len(p_M)
     return math.sqrt(squares / count)
+
+
+def _turned_mrad(design: Design, cause: Cause) -> float | None:
+    """Rms turn [mrad] of the probe by a change over the calibration's readings; None where it is not of one arm."""
+    one = cause.alternative
+    arm = design.belief.arms.get(one.arm)
+    if arm is None or arm.measured.turned is None:
+        return None
+    if cause.motion is not None:
+        return float(np.linalg.norm(rotation_vectors(cause.motion[None, :3, :3])[0])) * 1e3
+    turned = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.points) :], axes=1)
+    return math.sqrt(float(np.mean(np.sum(turned**2, axis=1)))) * 1e3
 
 
 def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained: bool) -> dict[str, CheckedArm]:
@@ -158,7 +172,8 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
     variance = np.sum(stops.factor**2, axis=1).reshape(-1, 3).sum(axis=1)
     found = {}
     for place, (name, arm) in enumerate(design.belief.arms.items()):
-        rows = stops.arm_of == place
+        rows = (stops.arm_of == place) & stops.points
+        turned = (stops.arm_of == place) & ~stops.points
         if not rows.any():
             continue
         own = [one for one in causes if one.alternative.arm == name]
@@ -168,6 +183,8 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
             expected_mm=math.sqrt(float(variance[rows].mean())) * 1e3,
             rms_mm=math.sqrt(float(np.sum(stops.left[rows] ** 2) / rows.sum())) * 1e3,
             left_mm=math.sqrt(squares) * 1e3 if explained else None,
+            expected_mrad=math.sqrt(float(variance[turned].mean())) * 1e3 if turned.any() else None,
+            rms_mrad=math.sqrt(float(np.sum(stops.left[turned] ** 2) / turned.sum())) * 1e3 if turned.any() else None,
         )
     return found
 

@@ -17,12 +17,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
-from cellapp.estimation.monitoring.check.belief import network_shift, point_covariance
+from cellapp.estimation.monitoring.check.belief import measured_vectors, network_shift, noise_covariance
 from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief
 from cellapp.estimation.prior.linear_model import Measured, design
 from cellapp.estimation.readings import Readings
@@ -40,10 +40,12 @@ _DEPENDENT = 1e-6
 class StopRows:
     """Stops in the linear model: n stops, m points, d = 3 m coordinates, C directions of change.
 
+    An orientation is a point too: its coordinates are the rotation vector [rad] from the expected to the measured one.
+
     Attributes
     ----------
     measured, expected : array, shape (m, 3)
-        Positions [m], stop by stop, arm by arm.
+        Positions [m], stop by stop, arm by arm; of an orientation that rotation vector, and zero.
     stop_ends : array, shape (n,)
         Coordinates up to each stop.
     arm_of : array, shape (m,)
@@ -54,6 +56,8 @@ class StopRows:
         Lower Cholesky factor of K [m].
     free : int
         How many of the first directions are unknown and fitted: the six of a tracker that was set up anew, or none.
+    turned : array, shape (m,), or None
+        Which points are orientations; None where none is.
     """
 
     measured: Array
@@ -63,6 +67,12 @@ class StopRows:
     rows: Array
     factor: Array
     free: int = 0
+    turned: NDArray[np.bool_] | None = None
+
+    @property
+    def points(self) -> NDArray[np.bool_]:
+        """Which points (m,) are positions."""
+        return np.ones(len(self.measured), dtype=np.bool_) if self.turned is None else ~self.turned
 
     @property
     def left(self) -> Array:
@@ -80,6 +90,7 @@ class StopRows:
             arm_of=self.arm_of[: d // 3],
             rows=self.rows[:, :d],
             factor=self.factor[:d, :d],
+            turned=None if self.turned is None else self.turned[: d // 3],
         )
 
 
@@ -93,52 +104,69 @@ def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str,
     """Where the calibration expects the SMR of every arm at the configurations of ``readings``, (n, 3) [m]."""
     conditions = conditions_now(belief, readings)
     return {
-        name: belief.arms[name].model.predict(its.q, conditions=conditions[name])
-        + network_shift(belief.arms[name].stored, its.q)
+        name: _computed(belief.arms[name], Measured(its, conditions[name], np.ones(len(its))))
         for name, its in readings.items()
     }
 
 
+def _computed(arm: ArmBelief, its: Measured) -> Array:
+    """What the calibration expects of vectors (n, 3): of an orientation the rotation from the measured to that."""
+    shift = network_shift(arm.stored, its.readings.q) * its.points[:, None]
+    return np.asarray(arm.model.predict(its.readings.q, conditions=its.conditions) + shift)
+
+
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
     """The linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
-    conditions, points = conditions_now(belief, readings), expected(belief, readings)
-    stops = _stop_numbers(readings)
+    conditions, order_of = conditions_now(belief, readings), _order_of_stops(readings)
     names = [name for name in belief.arms if name in readings]
-    arm_of = np.concatenate([np.full(len(readings[name]), list(belief.arms).index(name)) for name in names])
-    places = np.concatenate([stops[name] for name in names])
-    p_M = np.concatenate([points[name] for name in names])
+    vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
+    arm_of = np.concatenate([np.full(len(vectors[name]), list(belief.arms).index(name)) for name in names])
+    places = np.array([order_of[k] for name in names for k in vectors[name].readings.configuration.tolist()])
+    p_M = np.concatenate([_computed(belief.arms[name], vectors[name]) for name in names])
+    turned = np.concatenate([~its.points for its in vectors.values()])
     total = 3 * len(places)
-    station = twist_columns(p_M - centre_of(belief)).reshape(total, 6).T
+    station = twists(p_M - centre_of(belief), turned).reshape(total, 6).T
     rows, K, first = np.zeros((len(directions), total)), np.zeros((total, total)), 0
     for name in names:
-        arm, its = belief.arms[name], readings[name]
+        arm, its = belief.arms[name], vectors[name]
         here = slice(first, first + 3 * len(its))
-        X = design(arm.model, Measured(its, conditions[name], np.ones(len(its))), arm.columns)
+        X = design(arm.model, its, arm.columns)
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
         K[here, here] = X.T @ arm.covariance @ X
         if arm.day_m:
-            drift = twist_columns(p_M[first // 3 : here.stop // 3] - arm_centre(arm)).reshape(-1, 6) * _day_sizes(arm)
+            at = slice(first // 3, here.stop // 3)
+            drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
             K[here, here] += drift @ drift.T
         for k, one in enumerate(directions):
             if one.arm == name:
                 rows[k, here] = one.row_of(X)
             elif one.arm == TRACKER:
                 rows[k, here] = one.row_of(station[:, here])
-        _add_noise(K, first, point_covariance(arm, its))
+        _add_noise(K, first, noise_covariance(arm, its))
         first = here.stop
     if belief.station_free:
         K += _STATION_M**2 * station.T @ station
     order = np.argsort(places, kind="stable")
     coordinates = (3 * order[:, None] + np.arange(3)).ravel()
+    measured = np.concatenate([its.readings.p_M for its in vectors.values()])
+    measured[turned], p_M[turned] = -p_M[turned], 0.0
     return StopRows(
-        measured=np.concatenate([readings[name].p_M for name in names])[order],
+        measured=measured[order],
         expected=p_M[order],
         stop_ends=3 * (np.flatnonzero(np.diff(places[order], append=-1)) + 1).astype(np.intp),
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
-        factor=cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
+        factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
         free=len(station) if belief.station_free else 0,
+        turned=turned[order] if turned.any() else None,
     )
+
+
+def twists(p_M: Array, turned: NDArray[np.bool_]) -> Array:
+    """Motion (m, 3, 6) of positions (m, 3) by a small shift and turn of all, and of orientations, where ``turned``."""
+    columns = twist_columns(p_M)
+    columns[turned] = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
+    return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +184,9 @@ class Moments:
     @classmethod
     def of(cls, stops: StopRows) -> Moments:
         """Whitened by the factor of K."""
-        solved = solve_triangular(stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True)
+        solved = scipy.linalg.solve_triangular(
+            stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True
+        )
         directions = np.ascontiguousarray(solved[:, 1:].T)
         return cls(solved[:, 0], directions, stops.stop_ends, spanned(directions[: stops.free]))
 
@@ -189,8 +219,8 @@ def spanned(rows: Array) -> Array:
     return np.asarray(vectors[values > _DEPENDENT * max(values[0], 1e-300)])
 
 
-def _stop_numbers(readings: Mapping[str, Readings]) -> dict[str, NDArray[np.intp]]:
-    """Places of the stops of every arm's rows, in the order in which they were measured.
+def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
+    """Number of each stop -> its place in the order in which they were measured.
 
     An arm that was not measured at some stops is behind the others in its rows: the greatest row of a stop counts.
     """
@@ -198,16 +228,12 @@ def _stop_numbers(readings: Mapping[str, Readings]) -> dict[str, NDArray[np.intp
     for its in readings.values():
         for row, number in enumerate(its.configuration.tolist()):
             last[number] = max(row, last.get(number, 0))
-    order = {number: place for place, number in enumerate(sorted(last, key=last.__getitem__))}
-    return {
-        name: np.array([order[number] for number in its.configuration.tolist()], dtype=np.intp)
-        for name, its in readings.items()
-    }
+    return {number: place for place, number in enumerate(sorted(last, key=last.__getitem__))}
 
 
 def arm_centre(arm: ArmBelief) -> Array:
     """Middle (3,) of the points of an arm's calibration [m]."""
-    return np.asarray(arm.measured.readings.p_M.mean(axis=0))
+    return np.asarray(arm.points.readings.p_M.mean(axis=0))
 
 
 def _day_sizes(arm: ArmBelief) -> Array:
@@ -215,7 +241,7 @@ def _day_sizes(arm: ArmBelief) -> Array:
 
     Half of the mean square is that of the shift, half that of the turn.
     """
-    p_M = arm.measured.readings.p_M - arm_centre(arm)
+    p_M = arm.points.readings.p_M - arm_centre(arm)
     by_turn = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))
     return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_turn], 3)
 

@@ -4,6 +4,7 @@ A change is *visible* if it is one of a parameter by 0.05 mm or 50 µrad (of an 
 rms) that moves the SMR, root mean square over the readings of the calibration, by at least ``VISIBLE`` times the
 standard deviation of a measured coordinate, after the motion of the tracker that follows it best has been taken off:
 what a motion of the tracker makes as well is no change of an arm. The deviation is that of tracker and arm together.
+Where a probe measures orientation too, what a change turns it by counts beside, in its own standard deviations.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class ArmBelief:
     promised_m : float
         Root mean square length of the error of a prediction over the readings of the calibration [m].
     measured : Measured
-        The readings of the calibration without gross errors, in the frame of ``model``.
+        The readings of the calibration without gross errors, in the frame of ``model``: positions, then orientations
+        where the check measures them.
+    scatter_rad, noise_rad : float
+        As ``scatter_m`` and ``noise_m``, of a component of an orientation [rad]; zero where none is measured.
     """
 
     stored: ArmModel
@@ -71,6 +75,13 @@ class ArmBelief:
     day_m: float
     promised_m: float
     measured: Measured
+    scatter_rad: float = 0.0
+    noise_rad: float = 0.0
+
+    @property
+    def points(self) -> Measured:
+        """The positions among the readings of the calibration."""
+        return self.measured.positions
 
 
 @dataclass(frozen=True, eq=False)

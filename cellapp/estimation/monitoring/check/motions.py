@@ -1,7 +1,7 @@
 """Rigid motions of tracker and bases, solved for by Gauss-Newton steps from the registration of the points.
 
 A measured point p of an arm whose base moved by M, seen by a tracker whose frame moved by T, lies at T M p'; p' is
-where the calibration expects it, up to changes of parameters, which enter linearly.
+where the calibration expects it, up to changes of parameters, which enter linearly. An orientation turns with both.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
-from cellapp.estimation.monitoring.check.linear import Moments, StopRows
+from cellapp.estimation.monitoring.check.linear import Moments, StopRows, twists
 from cellapp.estimation.monitoring.check.model import LENGTH_M
 from cellapp.estimation.monitoring.check.statistics import solved
 from cellapp.robot.kinematics.transforms import (
@@ -22,8 +23,8 @@ from cellapp.robot.kinematics.transforms import (
     invert,
     register,
     rotation_from_vector,
+    rotation_vectors,
     transform,
-    twist_columns,
 )
 
 LARGE_M = 5e-4
@@ -68,8 +69,8 @@ def solve_motions(
     every = np.ones(len(stops.measured), dtype=np.bool_)
     own = every & False if base is None else base
     parts = [points for points, moves in ((every, tracker), (own, base is not None)) if moves]
-    twists = twist_columns(stops.expected - centre)
-    whole = [(twists * points[:, None, None]).reshape(-1, 6).T for points in parts]
+    columns = twists(stops.expected - centre, ~stops.points)
+    whole = [(columns * points[:, None, None]).reshape(-1, 6).T for points in parts]
     rows = np.concatenate([*whole, stops.rows[list(linear)]])
     T, M = _registered(stops, tracker, own)
     for _ in range(_STEPS):
@@ -89,8 +90,9 @@ def _registered(stops: StopRows, tracker: bool, own: NDArray[np.bool_]) -> tuple
     T, M = np.eye(4), np.eye(4)
     if float(np.abs(stops.left).max()) <= LARGE_M:
         return T, M
+    own, others = own & stops.points, ~own & stops.points
     if tracker:
-        fixed = ~own if np.sum(~own) >= FEWEST_POINTS else np.ones_like(own)
+        fixed = others if np.sum(others) >= FEWEST_POINTS else stops.points
         T = register(stops.measured[fixed], stops.expected[fixed])
     if np.sum(own) >= FEWEST_POINTS:
         M = register(apply(invert(T), stops.measured[own]), stops.expected[own])
@@ -101,6 +103,10 @@ def _without(stops: StopRows, T: Array, M: Array, own: NDArray[np.bool_]) -> Sto
     """The stops with both motions taken off."""
     measured = apply(invert(T), stops.measured)
     measured[own] = apply(invert(M), measured[own])
+    if stops.turned is not None:
+        left = Rotation.from_rotvec(stops.measured[stops.turned]).as_matrix()
+        moved = np.where(own[stops.turned, None, None], (T @ M)[:3, :3], T[:3, :3])
+        measured[stops.turned] = rotation_vectors(moved.swapaxes(1, 2) @ left)
     return replace(stops, measured=measured)
 
 

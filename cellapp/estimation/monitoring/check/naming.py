@@ -46,7 +46,8 @@ class Design:
     belief : CheckBelief
     directions, alternatives : tuple
     motions : mapping
-        Arm -> motion (C, n, 3) [m] of the SMR at the calibration's readings by one step of each direction.
+        Arm -> motion (C, n, 3) [m] of the SMR at the calibration's readings by one step of each direction, then that of
+        its orientation [rad] where the check measures it.
     moved_m : array, shape (C,)
         Rms motion by one step beside a moved tracker [m], see ``visibility``.
     visible : array, shape (C,)
@@ -129,7 +130,7 @@ class Explanation:
 
 def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
     """The stops in the frame where the calibration expects them, and the motion (4, 4) of a tracker set up anew."""
-    if not design.belief.station_free or len(stops.measured) < FEWEST_POINTS:
+    if not design.belief.station_free or np.sum(stops.points) < FEWEST_POINTS:
         return stops, np.eye(4)
     found = solve_motions(stops, centre_of(design.belief), tracker=True)
     return found.stops, found.tracker
@@ -227,7 +228,7 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
     members, belief = list(one.members), design.belief
     before = float(rest.white @ rest.white)
     points = None if one.kind != "base" else stops.arm_of == list(belief.arms).index(one.arm)
-    moves = one.kind == "tracker" or (points is not None and np.sum(points) >= FEWEST_POINTS)
+    moves = one.kind == "tracker" or (points is not None and np.sum(points & stops.points) >= FEWEST_POINTS)
     large = belief.station_free and float(np.abs(stops.left).max()) > LARGE_M
     if not moves and not large:
         explained = float(np.sum((basis @ rest.white) ** 2))

@@ -24,7 +24,8 @@ class FoundChange(Record):
 
     ``value`` and ``standard_error`` are of the change, in ``unit``; ``p_value`` is its chance, corrected for the number
     of changes that were tested; ``moved_mm`` the rms displacement of the SMR by it over the readings of the
-    calibration. ``rivals`` are changes that explain the stops about as well.
+    calibration, ``turned_mrad`` the rms turn of its probe, where orientation was measured. ``rivals`` are changes that
+    explain the stops about as well.
     """
 
     arm: str
@@ -34,6 +35,7 @@ class FoundChange(Record):
     unit: str
     p_value: float
     moved_mm: float
+    turned_mrad: float | None = None
     rivals: tuple[str, ...] = ()
 
     @property
@@ -48,20 +50,27 @@ class CheckedArm(Record):
 
     ``expected_mm`` is the rms position error that the calibration promised there, ``rms_mm`` what was found,
     ``left_mm`` the rms error over the calibration's readings that the found changes make, with the promised one.
+    ``expected_mrad`` and ``rms_mrad`` are those of orientation, where it was measured.
     """
 
     stops: int
     expected_mm: float
     rms_mm: float
     left_mm: float | None = None
+    expected_mrad: float | None = None
+    rms_mrad: float | None = None
 
 
 class CheckedPoint(Record):
-    """A measured SMR: joint positions [rad], position in the tracker frame [m], distance from the prediction [mm]."""
+    """A measured SMR: joint positions [rad], position in the tracker frame [m], distance from the prediction [mm].
+
+    ``error_mrad`` is the angle of its orientation from the prediction, where it was measured.
+    """
 
     q: tuple[float, ...]
     measured_M: Point
     error_mm: float
+    error_mrad: float | None = None
 
 
 class CheckedStop(Record):

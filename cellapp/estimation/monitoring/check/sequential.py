@@ -96,7 +96,7 @@ def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
     """Where the test stands after some stops."""
     here, _ = with_station(design, stops)
     moments = Moments.of(here)
-    if stops.free and len(stops.measured) < FEWEST_POINTS:  # nothing tells yet where the tracker stands
+    if stops.free and np.sum(stops.points) < FEWEST_POINTS:  # nothing tells yet where the tracker stands
         return SequentialState(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
     seen = looks(moments, design.alternatives, design.visible)
     count = len(seen.log_evidence)

@@ -20,9 +20,8 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtrc, logsumexp
 
 from cellapp.estimation.monitoring.check.alternatives import Alternative
 from cellapp.estimation.monitoring.check.linear import Moments, spanned
@@ -58,7 +57,7 @@ def looks(moments: Moments, alternatives: Sequence[Alternative], visible: NDArra
     mixed = replace(moments, directions=_mixed(moments.directions, alternatives, visible))
     valid = np.column_stack([valid, 0.5 * mixed.information - np.abs(mixed.moment)])
     return Looks(
-        log_evidence=np.asarray(logsumexp(gains, axis=1) - math.log(len(alternatives))),
+        log_evidence=np.asarray(scipy.special.logsumexp(gains, axis=1) - math.log(len(alternatives))),
         log_valid=np.asarray(valid.min(axis=1)) if np.any(visible) else np.zeros(len(information)),
         p_values=_p(moments.chi_squared, moments.degrees),
     )
@@ -161,7 +160,7 @@ class MinPValueTest:
 
 def _p(squares: Array, degrees: int | NDArray[np.intp]) -> Array:
     """Probability of a larger chi-squared; 1 without degrees of freedom."""
-    return np.where(np.asarray(degrees) > 0, chdtrc(np.maximum(degrees, 1), squares), 1.0)
+    return np.where(np.asarray(degrees) > 0, scipy.special.chdtrc(np.maximum(degrees, 1), squares), 1.0)
 
 
 def after(moments: Moments, nuisance: Sequence[int]) -> Moments:
@@ -177,6 +176,6 @@ def solved(moments: Moments, members: Sequence[int]) -> tuple[Array, Array]:
     rows = moments.directions[list(members)]
     G = rows @ rows.T
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
-    factor = cho_factor(G * scale * scale[:, None] + 1e-10 * np.eye(len(G)), lower=True)
-    covariance = cho_solve(factor, np.eye(len(G))) * scale * scale[:, None]
+    factor = scipy.linalg.cho_factor(G * scale * scale[:, None] + 1e-10 * np.eye(len(G)), lower=True)
+    covariance = scipy.linalg.cho_solve(factor, np.eye(len(G))) * scale * scale[:, None]
     return np.asarray(covariance @ (rows @ moments.white)), np.asarray(covariance)

@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
-from cellapp.estimation.monitoring.check.belief import point_covariance
+from cellapp.estimation.monitoring.check.belief import measured_vectors, noise_covariance
 from cellapp.estimation.monitoring.check.linear import conditions_now
 from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief, ChosenStops, Power
 from cellapp.estimation.monitoring.check.visible import calibration_motions, motions, visibility
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 
 NEEDED = 32.0
@@ -96,16 +99,26 @@ def _whitened(
     found = []
     for name, its in readings.items():
         arm = belief.arms[name]
-        measured = Measured(its, conditions[name], np.ones(len(its)))
-        rows = motions(belief, name, measured, directions)
-        found.append(np.einsum("ac,knc->kan", _whitener(arm), rows))
+        measured = _as_measured(arm, its, conditions[name])
+        rows, noise = motions(belief, name, measured, directions), noise_covariance(arm, arm.measured)
+        kinds = ((measured.points, arm.measured.points), (~measured.points, ~arm.measured.points))
+        found += [
+            np.einsum("ac,knc->kan", _whitener(noise[known]), rows[:, here]) for here, known in kinds if here.any()
+        ]
     return np.concatenate(found, axis=1)
 
 
-def _whitener(arm: ArmBelief) -> Array:
-    """Whitening (3, 3) of a point: by the mean covariance of the calibration's readings."""
-    covariance = np.mean(point_covariance(arm, arm.measured.readings), axis=0)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementConditions) -> Measured:
+    """Imagined readings, with the orientation that the arm's model expects where a check measures it."""
+    if arm.measured.turned is None:
+        return Measured(imagined, conditions, np.ones(len(imagined)))
+    turns = Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
+    return measured_vectors(arm, replace(imagined, quaternion_M=turns.as_quat(scalar_first=True)), conditions)
+
+
+def _whitener(covariances: Array) -> Array:
+    """Whitening (3, 3) of a point: by the mean covariance (n, 3, 3) of the calibration's readings."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(np.mean(covariances, axis=0))))
 
 
 def _imagined(q: Array, here: Array | None) -> Readings:

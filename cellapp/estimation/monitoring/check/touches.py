@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky
 
 from cellapp.estimation.monitoring.check.conclusion import concluded
 from cellapp.estimation.monitoring.check.linear import StopRows, expected, stop_rows
@@ -103,7 +103,7 @@ def contrasts(stops: StopRows, point: NDArray[np.intp]) -> StopRows:
         stop_ends=3 * np.arange(1, len(rows) + 1, dtype=np.intp),
         arm_of=np.array(arms, dtype=stops.arm_of.dtype),
         rows=stops.rows @ C.T,
-        factor=cholesky(half @ half.T, lower=True),
+        factor=scipy.linalg.cholesky(half @ half.T, lower=True),
     )
 
 

@@ -9,21 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
-from cellapp.estimation.monitoring.check.model import TRACKER, VISIBLE, CheckBelief
+from cellapp.estimation.monitoring.check.linear import twists
+from cellapp.estimation.monitoring.check.model import TRACKER, VISIBLE, ArmBelief, CheckBelief
 from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.linear_model import Measured, design
-from cellapp.robot.kinematics.transforms import Array, twist_columns
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 
 def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
-    """Motion (C, n, 3) [m] of the SMR of an arm at n readings by one step of each direction."""
+    """Motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     model, kept = _without_free_functions(arm.model, len(arm.columns))
     X = np.zeros((len(arm.covariance), len(measured), 3))
     X[kept] = design(model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
     p_M = model.predict(measured.readings.q, conditions=measured.conditions)
-    station = twist_columns(p_M - centre_of(belief)).transpose(2, 0, 1)
+    station = twists(p_M - centre_of(belief), ~measured.points).transpose(2, 0, 1)
     found = np.zeros((len(directions), len(measured), 3))
     for k, one in enumerate(directions):
         if one.arm == name:
@@ -53,16 +54,24 @@ def visibility(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Rms motion (C,) [m] of the SMR by one step of each direction, and which are visible.
 
-    The motion of the tracker that follows it best is taken off, see ``check.model``; its own is taken as it is,
-    and is no change where it was set up anew. ``moved`` are the motions at the calibration's readings.
+    What turns a probe counts by the noise of an orientation, as what moves it by that of a point. The motion of the
+    tracker that follows it best is taken off, see ``check.model``; its own is taken as it is, and is no change where it
+    was set up anew. ``moved`` are the motions at the calibration's readings.
     """
-    rows = np.concatenate([moved[name].reshape(len(directions), -1) for name in belief.arms], axis=1)
+    rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
+    points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
     own = np.array([one.arm == TRACKER for one in directions])
     basis = np.linalg.qr(rows[own].T)[0]
     left = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
-    counts = {name: len(arm.measured) for name, arm in belief.arms.items()}
+    counts = {name: len(arm.points) for name, arm in belief.arms.items()}
     noise = {name: arm.noise_m for name, arm in belief.arms.items()}
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
-    rms = np.sqrt(np.sum(left**2, axis=1) / np.array([counts[one.arm] for one in directions]))
-    visible = rms >= VISIBLE * np.array([noise[one.arm] for one in directions])
-    return rms, visible & ~(own & belief.station_free)
+    of_arm = np.array([counts[one.arm] for one in directions])
+    visible = np.sqrt(np.sum(left**2, axis=1) / of_arm) >= VISIBLE * np.array([noise[one.arm] for one in directions])
+    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), visible & ~(own & belief.station_free)
+
+
+def _as_points(arm: ArmBelief, moved: Array) -> Array:
+    """Motions (C, 3 n) of an arm's vectors, turns as what moves a point by as many standard deviations [m]."""
+    scale = np.where(arm.measured.points, 1.0, arm.noise_m / max(arm.noise_rad, 1e-12))
+    return np.asarray((moved * scale[:, None]).reshape(len(moved), -1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.monitoring.check import CheckBelief
@@ -24,6 +25,8 @@ from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, true_geometry
 Array = NDArray[np.float64]
 SIGMA_M = 1.5e-5
 """Noise of a coordinate: a laser tracker at 4 m."""
+SIGMA_RAD = 4e-5
+"""Noise of a component of the orientation of a 6-D probe."""
 BESIDE = transform(rotation_from_vector([-0.02, 0.06, 2.4]), [2.9, -0.8, -0.6])
 
 
@@ -45,9 +48,14 @@ class SimulatedCell:
 
 
 def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
-    """What a tracker measures of an arm without effects."""
+    """What a tracker measures of an arm without effects; of a probe its orientation too."""
     n = len(q)
     model = model_of(true, true)
+    turned = {}
+    if true.probe is not None:
+        noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((n, 3)))
+        quaternion_M = (noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True)
+        turned = {"quaternion_M": quaternion_M, "sigma_rad": np.full(n, SIGMA_RAD)}
     steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
     return Readings(
         configuration=np.arange(n),
@@ -56,6 +64,7 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
         approach=np.sign(steps).astype(np.int8),
         p_M=model.predict(q) + rng.normal(0.0, SIGMA_M, (n, 3)),
         covariance_M=np.broadcast_to(SIGMA_M**2 * np.eye(3), (n, 3, 3)).copy(),
+        **turned,
     )
 
 
@@ -72,13 +81,15 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         rng = np.random.default_rng([seed, place])
         true[name] = true_geometry(nominal, rng)
         candidates[name] = rng.uniform(-2.0, 2.0, (readings, nominal.joints))
+        if nominal.probe is not None:
+            true[name] = replace(true[name], probe=nominal.probe + rng.normal(0.0, 3e-3, 3))
         measured = readings_of(true[name], candidates[name], rng)
         conditions = MeasurementConditions(approach=measured.approach)
         columns = candidate_columns(nominal)
         precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
         prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
         found = posterior(model_of(nominal, nominal), measured, conditions, prior)
-        beliefs[name] = arm_belief(found.model, found, Measured(measured, conditions, np.ones(readings)))
+        beliefs[name] = arm_belief(found.model, found, Measured.of(measured, conditions))
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 
@@ -112,6 +123,12 @@ def one_ur5() -> SimulatedCell:
 @pytest.fixture(scope="session")
 def single() -> SimulatedCell:
     return one_ur5()
+
+
+@pytest.fixture(scope="session")
+def probed() -> SimulatedCell:
+    """A UR10 with a 6-D probe."""
+    return cell_of({"only": replace(at_station(UR10, OFF_AXIS), probe=np.array([0.1, -0.3, 0.4]))}, 6)
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,8 @@ import pytest
 
 from cellapp.estimation.monitoring.check import Conclusion, SequentialTest, choose_stops
 from cellapp.estimation.monitoring.check.alternatives import GROWTH
+from cellapp.estimation.monitoring.check.model import Power
+from cellapp.estimation.prior.linear_model import Measured
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, parameter_names
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
@@ -16,6 +18,16 @@ from tests.estimation.monitoring.check.conftest import SimulatedCell, free, move
 
 pytestmark = pytest.mark.fast
 PLANNED = 16
+
+
+def visible_changes(cell: SimulatedCell) -> list[Power]:
+    """The changes that stops at all candidates show."""
+    return [one for one in choose_stops(cell.belief, cell.candidates, PLANNED).power if one.visible]
+
+
+def positions(cell: SimulatedCell) -> Measured:
+    """The readings of its calibration without orientation."""
+    return cell.belief.arms["only"].points
 
 
 def checked(cell: SimulatedCell, changed: dict[str, Geometry] | None = None) -> tuple[Conclusion, SequentialTest]:
@@ -61,6 +73,44 @@ def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str
     assert found.arms["left"].left_mm == pytest.approx(one.moved_mm, rel=0.1)
     assert found.arms["right"].left_mm is not None
     assert found.arms["right"].left_mm < 0.02
+
+
+@pytest.mark.parametrize(("word", "joint"), [("theta5", 5), ("theta6", 6)])
+def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
+    probed: SimulatedCell, word: str, joint: int
+) -> None:
+    place = parameter_names(6).index(word)
+    found, test = checked(probed, {"only": with_parameter(probed.true["only"], place, 1.5e-4)})
+    assert found.verdict == "arm changed"
+    (one,) = found.changes
+    assert one.what == f"zero of joint {joint}"
+    assert one.value == pytest.approx(1.5e-4, abs=4.0 * (one.standard_error or 0.0))
+    assert one.turned_mrad == pytest.approx(0.15, rel=0.2)
+    assert found.arms["only"].rms_mrad is not None
+    assert found.arms["only"].expected_mrad == pytest.approx(0.07, rel=0.2)  # 40 urad about each axis
+    shown = {one.what for one, seen in zip(test._design.directions, test._design.visible, strict=True) if seen}
+    assert f"zero of joint {joint}" in shown
+
+
+def test_positions_alone_do_not_show_it(probed: SimulatedCell) -> None:
+    cell = replace(
+        probed,
+        belief=replace(probed.belief, arms={"only": replace(probed.belief.arms["only"], measured=positions(probed))}),
+    )
+    assert not any("zero of joint 6" in one.what for one in visible_changes(cell))
+    assert any("zero of joint 6" in one.what for one in visible_changes(probed))
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.03], ids=["small", "large"])
+def test_moved_tracker_and_base_turn_orientations_too(probed: SimulatedCell, size: float) -> None:
+    changed = moved_base(probed.true["only"], [size, -size, size], [size, size, -size])
+    found, _ = checked(free(probed), {"only": changed})
+    assert found.verdict in ("valid", "cannot say")  # a station that was set up anew is no change
+    assert not found.changes
+    assert found.T_new_old is not None
+    points = probed.belief.arms["only"].points.readings.p_M
+    true = apply(transform(rotation_from_vector([size, size, -size]), [size, -size, size]), points)
+    assert np.linalg.norm(apply(found.T_new_old, points) - true, axis=1).max() < 6e-5
 
 
 @pytest.mark.parametrize("size", [1e-4, 0.03], ids=["small", "large"])

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import expit
+import scipy
 
 from cellapp.commands.trials.benchmark.problem import Answer, Problem
 from cellapp.estimation.calibration.identification import TooFewReadings
@@ -38,7 +38,7 @@ def library_laws(problem: Problem, fit: JointFit) -> list[CandidateLaw]:
 
 def even_odds(gain: float) -> float:
     """Probability of what gains so much of the criterion, at even odds before."""
-    return float(expit(gain / 2.0))
+    return float(scipy.special.expit(gain / 2.0))
 
 
 def gains(fit: JointFit, blocks: Sequence[CandidateLaw]) -> list[float]:

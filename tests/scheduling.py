@@ -1,0 +1,46 @@
+"""Which test process takes which files: some compute, others mostly wait for emulated devices and terminals.
+
+A file whose tests wait says so: ``pytestmark = pytest.mark.waits``. These come last. Of several processes one half
+takes files from the beginning of the queue, the other half from its end, until they meet. What waits needs the
+processor seldom but at once, so the processes that compute leave it to the others.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
+
+PROCESSES = 3
+"""Of all tests, for two cores: two that compute, and one that waits."""
+FAST_PROCESSES = 2
+"""Of the fast tests, which do not wait."""
+_NICENESS = 5
+
+
+def waiting_last(items: list[pytest.Item]) -> None:
+    """Put the tests that wait behind those that compute; else the order stays."""
+    items.sort(key=lambda item: item.get_closest_marker("waits") is not None)
+
+
+def leave_the_processor(config: pytest.Config) -> None:
+    """In a process that computes, let those that wait run first."""
+    given = getattr(config, "workerinput", None)
+    if given and not _waits(given["workerid"], given["workercount"]) and hasattr(os, "nice"):
+        os.nice(_NICENESS)
+
+
+def _waits(worker: str, count: int) -> bool:
+    """Whether a process (gw0, gw1, ...) of ``count`` takes files from the end."""
+    return int(worker.removeprefix("gw")) >= count - count // 2
+
+
+class FromBothEnds(LoadFileScheduling):
+    """Whole files, for half of the processes from the end of the queue."""
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        if _waits(node.gateway.id, self.numnodes):
+            self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+        super()._assign_work_unit(node)
