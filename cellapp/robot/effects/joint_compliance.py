@@ -50,9 +50,9 @@ class JointCompliance(Effect):
         gears show (K1 < K2 < K3).
     smooth
         ``dq_j = sum_i b_ji t_ji``, t_ji being the torque about joint j of 1 kg at the origin of frame i (the SMR for
-        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior. Where the profile has no masses,
-        also ``s_ji t_ji |t_ji| / 4.9 Nm``: drives stiffen, and no knee can be placed at a torque that nobody knows;
-        and the torques of 1 kg beside the last axis: a tool's centre is anywhere.
+        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior. Where nobody stated masses, or a
+        load, also ``s_ji t_ji |t_ji| / 4.9 Nm``: drives stiffen, and no knee can be placed at a torque that nobody
+        knows; and the torques of 1 kg beside the last axis: a tool's centre is anywhere.
     In the first two, a correction of the torque of the load, or of one body, may be added at a joint: the load was
     weighed, the arm's own masses were not.
 
@@ -271,13 +271,14 @@ def _torques_of_unit_masses(
 ) -> list[EffectColumn]:
     """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR).
 
-    ``bent{j}_{i}`` is its odd square over that of 1 kg at half a metre, for arms without masses.
+    ``bent{j}_{i}`` is its odd square over that of 1 kg at half a metre, where masses or the load are unknown.
 
     Without ``names`` those that are more than rounding: a single posture may have none about a joint of the model.
     """
     rotations, origins = context.frames
     weight_M = -_GRAVITY * context.up_M
-    nobody_stated = not context.bodies.masses.any()  # else a knee at a known torque says it better
+    # else a knee at a known torque says it better
+    nobody_stated = not context.bodies.masses.any() or not context.loads.masses[-1].any()
     columns = []
     for j in range(context.joints):
         axis = rotations[j][:, :, 2]
