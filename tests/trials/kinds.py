@@ -71,7 +71,7 @@ MADE_NESTS_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
 NEST_NOISE_M = 1.5e-5
 _RANGE_RAD = 2.2
 _TRUE = 300
-_PLACES = np.array([[0.5, 0.5, 0.1], [0.5, -0.5, 0.2], [-0.5, 0.6, 0.4], [0.8, 0.0, 0.5], [-0.5, -0.5, 0.7]])
+PLACES_B = np.array([[0.5, 0.5, 0.1], [0.5, -0.5, 0.2], [-0.5, 0.6, 0.4], [0.8, 0.0, 0.5], [-0.5, -0.5, 0.7]])
 """Of sockets in the frame of the base [m]."""
 
 
@@ -129,9 +129,15 @@ class Bench:
         """Joint positions (count, 6) [rad]."""
         return np.random.default_rng([self.seed, stream]).uniform(-_RANGE_RAD, _RANGE_RAD, (count, 6))
 
-    def truth(self, change_rad: float = 0.0) -> Truth:
-        """The true arm at configurations that no reading is of, with the changed zero of a joint."""
-        plant, q = build_plant(self.profile(probe=PROBE)), self.q(_TRUE, 9)
+    def truth(self, change_rad: float = 0.0, profile: Profile | None = None) -> Truth:
+        """The true arm at configurations that no reading is of, with the changed zero of a joint.
+
+        ``profile`` is that of a cell with other errors.
+        """
+        probed = self.profile(probe=PROBE)
+        if profile is not None:
+            probed = probed.model_copy(update={"plant": profile.plant})
+        plant, q = build_plant(probed), self.q(_TRUE, 9)
         plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, change_rad))
         at_rest = np.zeros_like(q)
         return Truth(
@@ -213,7 +219,7 @@ def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, E
         yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
     profile = bench.profile()
     plant = build_plant(profile)
-    touched = bench.touched(plant, _PLACES, stops // (2 * len(_PLACES)))
+    touched = bench.touched(plant, PLACES_B, stops // (2 * len(PLACES_B)))
     yield "sockets only", truth.errors(calibrated(profile, touched, discover=discover), lay=True)
     yield from after_a_change(bench, profile, discover=discover)
 
@@ -227,7 +233,7 @@ def after_a_change(bench: Bench, profile: Profile, *, discover: bool) -> Iterato
         arm = fitted(run, discover=discover).arms["left"]
         yield "earlier calibration, joint 3 changed", now.errors(arm)
         T_M_B, rng = plant.true_T_M_B("left"), np.random.default_rng([bench.seed, 5])
-        socket_M = T_M_B[:3, :3] @ _PLACES[0] + T_M_B[:3, 3]
+        socket_M = T_M_B[:3, :3] @ PLACES_B[0] + T_M_B[:3, 3]
         q = touches(plant, "left", socket_M, bench.q(8 * TOUCHES, 6), seating_m=SEATING_M, rng=rng)[:TOUCHES]
         path = Path(folder) / "touches.csv"
         path.write_text("\n".join(csv_lines(q)), "utf-8")

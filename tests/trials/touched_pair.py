@@ -1,7 +1,9 @@
 """Two simulated arms tied by sockets that both touched: what the tie is off by, and what it states.
 
     python -m tests.trials.touched_pair --seeds 8
+    python -m tests.trials.touched_pair --seeds 8 --on-flange 40
 
+With ``--on-flange`` no socket is common: the ball of the left arm rests in a socket on the right arm's flange instead.
 The true tie of two models is that which lays their positions best onto the true ones, at 300 other postures.
 """
 
@@ -17,12 +19,15 @@ import numpy as np
 import typer
 
 from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.touching import both_reader
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
+from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, FlangeTouch, flange_touches_text
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Distance, Readings
+from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import apply, invert, register
 from cellapp.robot.model import CellModel
 from drivers.plant import Plant
@@ -92,16 +97,24 @@ def touched(plant: Plant, name: str, common: list[Array], first: int, rng: np.ra
     return replace(found, configuration=first + np.arange(len(all_q)), distances=known)
 
 
-def tied(seed: int, common: int = 5) -> Tied:
+def carried(profile: Profile, count: int) -> list[FlangeTouch]:
+    """Touches of the left arm's ball in a socket that the right arm carries, as ``cellapp touch`` records them."""
+    read = both_reader(profile, "left")
+    return [FlangeTouch("left", "cup", *read("cup", number)) for number in range(count)]
+
+
+def tied(seed: int, common: int = 5, on_flange: int = 0) -> Tied:
     """Both arms of the twin, calibrated and tied by their touches."""
     profile = small_twin(plant={"seed": seed, "effects": {}})
     plant, rng = build_plant(profile), np.random.default_rng([seed, 4])
-    places = common_places(plant, common, rng)
+    places = [] if on_flange else common_places(plant, common, rng)
     readings = {name: touched(plant, name, places, 1000 * k, rng) for k, name in enumerate(profile.arms)}
     with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         for name, its in readings.items():
             run.add_readings(name, its)
         run.write_result(DISTANCES_RESULT, distances_text(readings))
+        if on_flange:
+            run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(carried(profile, on_flange)))
         pair = calibrate_run(run).pair
         model = model_of(run, stage_in_force(run, read_stages(run)))
     true_T_R_L, apart_mm = judged(plant, model, rng)
@@ -142,11 +155,16 @@ def lines(found: list[Tied]) -> Iterator[str]:
 
 
 @app.command()
-def main(seeds: Annotated[int, typer.Option(min=1)] = 8, common: Annotated[int, typer.Option(min=3)] = 5) -> None:
+def main(
+    seeds: Annotated[int, typer.Option(min=1)] = 8,
+    common: Annotated[int, typer.Option(min=3)] = 5,
+    on_flange: Annotated[int, typer.Option(min=0)] = 0,
+    first: int = 1,
+) -> None:
     """Print the table."""
     found = []
-    for seed in range(1, seeds + 1):
-        found.append(tied(seed, common))
+    for seed in range(first, first + seeds):
+        found.append(tied(seed, common, on_flange))
         typer.echo(f"seed {seed}: {found[-1]}", err=True)
     typer.echo("\n".join(lines(found)))
 

@@ -13,13 +13,11 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.working_conditions import conditions_of
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
-from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import Arm, ArmError
 
-PAYLOAD_SLACK_KG = 0.05
-"""Accepted deviation of a controller's payload, as when the link to the controller is opened."""
 _SAME_MOUNT = 1e-6
 """Offsets [m] and unit vectors that agree so closely are the same, however they were written."""
 _MOST_NAMED = 3
@@ -104,7 +102,7 @@ def known_payload(arm: Arm, load_kg: float) -> str:
         known_kg = arm.state().payload_kg
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    if known_kg is None or abs(known_kg - load_kg) <= PAYLOAD_SLACK_KG:
+    if known_kg is None or abs(known_kg - load_kg) <= SAME_PAYLOAD_KG:
         return ""
     return (
         f"the payload of its controller is set to {known_kg:.3f} kg; an arm that does not know its load is not driven"
@@ -124,13 +122,18 @@ def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> It
         own = [command for command in commands if command.arm == name]
         for stated_kg in dict.fromkeys(conditions_of(command.target, name).payload for command in own):
             low, high = ranges[name] if stated_kg is None else (stated_kg, stated_kg)
-            if low - PAYLOAD_SLACK_KG <= has_kg <= high + PAYLOAD_SLACK_KG:
+            several = high - low > SAME_PAYLOAD_KG
+            if several:  # a command is for one of them
+                low = high = run.profile.arms[name].payload.mass
+            if low - SAME_PAYLOAD_KG <= has_kg <= high + SAME_PAYLOAD_KG:
                 continue
             first = next(
                 command.target.name for command in own if conditions_of(command.target, name).payload == stated_kg
             )
-            asked = f"{low:.3f} kg" if high - low < PAYLOAD_SLACK_KG else f"{low:.3f} to {high:.3f} kg"
+            asked = f"{low:.3f} kg" if high - low < SAME_PAYLOAD_KG else f"{low:.3f} to {high:.3f} kg"
             why = "the run was measured with" if stated_kg is None else f"target '{first}' states"
+            if several:
+                why = f"the readings had several, and target '{first}', which states none, is for"
             yield f"arm {name}: its controller is set to a payload of {has_kg:.3f} kg, {why} {asked}"
 
 

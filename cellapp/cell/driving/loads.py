@@ -7,16 +7,16 @@ A simulated cell hangs its loads itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.cell_checks import PAYLOAD_SLACK_KG, known_payload
+from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.run import RunFile
 from cellapp.ground.control import Stopped
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 
 Hung = Callable[[str], bool]
 """Tells a person what to hang and returns whether it hangs; False where nobody is there."""
@@ -85,6 +85,31 @@ def require_load(cell: Cell, profile: Profile) -> None:
             )
 
 
+def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> Profile:
+    """The cell with the loads that commands are for, each an arm and its payload [kg], None where it does not matter.
+
+    An arm carries another one than ``payload`` if all its commands are for the same one and the profile lists it: its
+    driver then expects that on the controller, and a simulated cell hangs it. Otherwise nothing changes.
+    """
+    asked: dict[str, set[float]] = {}
+    for name, load_kg in loads_kg:
+        if load_kg is not None:
+            asked.setdefault(name, set()).add(load_kg)
+    arms = dict(profile.arms)
+    for name, own in asked.items():
+        listed = arms[name].listed_load(min(own)) if len(own) == 1 else None
+        if listed is not None and listed != arms[name].payload:
+            arms[name] = arms[name].model_copy(update={"payload": listed})
+    return profile.model_copy(update={"arms": arms})
+
+
+def require_known_loads(cell: Cell, loads_kg: Iterable[tuple[str, float]]) -> None:
+    """Raise ``HardwareError`` unless the controllers of an open cell are set to what commands are for [kg]."""
+    for name, load_kg in loads_kg:
+        if doubt := known_payload(cell.arms[name], load_kg):
+            raise HardwareError(f"arm {name}: not moved for {load_kg:g} kg: {doubt}; nothing was moved")
+
+
 def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
     """References of the arms that carry another load than the plan's first one, and which, in words."""
     loads = {name: arm.payload for name, arm in profile.arms.items() if arm.payload != planned.arms[name].payload}
@@ -95,7 +120,7 @@ def _check_stated(due: Profile, stated: Mapping[str, float], changes: Mapping[st
     for name in stated:
         if name not in due.arms:
             raise InputError(f"--payload: no arm '{name}'; arms are {', '.join(due.arms)}")
-    wrong = {name: kg for name, kg in stated.items() if abs(kg - due.arms[name].payload.mass) > PAYLOAD_SLACK_KG}
+    wrong = {name: kg for name, kg in stated.items() if abs(kg - due.arms[name].payload.mass) > SAME_PAYLOAD_KG}
     if missing := [name for name in changes if name not in stated]:
         raise InputError(f"--payload: arm {missing[0]} gets another load too; say what it carries")
     if wrong:

@@ -87,6 +87,8 @@ class Mover:
         emit: Callable[[Detail], None] = no_one,
     ) -> None:
         self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
+        self.carried = {name: arm.payload for name, arm in profile.arms.items()}
+        """What each arm carries by the profile."""
         self._emit = emit
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         self._step: dict[str, Vector] = {}

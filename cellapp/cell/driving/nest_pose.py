@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.cell.driving.motion import Mover, Vector
 from cellapp.cell.driving.nests import Nests
@@ -97,6 +97,8 @@ def turned_by(shape: NestShape, measured: Mapping[str, Point]) -> Point:
         return replace(point, quality=(*point.quality, "the nests do not stand as at the calibration"))
     return replace(
         point,
-        quaternion_M=Rotation.from_matrix(rotation[0]).as_quat(canonical=True, scalar_first=True),
+        quaternion_M=scipy.spatial.transform.Rotation.from_matrix(rotation[0]).as_quat(
+            canonical=True, scalar_first=True
+        ),
         sigma_rad=float(np.sqrt(np.linalg.eigvalsh(covariance[0, 3:, 3:])[-1])),
     )

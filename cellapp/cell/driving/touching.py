@@ -18,6 +18,7 @@ from cellapp.cell.driving.cell import arm_context, build_plant
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.smr import Nest
 from cellapp.robot.kinematics.transforms import Array
 from drivers.arms.protocol import ArmError, ArmTimeout
 from drivers.plant import Plant
@@ -33,10 +34,17 @@ BLOCK_M = 0.05
 _SEATING_M = 1.5e-5
 _SPREAD_RAD = 0.9
 """How far a simulated person turns the joints from a socket's first posture [rad]."""
+_TURNED_RAD, _POSTURES = 2.0, 200
+"""How far, and in how many ways, a simulated person turns two arms of which one carries a socket."""
 _TRIES = 12
 
 ReadTouch = Callable[[str, int], Reading]
 """Name of a socket and the number of touches before -> the arm's reading; raises ``Moving``, ``HardwareError``."""
+
+
+ReadBoth = Callable[[str, int], tuple[Array, Array]]
+"""Name of a socket on the other arm's flange and the number of touches before -> joints of the arm with the ball and of
+the one with the socket [rad]; raises as ``ReadTouch``."""
 
 
 class Moving(InputError):
@@ -62,6 +70,20 @@ def touch_reader(profile: Profile, arm: str) -> ReadTouch:
             " and give them to 'cellapp import'"
         )
     return partial(_read_touch, profile, arm)
+
+
+def both_reader(profile: Profile, arm: str) -> ReadBoth:
+    """What reads both arms of a pair, one of which carries a socket. Raises as ``touch_reader``."""
+    (other,) = [name for name in profile.arms if name != arm]
+    if profile.arms[arm].driver.needs_plant:
+        return partial(_simulated_both, profile, arm, other)
+    readers = [touch_reader(profile, name) for name in (arm, other)]
+
+    def read(socket: str, before: int) -> tuple[Array, Array]:
+        first, second = (one(socket, before).q for one in readers)
+        return first, second
+
+    return read
 
 
 def _read_touch(profile: Profile, arm: str, point: str, before: int) -> Reading:
@@ -105,6 +127,31 @@ def _simulated_touch(plant: Plant, arm: str, point: str, before: int) -> Reading
         if len(found):
             return _reading(found[0], point, plant.payload(arm)[0], plant.joint_temperatures_c(arm))
     raise InputError(f"arm {arm}: the simulated arm does not reach a socket '{point}'; take another name")
+
+
+def _simulated_both(profile: Profile, arm: str, other: str, socket: str, before: int) -> tuple[Array, Array]:
+    """Postures number ``before`` in which a simulated person seats the ball in the socket on the other arm's flange."""
+    place = np.random.default_rng(zlib.crc32(socket.encode())).uniform([-0.05, -0.05, 0.01], [0.05, 0.05, 0.1]).tolist()
+    smr = profile.arms[other].smr.model_copy(update={"name": "ball", "nests": {"socket": Nest(offset=tuple(place))}})
+    carrier = profile.arms[other].model_copy(update={"smr": smr})
+    plant = build_plant(profile.model_copy(update={"arms": {**profile.arms, other: carrier}}))
+    rng = np.random.default_rng([plant.config.seed, zlib.crc32(socket.encode()), before])
+    q, other_q = (_postures(plant, name, rng) for name in (arm, other))
+    ball_M = plant.smr_positions(arm, q, approach=np.zeros_like(q))
+    socket_M = plant.smr_positions(other, other_q, approach=np.zeros_like(other_q), nest="socket")
+    apart_m = np.linalg.norm(socket_M[:, None] - ball_M, axis=2)
+    for k in np.argsort(apart_m.min(axis=1))[:_TRIES].tolist():  # from the nearest postures it is not far
+        start = q[np.argmin(apart_m[k])][None]
+        found = touches(plant, arm, socket_M[k], start, seating_m=_SEATING_M, rng=rng)
+        if len(found):
+            return found[0], other_q[k]
+    raise InputError(f"arm {arm}: the simulated arm does not reach a socket on arm {other}")
+
+
+def _postures(plant: Plant, arm: str, rng: np.random.Generator) -> Array:
+    """Random postures (n, N) [rad] about that in which a simulated arm stands."""
+    low, high = next(one for one in plant.config.arms if one.name == arm).limits.T
+    return np.clip(plant.q(arm) + rng.uniform(-_TURNED_RAD, _TURNED_RAD, (_POSTURES, len(low))), low, high)
 
 
 def _in_block(point: str) -> tuple[str, int]:

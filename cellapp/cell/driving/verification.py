@@ -18,6 +18,7 @@ from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.evaluation import summarise
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
+from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
@@ -302,11 +303,14 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
     if len(others) == 1:
         arm, other_q = model.arms[others[0]], mover.positions()[others[0]][None]
         moment = base_moment(arm.geometry, arm.bodies, other_q, arm.up_M)
+    carried = mover.carried[name]
+    known = state.payload_kg is not None and abs(state.payload_kg - carried.mass) <= SAME_PAYLOAD_KG
     conditions = MeasurementConditions(
         approach=mover.approach(name)[None],
         step=None if step is None else step[None],
         dwell_s=None if rested_s is None else np.array([max(rested_s - 0.5 * point.averaging_s, 0.0)]),
         payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+        payload_center_F=np.array([carried.center_of_mass]) if known else None,
         air_c=None if point.temperature_c is None else np.array([point.temperature_c]),
         joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         other_moment_M=moment,

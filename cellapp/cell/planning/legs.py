@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -75,8 +75,8 @@ class LegPlanner:
         """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
         own = {name: step[stop] for name, step in self._step.items()}
         usable, asked = None, 0
-        for steps in (own, *self._others(stop)) if self._last_is_free(stop, own) else self._others(stop):
-            if steps is not own and not self._last_is_free(stop, steps):
+        for steps in self._steps_to(stop, own):
+            if not self._last_is_free(stop, steps):
                 continue
             usable, asked = usable or steps, asked + 1
             if self._way_is_free(stop, here, steps):
@@ -92,14 +92,19 @@ class LegPlanner:
         found = self._finder.find(here, self._begin_of(stop, usable))
         return found if isinstance(found, str) else found.legs
 
-    def _others(self, stop: int) -> list[Steps]:
-        """Other steps of a stop whose last motion begins where the arms may stand; a repeat has those of its stop."""
+    def _steps_to(self, stop: int, own: Steps) -> Iterator[Steps]:
+        """The planned steps of a stop, then others whose last motion begins where the arms may stand.
+
+        A repeat has those of its stop. The others are drawn when they are asked for, which is seldom.
+        """
+        yield own
         if self._arrangement.repeat_of[stop] >= 0:
-            return []
+            return
         patterns = self._factors.other_steps(self._step, stop)
         begins = {name: q[stop] - patterns[name] for name, q in self._q.items()}
         free = clear_stops(self._cell, begins)
-        return [{name: rows[k] for name, rows in patterns.items()} for k in np.flatnonzero(free).tolist()]
+        for k in np.flatnonzero(free).tolist():
+            yield {name: rows[k] for name, rows in patterns.items()}
 
     def _accepts(self, stop: int, steps: Steps) -> bool:
         """Whether the gate accepts other steps at a stop that is reached straight."""

@@ -16,7 +16,7 @@ import numpy as np
 from cellapp.cell.planning.duration import motion_s, route_s
 from cellapp.cell.planning.planned_stops import Configuration, Route
 from cellapp.cell.planning.reach import ArmRoadmap
-from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, remembered
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
@@ -78,10 +78,11 @@ class TransitPlanner:
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> TransitPath | None:
         """The shortest way through some of the configurations ``between`` that the gate accepts."""
+        gate = remembered(refuse_motion)  # many of the ways have motions in common
         timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
         for _, _, through in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]:
             stations = [here, *through, there]
-            if not any(refuse_motion(self._cell, first, second) for first, second in pairwise(stations)):
+            if not any(gate(self._cell, first, second) for first, second in pairwise(stations)):
                 return self._way(here, through, there)
         return None
 

@@ -38,6 +38,7 @@ from cellapp.cell.run.distances import (
     swapped_points,
 )
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, flange_touches_text, read_flange_touches
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
@@ -123,18 +124,21 @@ def readings_from_csv(
     distances: Path | None = None,
     recorded: Collection[str] = (),
     reference_nests: Path | None = None,
+    on_flange: Path | None = None,
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; returns what puts them into a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
     run then keeps what was derived. ``distances`` is a file of known distances between points in sockets,
-    ``reference_nests`` one of nests that tie tracker stations. Arms that are ``recorded`` in motion need no readings.
+    ``reference_nests`` one of nests that tie tracker stations, ``on_flange`` one of touches of sockets on the other
+    arm's flange. Arms that are ``recorded`` in motion need no readings.
     Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
     readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
     if distances is not None:
         readings = read_distances_csv(distances, profile, readings)
+    touches = [] if on_flange is None else read_flange_touches(on_flange, profile, readings)
     tied = ""
     if reference_nests is None:
         require_ties(csv, readings)
@@ -153,6 +157,8 @@ def readings_from_csv(
             write_in_order(run, orders)
         if distances is not None:
             run.write_result(DISTANCES_RESULT, distances_text(readings))
+        if touches:
+            run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(touches))
         if tied:
             run.write_result(STATIONS_RESULT, tied)
         for note in notes:

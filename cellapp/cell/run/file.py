@@ -36,6 +36,7 @@ from cellapp.cell.run.collection_rows import (
     select_sessions,
 )
 from cellapp.cell.run.distances import with_distances
+from cellapp.cell.run.flange_touches import with_flange_touches
 from cellapp.cell.run.nests import one_a_stop
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
@@ -293,7 +294,8 @@ class RunFile:
         """All rows of one arm as they were measured or imported, one a nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
-            return with_distances(connection, select_readings(connection, arm, self._joints(arm)))
+            found = with_distances(connection, select_readings(connection, arm, self._joints(arm)))
+            return with_flange_touches(connection, arm, found)
 
     def _in_one_frame(self, readings: Readings) -> Readings:
         if readings.station is None:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.run.csv_text import CsvTable
 from cellapp.ground.errors import InputError
@@ -37,7 +37,7 @@ class Form:
     pattern: re.Pattern[str]
     parts: tuple[str, ...]
     said: str
-    rotations: Callable[[Array], Rotation] | None
+    rotations: Callable[[Array], scipy.spatial.transform.Rotation] | None
     needs_unit: bool = False
 
 
@@ -47,20 +47,20 @@ _FORMS = (
         re.compile(r"(?:rotvec|rot_vec|rotation_vector|rv)_?([xyz])(?:_(rad|deg))?"),
         ("x", "y", "z"),
         "a rotation vector",
-        Rotation.from_rotvec,
+        lambda vectors: scipy.spatial.transform.Rotation.from_rotvec(vectors),
     ),
     Form(
         re.compile(r"(roll|pitch|yaw)(?:_(rad|deg))?"),
         ("roll", "pitch", "yaw"),
         "rot_z(yaw) rot_y(pitch) rot_x(roll)",
-        lambda rpy: Rotation.from_euler("xyz", rpy),
+        lambda rpy: scipy.spatial.transform.Rotation.from_euler("xyz", rpy),
         needs_unit=True,
     ),
     Form(
         re.compile(r"(?:r|rot|rotation|m)_?([123][123])()"),
         tuple(f"{row}{column}" for row in "123" for column in "123"),
         "a matrix, its rows one after another",
-        lambda entries: Rotation.from_matrix(entries.reshape(-1, 3, 3)),
+        lambda entries: scipy.spatial.transform.Rotation.from_matrix(entries.reshape(-1, 3, 3)),
     ),
 )
 _AMBIGUOUS = tuple(

@@ -126,7 +126,7 @@ class _Group:
         goals = {name: goals_of_arm(model, targets, name) for name in names}
         stated = {
             name: replace(
-                stated_conditions(targets, name, len(homes[name])),
+                stated_conditions(profile, targets, name),
                 record=ranges[name].record if name in ranges else None,
             )
             for name in names

@@ -13,6 +13,7 @@ from cellapp.cell.safety.path_gate import refuse_path
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.targets import WorkingConditions
+from cellapp.cell.targets.working_conditions import load_centers
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
@@ -174,6 +175,12 @@ def _nominal(
     return None if refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s) else trajectory
 
 
+def path_payload(profile: Profile, spec: PathSpec) -> float:
+    """The payload that a path is for [kg]: as stated, else the profile's."""
+    stated = spec.conditions.payload
+    return profile.arms[spec.arm].payload.mass if stated is None else stated
+
+
 def path_rates(profile: Profile, spec: PathSpec) -> Rates:
     """The limits of the arm's joints at the profile's share, and the path's own acceleration."""
     return Rates(*joint_rates(profile.arms[spec.arm]), spec.acceleration)
@@ -182,7 +189,8 @@ def path_rates(profile: Profile, spec: PathSpec) -> Rates:
 def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
     """Conditions along the path: as stated, the profile's payload where none is; a moving arm has no rest."""
     stated: WorkingConditions = spec.conditions
-    payload = profile.arms[spec.arm].payload.mass if stated.payload is None else stated.payload
+    payload = path_payload(profile, spec)
+    center_F = load_centers(profile.arms[spec.arm], [payload])
 
     def of(approach: Array) -> MeasurementConditions:
         n = len(approach)
@@ -190,6 +198,7 @@ def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
         return MeasurementConditions(
             approach=approach,
             payload_kg=np.full(n, payload),
+            payload_center_F=None if center_F is None else np.tile(center_F, (n, 1)),
             time_s=None if stated.time is None else np.full(n, stated.time),
             air_c=None if temperature is None else np.full(n, temperature),
             joints_c=None if temperature is None else np.full(approach.shape, temperature),

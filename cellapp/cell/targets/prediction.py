@@ -15,12 +15,11 @@ from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
 from cellapp.cell.targets.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
 from cellapp.cell.targets.working_conditions import conditions_payload
 from cellapp.estimation.uncertainty.records import UncertaintyParts
+from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
-_SAME_PAYLOAD_KG = 0.05
-"""Payloads that agree so closely are the same, as they are to a push."""
 AT_ONCE = 1000
 """Configurations at once: their draws take some tens of MB."""
 
@@ -108,9 +107,9 @@ def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
     if ranges.payload_kg is None:
         return []
     low, high = ranges.payload_kg
-    if low - _SAME_PAYLOAD_KG <= payload_kg <= high + _SAME_PAYLOAD_KG:
+    if low - SAME_PAYLOAD_KG <= payload_kg <= high + SAME_PAYLOAD_KG:
         return []
-    had = f"{low:g} kg" if high - low <= _SAME_PAYLOAD_KG else f"{low:g} to {high:g} kg"
+    had = f"{low:g} kg" if high - low <= SAME_PAYLOAD_KG else f"{low:g} to {high:g} kg"
     return [f"payload {payload_kg:g} kg was never measured (the readings had {had})"]
 
 
@@ -122,13 +121,14 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
     it corrects does not. A payload that no reading had adds to it, too.
     """
     inside = ranges.nearest_measured(q)
-    parameters, effects, network = _of_model(arm, q, conditions)
+    near = ranges.nearest_loaded(arm, q, conditions)
+    parameters, effects, network = _of_model(arm, q, near)
     nothing = np.zeros_like(parameters)
-    loaded = payload_covariance(arm, q, conditions, ranges.payload_kg, ranges.compliance)
+    loaded = payload_covariance(arm, q, conditions, near, ranges.elasticity)
     beyond = np.flatnonzero(np.any(inside != q, axis=1))
     if not len(beyond):
         return Spread(parameters, effects, network, loaded, nothing)
-    within = _of_model(arm, inside[beyond], conditions.take(beyond))
+    within = _of_model(arm, inside[beyond], near.take(beyond))
     extrapolation = nothing.copy()
     for here, there in zip((parameters, effects), within[:2], strict=True):
         share = np.minimum(_size(there) / np.maximum(_size(here[beyond]), 1e-300), 1.0)[:, None, None]

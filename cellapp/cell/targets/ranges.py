@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellapp.cell.targets.measuring_noise import MeasuringNoise
-from cellapp.cell.targets.other_payload import open_compliance
+from cellapp.cell.targets.other_payload import OpenElasticity
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects import TemperatureRecord
+from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -39,8 +39,8 @@ class ConditionRanges:
         Of the whole run, which effects with a lag follow.
     noise : MeasuringNoise or None
         What the tracker stated.
-    compliance : array, shape (N, N), or None
-        Second moment of the joints' compliances that the readings leave open [(rad/Nm)^2].
+    elasticity : OpenElasticity or None
+        How the joints may give way under payloads that no reading had.
     """
 
     q: Array | None = None
@@ -53,11 +53,11 @@ class ConditionRanges:
     stops: int = 0
     record: TemperatureRecord | None = None
     noise: MeasuringNoise | None = None
-    compliance: Array | None = None
+    elasticity: OpenElasticity | None = None
 
     @classmethod
     def of(cls, readings: Readings, arm: ArmModel | None = None) -> ConditionRanges:
-        """The ranges of an arm's readings; what they leave open of its compliances only with its model."""
+        """The ranges of an arm's readings; what they leave open of its elasticity only with its model."""
         if not len(readings):
             return cls()
         known = measurement_conditions(readings)
@@ -75,8 +75,21 @@ class ConditionRanges:
             stops=len(readings),
             record=known.record,
             noise=MeasuringNoise.of(readings),
-            compliance=None if arm is None else open_compliance(arm, readings),
+            elasticity=None if arm is None else OpenElasticity.of(arm, readings),
         )
+
+    def nearest_loaded(self, arm: ArmModel, q: Array, conditions: MeasurementConditions) -> MeasurementConditions:
+        """The ``conditions`` at ``q`` (n, N) [rad] with the nearest payload that was measured.
+
+        Readings without payloads had the arm's usual one. Where nothing is known of elasticity, any is.
+        """
+        if self.elasticity is None:
+            return conditions
+        low, high = self.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
+        asked_kg = arm.context(q, conditions=conditions).payload_kg
+        if bool(np.all((low <= asked_kg) & (asked_kg <= high))):
+            return conditions
+        return replace(conditions, payload_kg=np.clip(asked_kg, low, high))
 
     def nearest_measured(self, q: Array) -> Array:
         """The configurations nearest to ``q`` (n, N) within the joint ranges of the readings and 2 degrees beside."""

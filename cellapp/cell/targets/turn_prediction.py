@@ -56,9 +56,10 @@ def predicted_turns(
 def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
     """Covariances (n, 3, 3) [rad^2] of the orientations that a model with draws predicts at ``q`` (n, N) [rad]."""
     assert arm.posterior is not None
-    moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=conditions))
+    near = ranges.nearest_loaded(arm, q, conditions)
+    moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
     covariance = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
-    return np.asarray(covariance + payload_covariance(arm, q, conditions, ranges.payload_kg, ranges.compliance))
+    return np.asarray(covariance + payload_covariance(arm, q, conditions, near, ranges.elasticity))
 
 
 def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted_M: Array) -> list[float | None]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.cell.targets.targets import Target, WorkingConditions
+from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
@@ -20,12 +21,13 @@ def conditions_of(target: Target, arm: str) -> WorkingConditions:
     return target.conditions if partner is None or target.arm == arm else partner.conditions
 
 
-def stated_conditions(targets: Sequence[Target], arm: str, joints: int) -> MeasurementConditions:
+def stated_conditions(profile: Profile, targets: Sequence[Target], arm: str) -> MeasurementConditions:
     """What n targets state for ``arm``; NaN, and zero for approach signs, where one states nothing.
 
-    A temperature is that of the air and of all joints. The approach that a target states is that of its first arm.
+    The centre of a payload is that of the load of this mass that the profile lists. A temperature is that of the air
+    and of all joints. The approach that a target states is that of its first arm.
     """
-    stated = [conditions_of(target, arm) for target in targets]
+    stated, joints = [conditions_of(target, arm) for target in targets], len(profile.arms[arm].type.joints)
     temperature = _column([one.temperature for one in stated])
     approach = np.zeros((len(targets), joints))
     for row, target in enumerate(targets):
@@ -36,9 +38,18 @@ def stated_conditions(targets: Sequence[Target], arm: str, joints: int) -> Measu
         dwell_s=_column([one.dwell for one in stated]),
         time_s=_column([one.time for one in stated]),
         payload_kg=_column([one.payload for one in stated]),
+        payload_center_F=load_centers(profile.arms[arm], [one.payload for one in stated]),
         air_c=temperature,
         joints_c=None if temperature is None else np.tile(temperature[:, None], (1, joints)),
     )
+
+
+def load_centers(arm: Arm, payloads_kg: Sequence[float | None]) -> Array | None:
+    """Centres (n, 3) [m] of listed loads in the flange frame, NaN for others; None for a profile with one load."""
+    if not arm.payloads:
+        return None
+    listed = [None if mass is None else arm.listed_load(mass) for mass in payloads_kg]
+    return np.array([[np.nan] * 3 if one is None else one.center_of_mass for one in listed])
 
 
 def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: int) -> Array:

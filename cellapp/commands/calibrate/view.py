@@ -29,7 +29,12 @@ _DETAILED_COLUMNS = (
     *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
     number_column("n", "d"),
 )
-_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame", "touches": "common sockets"}
+_TRANSFORMS = {
+    "distances": "distances alone",
+    "tracker": "the tracker frame",
+    "touches": "common sockets",
+    "flange": "sockets on a flange",
+}
 _PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 

@@ -56,13 +56,15 @@ def _loads(text: str) -> dict[str, float]:
     """Arm -> what it carries [kg]. Raises ``ValueError``."""
     found: dict[str, float] = {}
     for part in text.split(","):
-        name, _, number = part.partition("=")
+        name, _, number = (piece.strip() for piece in part.partition("="))
+        if name in found:
+            raise ValueError(f"--payload: arm {name} is there twice, with {found[name]:g} and {number} kg; say which")
         try:
-            found[name.strip()] = float(number)
+            found[name] = float(number)
         except ValueError:
             raise ValueError(f"--payload: expected arm=kg, as left=5,right=3, got '{text}'") from None
-        if not math.isfinite(found[name.strip()]):
-            raise ValueError(f"--payload: expected a number of kg for arm {name.strip()}, got '{number}'")
+        if not math.isfinite(found[name]):
+            raise ValueError(f"--payload: expected a number of kg for arm {name}, got '{number}'")
     return found
 
 

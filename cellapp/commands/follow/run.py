@@ -7,14 +7,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
+from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.following import follow
+from cellapp.cell.driving.loads import carrying, require_known_loads
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.path_file import PathSpec, load_paths
 from cellapp.cell.targets.path_records import DrivenPath, PathResult
 from cellapp.cell.targets.path_result import path_csv, path_result
-from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.cell.targets.plan_path import PathPlan, path_payload, plan_path
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.follow.request import FollowRequest
 from cellapp.commands.locate.station import profile_at_station
@@ -78,7 +80,7 @@ def follow_run(
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
-        If a device refused or failed.
+        If a device refused or failed, or a controller has another payload than the one that a path is for.
     Cancelled
     """
     control = control or JobControl()
@@ -95,7 +97,14 @@ def follow_run(
     with ExitStack() as stack:
         if driving != "plan":
             listener = stack.enter_context(running_job(run, control, "follow", listener))
-            profile = profile_at_station(run, stages)  # the tracker of a simulated cell where it stands now
+            loads = [(plan.spec.arm, path_payload(run.profile, plan.spec)) for plan in plans]
+            profile = carrying(profile_at_station(run, stages), loads)  # its tracker where it stands now, if simulated
+            controllers = noting_controllers(run, notes, insist=out_of_date)
+
+            def opened(cell: Cell) -> None:
+                controllers(cell)
+                require_known_loads(cell, loads)
+
             followed = follow(
                 profile,
                 model,
@@ -106,7 +115,7 @@ def follow_run(
                 rehearse=rehearse,
                 judge=judge_of(run, profile),
                 confirm=confirmation(run.profile, ask),
-                opened=noting_controllers(run, notes, insist=out_of_date),
+                opened=opened,
             )
         result = path_result(model, followed, notes)
         basis = basis_on_model(run, used, paths)

@@ -28,6 +28,7 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         arm=request.arm,
         distances=request.distances,
         reference_nests=request.reference_nests,
+        on_flange=request.on_flange,
     )
 
 
@@ -41,12 +42,13 @@ def import_new_run(
     arm: str | None = None,
     distances: Path | None = None,
     reference_nests: Path | None = None,
+    on_flange: Path | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
     ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it,
     ``distances`` is a file of known distances between points in sockets, ``reference_nests`` one of nests that tie
-    tracker stations.
+    tracker stations, ``on_flange`` one of touches of sockets on the other arm's flange.
 
     Raises
     ------
@@ -66,6 +68,7 @@ def import_new_run(
                 distances=distances,
                 recorded=recorded,
                 reference_nests=reference_nests,
+                on_flange=on_flange,
             )
         )
     elif missing := [name for name in profile.arms if name not in recorded]:

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import check_cell
+from cellapp.cell.driving.loads import carrying
 from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests.running import running_job
@@ -102,7 +103,8 @@ def push_targets(
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
     # the tracker of a simulated cell where it stands now
-    profile, used, visited = profile_at_station(run, stages), stage_in_force(run, stages), Visited()
+    profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
+    used, visited = stage_in_force(run, stages), Visited()
     notes, judge = list(compensated.notes), judge_of(run, profile)
 
     def opened(cell: Cell) -> None:

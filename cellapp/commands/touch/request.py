@@ -42,6 +42,13 @@ class TouchRequest(Request):
         ),
     ] = False
     undo: Annotated[bool, Asked("Take the arm's last touch back, and end.", label="take the last touch back")] = False
+    on_flange: Annotated[
+        bool,
+        Asked(
+            "The socket is on the other arm's flange: both arms are led, and both arms' joints are recorded.",
+            label="socket on the other arm's flange",
+        ),
+    ] = False
     distances: Annotated[Path | None, Asked("Known distances between sockets, stored at the end.", "FILE")] = None
 
     @field_validator("point")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from cellapp.cell.driving.touching import Moving, ReadTouch, touch_reader
+from cellapp.cell.driving.touching import Moving, ReadTouch, both_reader, touch_reader
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.distances import published_arm
+from cellapp.cell.run.flange_touches import require_pair
 from cellapp.cell.run.touches import store_distances, store_touch, touches_before, withdraw_last_touch
 from cellapp.commands.record import Work
+from cellapp.commands.touch.on_flange import FlangeHand, require_both_in_sockets
 from cellapp.commands.touch.request import TouchRequest, socket_name
 from cellapp.commands.touch.result import RecordedTouch, TouchedPoint, TouchResult
 from cellapp.estimation.readings import Reading
@@ -29,6 +32,7 @@ _NEARER = 0.5
 _SAME_RAD = 0.02
 """Touches among which no joint turned farther than this are one posture [rad]."""
 _ASKED = "socket, 'undo' or 'end'"
+_T = TypeVar("_T")
 
 
 def run(request: TouchRequest, work: Work) -> TouchResult:
@@ -37,15 +41,42 @@ def run(request: TouchRequest, work: Work) -> TouchResult:
     arm = _arm_of(profile, request.arm)
     touches_before(request.folder, profile, arm)  # what does not fit is said before anything is read
     notes: list[str] = []
+    if request.on_flange:
+        return _on_flange(request, profile, arm, work)
     if request.undo:
         notes.append(_undone(request.folder, profile, arm))
         return _result(request, profile, arm, notes=notes)
     hand = _Hand(request.folder, profile, arm, touch_reader(profile, arm))
-    refused = _once(hand, request) if request.point is not None else _by_lines(hand, work)
+    refused = _recorded(hand, request, work)
     if request.distances is not None and touches_before(request.folder, profile, arm) is not None:
         store_distances(request.folder, request.distances)
         notes.append(f"the known distances of {request.distances} are stored")
     return _result(request, profile, arm, tuple(hand.recorded), notes, refused)
+
+
+def _on_flange(request: TouchRequest, profile: Profile, arm: str, work: Work) -> TouchResult:
+    """Record touches of a socket that the other arm carries."""
+    require_pair(profile, "--on-flange")
+    require_both_in_sockets(request.folder, profile)
+    hand = FlangeHand(request.folder, profile, arm, both_reader(profile, arm))
+    notes = [hand.undo()] if request.undo else []
+    refused = "" if request.undo else _recorded(hand, request, work)
+    return _result(request, profile, arm, tuple(hand.recorded), notes, refused, hand.points())
+
+
+class _Recorder(Protocol[_T]):
+    """Reads, doubts and stores touches of one kind."""
+
+    @property
+    def recorded(self) -> list[RecordedTouch]: ...
+
+    def touch(self, point: str, /) -> _T: ...
+
+    def doubt(self, touch: _T, /) -> str: ...
+
+    def store(self, touch: _T, /) -> str: ...
+
+    def undo(self) -> str: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +120,17 @@ class _Hand:
         same = "; the joints stand as before, which says nothing: lead the arm to another posture" if again else ""
         return f"recorded: {counted(len(found.rows), 'touch', 'touches')} of '{point}'{worst}{same}"
 
+    def undo(self) -> str:
+        """Take the last touch back."""
+        return _undone(self.folder, self.profile, self.arm)
 
-def _once(hand: _Hand, request: TouchRequest) -> str:
+
+def _recorded(hand: _Recorder[_T], request: TouchRequest, work: Work) -> str:
+    """Record one touch or what is typed; why not, if it was refused."""
+    return _once(hand, request) if request.point is not None else _by_lines(hand, work)
+
+
+def _once(hand: _Recorder[_T], request: TouchRequest) -> str:
     """Record one touch; why not, if it was refused."""
     try:
         touch = hand.touch(str(request.point))
@@ -103,7 +143,7 @@ def _once(hand: _Hand, request: TouchRequest) -> str:
     return ""
 
 
-def _by_lines(hand: _Hand, work: Work) -> str:
+def _by_lines(hand: _Recorder[_T], work: Work) -> str:
     """Record what is typed; why nothing was recorded, if something was refused and nothing recorded.
 
     Raises ``HardwareError`` if that was a device.
@@ -116,7 +156,7 @@ def _by_lines(hand: _Hand, work: Work) -> str:
             break
         try:
             if word == "undo":
-                work.say(_undone(hand.folder, hand.profile, hand.arm))
+                work.say(hand.undo())
                 continue
             last = point = socket_name(word)
             touch = hand.touch(point)
@@ -158,6 +198,7 @@ def _result(
     recorded: tuple[RecordedTouch, ...] = (),
     notes: list[str] | tuple[str, ...] = (),
     refused: str = "",
+    carried: tuple[TouchedPoint, ...] = (),
 ) -> TouchResult:
     points = tuple(
         TouchedPoint(
@@ -174,7 +215,7 @@ def _result(
         run=str(request.folder),
         arm=arm,
         recorded=recorded,
-        points=points,
+        points=(*points, *carried),
         notes=(*notes, *more),
         refused=refused,
     )

@@ -34,7 +34,7 @@ from cellapp.robot.model import ArmModel
 
 _MOST_STEPS = 50
 _SETTLED = 1e-10
-_UNSEEN = 3e-3
+UNSEEN = 3e-3
 """Smallest singular value, over the largest, from which on all six directions are seen: sockets half a metre apart are
 then some millimetres off one line."""
 _LEAST_NOISE_M = 1e-6
@@ -133,16 +133,22 @@ def tie_by_touching(
         np.linalg.norm(right.at_B[right.place[name]] - apply(tied[k] if held_out else T, left.at_B[left.place[name]]))
         for k, name in enumerate(common)
     ]
+    scale = float(np.sqrt(np.mean(np.square(errors)) / 3.0)) if errors else float("nan")
+    identification = identification_of(T, covariance, steps, steps < _MOST_STEPS, scale)
+    return TouchedPair(identification, np.array(errors), held_out)
+
+
+def identification_of(T: Array, covariance: Array, steps: int, converged: bool, scale: float) -> PairIdentification:
+    """T_R_L with the standard errors of x, y, z and three angles, from the covariance (6, 6) of a shift and a turn."""
     size = np.sqrt(np.diag(covariance))
-    identification = PairIdentification(
+    return PairIdentification(
         T_R_L=T,
         values=np.concatenate([T[:3, 3], zyx_angles(T[:3, :3])]),
         standard_errors=np.concatenate([size[:3], size[:2:-1]]),
         iterations=steps,
-        converged=steps < _MOST_STEPS,
-        scale=float(np.sqrt(np.mean(np.square(errors)) / 3.0)) if errors else float("nan"),
+        converged=converged,
+        scale=scale,
     )
-    return TouchedPair(identification, np.array(errors), held_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +172,7 @@ class _Problem:
             r, A, S = self._linearised(T, p_L, p_R, rows_L, rows_R)
             lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
             sizes = np.linalg.svd(A / lever, compute_uv=False)
-            if len(r) < 6 or sizes[5] < _UNSEEN * sizes[0]:
+            if len(r) < 6 or sizes[5] < UNSEEN * sizes[0]:
                 return None
             white = np.linalg.cholesky(S)
             A, r = np.linalg.solve(white, A), np.linalg.solve(white, r)

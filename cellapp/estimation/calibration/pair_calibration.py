@@ -12,6 +12,7 @@ tracker frame as well (both bases registered to the tracker on the same stops), 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -23,6 +24,13 @@ from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.pair_by_touching import TouchedPoints, common_points, tie_by_touching
+from cellapp.estimation.calibration.pair_on_flange import (
+    flange_rows,
+    nominal_flange_rows,
+    sockets_on_flange,
+    tie_on_flange,
+    with_parameters,
+)
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
@@ -69,7 +77,8 @@ class PairMethod:
 class PairCalibration:
     """The pair by method.
 
-    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; ``touches`` without a tracker.
+    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; without a tracker it is
+    ``touches``, of sockets that stand still, or ``flange``, of such that an arm carries.
     ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors.
     """
 
@@ -166,6 +175,28 @@ def _by_touching(
     if not (in_sockets(left) and in_sockets(right)):
         return None, ["pair: skipped, only one arm was in sockets"]
     start = np.asarray(invert(arms[1].model.geometry.T_M_B()) @ arms[0].model.geometry.T_M_B())
+    fixed, of_fixed = _by_fixed_sockets(readings, arms, start)
+    if left.on_flange is None and right.on_flange is None:
+        return fixed, of_fixed
+    carried, of_carried = _by_carried_sockets((left, right), arms, start)
+    if carried is None or fixed is None:
+        return carried or fixed, of_carried if fixed is None else [*of_fixed, *of_carried]
+    both = [one.methods[next(name for name in _BEST_FIRST if name in one.methods)] for one in (fixed, carried)]
+    apart_mm = 1e3 * float(np.linalg.norm(both[0].identification.values[:3] - both[1].identification.values[:3]))
+    sizes = [float(np.linalg.norm(one.identification.standard_errors[:3])) for one in both]
+    kept, notes = (carried, of_carried) if sizes[1] < sizes[0] else (fixed, of_fixed)
+    return kept, [
+        *notes,
+        f"pair: fixed sockets and those on a flange differ by {apart_mm:.3f} mm (standard uncertainty of the difference"
+        f" {1e3 * math.hypot(*sizes):.3f} mm at most); the less uncertain tie counts",
+    ]
+
+
+def _by_fixed_sockets(
+    readings: Mapping[str, Readings], arms: list[CalibratedArm], start: Array
+) -> tuple[PairCalibration | None, list[str]]:
+    """The pair by sockets that stand still; ``start`` (4, 4) is T_R_L from the profile."""
+    left, right = readings.values()
     methods: dict[Method, PairMethod] = {}
     tied = None
     for name, positions in _positions((left, right), arms).items():
@@ -201,6 +232,43 @@ def _by_touching(
     notes = [f"pair: tied by {counted(len(common), 'socket')} that both arms touched, without a tracker; {least}"]
     counts = {"identify": len(common), "validate": len(common) if tied.held_out else 0}
     return PairCalibration(methods, "touches", counts, points[0].first[rows[0]]), notes
+
+
+def _by_carried_sockets(
+    both: tuple[Readings, Readings], arms: list[CalibratedArm], start: Array
+) -> tuple[PairCalibration | None, list[str]]:
+    """The pair by sockets on the flange of either arm, in which the ball of the other one rested."""
+    methods: dict[Method, PairMethod] = {}
+    models = [arm.model for arm in arms]
+    refined: Method = "effects" if any(model.effects for model in models) else "method_1"
+    held_out = True
+    names: tuple[Method, ...] = ("nominal", refined)
+    for name in names:
+        nominal = name == "nominal"
+        rows = nominal_flange_rows(both, [one.nominal for one in models]) if nominal else flange_rows(both, models)
+        sockets_F = sockets_on_flange(rows, start)
+        if sockets_F is not None and not nominal:
+            rows = with_parameters(rows, both, models, start, sockets_F)
+        tied = None if sockets_F is None else tie_on_flange(rows, start)
+        if tied is None:
+            return None, [
+                f"pair: {counted(len(rows.socket), 'touch', 'touches')} of sockets on a flange leave a direction open;"
+                " turn all joints of both arms, and touch each socket ten times at least"
+            ]
+        held_out = tied.held_out
+        methods[name] = PairMethod(
+            by_distances=summarise(tied.errors_m),
+            by_tracker=None,
+            identification=tied.identification,
+            T_R_L_tracker=None,
+            errors={"flange": tied.errors_m},
+            position_errors={},
+        )
+    least = "each error is at a touch that the tie never had" if held_out else "errors are what the tie leaves"
+    number = len(rows.socket)
+    notes = [f"pair: tied by {counted(number, 'touch', 'touches')} of sockets on a flange, without a tracker; {least}"]
+    counts = {"identify": number, "validate": number if held_out else 0}
+    return PairCalibration(methods, "flange", counts, np.arange(1, number + 1)), notes
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:

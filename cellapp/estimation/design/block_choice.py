@@ -25,6 +25,8 @@ _SMALLEST_BATCH = 20
 _FIRST_BATCH = 5
 """The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
 updates lose as many digits."""
+_ORDERED_AT_ONCE = 100
+"""Stops that are put in order until gains are computed afresh."""
 _LEAST_FOLLOWED = 80
 """Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
 
@@ -125,7 +127,7 @@ def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Crit
         rest = np.flatnonzero(left)
         design = BlockDesign(candidates.information(chosen[order]), weights)
         design.track(candidates.rows[chosen[rest]])
-        for _ in range(min(_batch(effort.batch, len(order)), effort.ordered - len(order), len(rest))):
+        for _ in range(min(_batch(_ORDERED_AT_ONCE, len(order)), effort.ordered - len(order), len(rest))):
             best = rest[int(np.argmax(np.where(left[rest], design.gains(), -np.inf)))]
             left[best] = False
             order.append(int(best))

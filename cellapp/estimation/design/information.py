@@ -53,7 +53,8 @@ class NuisanceProjector:
         coordinates, size = self.basis.shape
         if 2 * size > coordinates and rows.size > coordinates * size:  # M itself has fewer numbers than Q and Q^T
             return np.asarray(rows @ self._matrix)
-        return np.asarray(rows - (rows @ self.basis) @ self.basis.T)
+        explained = (rows @ self.basis) @ self.basis.T
+        return np.subtract(rows, explained, out=explained)  # no third array: a scan's columns are tens of megabytes
 
     @cached_property
     def _matrix(self) -> Array:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.estimation.calibration.quantities import measured_orientations
 from cellapp.estimation.discovery.discover import discover_arm
@@ -106,5 +106,5 @@ def without_effects(model: ArmModel, readings: Readings, conditions: Measurement
     rows, R_M_S = measured_orientations(readings)
     quaternion = readings.quaternion_M.copy()
     turned = model.turns(readings.q, conditions)[rows].swapaxes(1, 2) @ R_M_S
-    quaternion[rows] = Rotation.from_matrix(turned).as_quat(scalar_first=True)
+    quaternion[rows] = scipy.spatial.transform.Rotation.from_matrix(turned).as_quat(scalar_first=True)
     return replace(plain, quaternion_M=quaternion)

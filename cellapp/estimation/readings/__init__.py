@@ -1,6 +1,7 @@
 """Readings of one arm as arrays, and the names and units of their columns."""
 
 from cellapp.estimation.readings.columns import SPLITS
+from cellapp.estimation.readings.flange_touches import FlangeTouches
 from cellapp.estimation.readings.readings import (
     Distance,
     Reading,
@@ -10,4 +11,13 @@ from cellapp.estimation.readings.readings import (
     stated_uncertainty,
 )
 
-__all__ = ["SPLITS", "Distance", "Reading", "Readings", "coordinate_uncertainty", "joined", "stated_uncertainty"]
+__all__ = [
+    "SPLITS",
+    "Distance",
+    "FlangeTouches",
+    "Reading",
+    "Readings",
+    "coordinate_uncertainty",
+    "joined",
+    "stated_uncertainty",
+]

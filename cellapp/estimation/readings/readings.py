@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
+from cellapp.estimation.readings.flange_touches import FlangeTouches
 
 _Floats = NDArray[np.float64]
 
@@ -163,6 +164,8 @@ class Readings:
         Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
     distances : tuple of Distance
         Known distances between such points.
+    on_flange : FlangeTouches or None
+        Touches of sockets on the other arm's flange, beside the n readings.
     turning_covariance_M : array, shape (n, 3, 3), or None
         Covariance of a rotation about the axes of M [rad^2], of an orientation that follows from several nests; it
         comes before ``sigma_rad``. No column: it is computed from the rows of the nests.
@@ -194,6 +197,7 @@ class Readings:
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
     distances: tuple[Distance, ...] = ()
+    on_flange: FlangeTouches | None = None
     turning_covariance_M: _Floats | None = None
     split: tuple[str | None, ...] | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)

@@ -1,6 +1,7 @@
 """What a cell is: the typed sections of a profile. ``cell.profile`` reads and writes them as YAML."""
 
 from cellapp.ground.profile.schema import (
+    SAME_PAYLOAD_KG,
     Arm,
     CellKind,
     CellPoint,
@@ -15,6 +16,7 @@ from cellapp.ground.profile.schema import (
 )
 
 __all__ = [
+    "SAME_PAYLOAD_KG",
     "Arm",
     "CellKind",
     "CellPoint",

@@ -112,6 +112,10 @@ class Pose(Section):
     rpy: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
 
 
+SAME_PAYLOAD_KG = 0.05
+"""Payloads that differ by no more are the same; controllers round theirs."""
+
+
 class Payload(Section):
     """Payload set on the controller: tool and load together, centre of mass in the flange frame."""
 
@@ -147,6 +151,10 @@ class Arm(GrownSection, defer_build=True):
         """What the arm carries at the stops of a load of the plan, from 0."""
         carried = (self.payload, *self.payloads)
         return carried[min(load, len(carried) - 1)]
+
+    def listed_load(self, mass: float) -> Payload | None:
+        """The load of this mass [kg] among those that the arm carries in a plan; None if there is none."""
+        return next((one for one in (self.payload, *self.payloads) if abs(one.mass - mass) <= SAME_PAYLOAD_KG), None)
 
     @model_validator(mode="after")
     def _factory_fits_the_type(self) -> Self:

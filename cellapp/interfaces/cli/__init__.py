@@ -5,7 +5,6 @@ A command imports what it needs when it is called, so that help and requests to 
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from functools import partial
@@ -15,8 +14,6 @@ from cellapp.interfaces.cli.requests import ask_job, plain_request
 
 _COMPLETION = "_CELLAPP_COMPLETE"
 """Variable by which a shell asks typer to complete a command line."""
-_GARBAGE_AFTER = 50_000
-"""New objects after which cycles of dead ones are looked for: at Python's 700 that is a tenth of a start."""
 
 
 def main() -> None:
@@ -25,7 +22,6 @@ def main() -> None:
     The list of commands needs none of them, the terminal application no command line. Everything else, and whatever
     goes wrong, is the matter of the whole command line.
     """
-    gc.set_threshold(_GARBAGE_AFTER)
     if sys.argv[1:] in (["-h"], ["--help"]):
         from cellapp.interfaces.cli.program import run_program
         from cellapp.interfaces.cli.top import overview

@@ -20,6 +20,8 @@ KNEES = (0.2, 0.35, 0.5, 0.65)
 """Where the stiffness may change, as fractions of the largest torque of the run."""
 _GRAVITY = 9.81
 """Standard gravity [m/s^2]."""
+_UNIT_TORQUE = 0.5 * _GRAVITY
+"""Torque of 1 kg at half a metre [Nm]."""
 _ROUNDING = 1e-6
 """A torque that never exceeds this [Nm] is rounding error."""
 _MOST_COMPLIANCE = 1e-3
@@ -48,7 +50,9 @@ class JointCompliance(Effect):
         gears show (K1 < K2 < K3).
     smooth
         ``dq_j = sum_i b_ji t_ji``, t_ji being the torque about joint j of 1 kg at the origin of frame i (the SMR for
-        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior.
+        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior. Where nobody stated masses, or a
+        load, also ``s_ji t_ji |t_ji| / 4.9 Nm``: drives stiffen, and no knee can be placed at a torque that nobody
+        knows; and the torques of 1 kg beside the last axis: a tool's centre is anywhere.
     In the first two, a correction of the torque of the load, or of one body, may be added at a joint: the load was
     weighed, the arm's own masses were not.
 
@@ -267,20 +271,44 @@ def _torques_of_unit_masses(
 ) -> list[EffectColumn]:
     """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR).
 
+    ``bent{j}_{i}`` is its odd square over that of 1 kg at half a metre, where masses or the load are unknown.
+
     Without ``names`` those that are more than rounding: a single posture may have none about a joint of the model.
     """
     rotations, origins = context.frames
     weight_M = -_GRAVITY * context.up_M
+    # else a knee at a known torque says it better
+    nobody_stated = not context.bodies.masses.any() or not context.loads.masses[-1].any()
     columns = []
     for j in range(context.joints):
         axis = rotations[j][:, :, 2]
         for i in range(j + 1, context.joints + 1):
             place = context.p_M if i == context.joints else origins[i]
             torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
-            name = f"unit{j + 1}_{i}"
-            if name in names if names is not None else np.abs(torque).max(initial=0.0) > _ROUNDING:
-                column = joint_column(name, "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
-                columns.append(with_prior_sd(column, amplitude))
+            if names is None and np.abs(torque).max(initial=0.0) <= _ROUNDING:
+                continue
+            offsets = {f"unit{j + 1}_{i}": torque, f"bent{j + 1}_{i}": torque * np.abs(torque) / _UNIT_TORQUE}
+            for name, offset in offsets.items():
+                if name in names if names is not None else nobody_stated or offset is torque:
+                    column = joint_column(name, "rad/Nm", j, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
+                    columns.append(with_prior_sd(column, amplitude))
+        columns += _by_center_of_unknown_tool(context, j, amplitude, names) if nobody_stated or names else []
+    return columns
+
+
+def _by_center_of_unknown_tool(
+    context: EffectContext, joint: int, amplitude: float, names: Collection[str] | None
+) -> list[EffectColumn]:
+    """``aside_x{j}``, ``aside_y{j}``: torque about a joint [Nm] by 1 kg that stands 0.5 m off the last axis."""
+    rotations = context.frames[0]
+    columns = []
+    for axis, letter in enumerate("xy"):
+        moment = np.cross(0.5 * rotations[-1][:, :, axis], -_GRAVITY * context.up_M)
+        name = f"aside_{letter}{joint + 1}"
+        if names is None or name in names:
+            offset = _without_rounding(np.einsum("na,na->n", rotations[joint][:, :, 2], moment))
+            column = joint_column(name, "rad/Nm", joint, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
+            columns.append(with_prior_sd(column, amplitude))
     return columns
 
 

@@ -14,7 +14,7 @@ import pytest
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.loads import Hung, hung_load
+from cellapp.cell.driving.loads import Hung, carrying, hung_load, require_known_loads
 from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
@@ -183,3 +183,31 @@ def test_payloads_that_cannot_be_read_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="--payload"):
         CollectRequest(folder=Path("run"), payload=text)
     assert CollectRequest(folder=Path("run"), payload="left=5, right=3").payloads == {"left": 5.0, "right": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("asked", "carried_kg"),
+    [
+        ([("left", 5.0), ("left", None), ("right", 0.2)], 5.0),
+        ([("left", 4.98)], 5.0),
+        ([("left", 5.0), ("left", 0.3)], 0.3),
+        ([("left", 2.0)], 0.3),
+        ([], 0.3),
+    ],
+)
+def test_a_cell_is_opened_with_the_listed_load_that_all_commands_of_an_arm_are_for(
+    asked: list[tuple[str, float | None]], carried_kg: float
+) -> None:
+    profile = loaded(HEAVY)
+    found = carrying(profile, asked)
+    assert found.arms["left"].payload.mass == carried_kg
+    assert found.arms["right"].payload == profile.arms["right"].payload
+    with open_cell(found) as cell:
+        require_known_loads(cell, [("left", carried_kg)])
+        with pytest.raises(HardwareError, match="left: not moved for 7 kg: the payload of its controller"):
+            require_known_loads(cell, [("left", 7.0)])
+
+
+def test_an_arm_that_is_said_twice_to_carry_something_is_refused() -> None:
+    with pytest.raises(ValueError, match="arm left is there twice, with 5 and 3 kg"):
+        CollectRequest(folder=Path("run"), payload="left=5,left=3")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cellapp.estimation.discovery import posterior
 from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.posterior import posteriors
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
@@ -83,6 +86,17 @@ def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
     np.testing.assert_allclose(found.terms, (1.02 / 2.52, 2.5 / 2.52))
     tied = posteriors([review("backlash", 900.0, base_step=900.0)], {}, THRESHOLD, COORDINATES, {"backlash": 0.0})
     np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
+
+
+def test_a_rival_loses_what_the_effect_loses_beside_a_larger_one(monkeypatch):
+    """Else a worse rival would take the place of what other laws may have left over."""
+    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
+    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: 0.01)
+    reviews = [review("backlash", 637.0, friction_windup=580.0)]
+    found: Any = SimpleNamespace(fit=SimpleNamespace(terms=[None]), data=None, reviews=reviews, threshold=THRESHOLD)
+    (cautious,) = posterior.cautious_reviews(found)
+    assert THRESHOLD < cautious.score < 637.0
+    assert cautious.alternatives["friction_windup"] == pytest.approx(cautious.score - 57.0)
 
 
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():

@@ -17,8 +17,6 @@ from cellapp.interfaces.tui.jobs import Ask, Job
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
 
-pytestmark = pytest.mark.usefixtures("drawn")
-
 FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0.05, 0.1)
 
 

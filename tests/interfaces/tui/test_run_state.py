@@ -185,7 +185,6 @@ def test_the_table_has_every_state_and_stands_in_the_handbook() -> None:
     assert with_declarations(text) == text, "renew it: python -m tests.handbook"
 
 
-@pytest.mark.usefixtures("drawn")
 async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() -> None:
     planned_run(RUN).close()
     app = CellApp(PROFILES)
@@ -204,7 +203,6 @@ async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() ->
             await until(pilot, lambda: sentence in words(app), f"{step}: {sentence}")  # noqa: B023
 
 
-@pytest.mark.usefixtures("drawn")
 async def test_a_screen_that_is_made_while_the_time_of_a_job_goes_down_says_the_state() -> None:
     planned_run(RUN).close()
     app, held = CellApp(PROFILES), HeldJob(events("running"), patience_s=10 * WAIT_S)

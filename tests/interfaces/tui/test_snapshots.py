@@ -66,7 +66,6 @@ def size_name(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize("size", SIZES, ids=size_name)
 async def test_every_screen_looks_as_it_did_and_cuts_no_number(size: tuple[int, int], finished_run: Path) -> None:
     differences, cut = [], []

@@ -39,7 +39,6 @@ async def aborted(pilot: Pilot[None], app: CellApp) -> None:
     await ended(pilot, app)
 
 
-@pytest.mark.usefixtures("drawn")
 @pytest.mark.parametrize("dialog", ["none", "leave", "motion", "palette"])
 @pytest.mark.parametrize(("way", "verb"), [("escape", "stop"), ("click", "stop"), ("ctrl+x", "abort")])
 async def test_one_key_and_one_click_brake_within_the_bar_over_every_dialog(way: str, verb: str, dialog: str) -> None:
@@ -236,7 +235,6 @@ async def test_an_application_that_goes_away_brakes_the_arms() -> None:
     assert not [thread for thread in threading.enumerate() if thread.name == "collect"]
 
 
-@pytest.mark.usefixtures("drawn")
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM] if sys.platform != "win32" else [])
 async def test_a_closed_terminal_brakes_the_arms_and_ends_the_program(number: int) -> None:

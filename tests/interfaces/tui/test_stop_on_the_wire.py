@@ -27,7 +27,7 @@ from tests.latency import attempts
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
 
-pytestmark = [pytest.mark.waits, pytest.mark.usefixtures("drawn")]
+pytestmark = pytest.mark.waits
 
 WAIT_S = 60.0
 BAR_S = 0.1

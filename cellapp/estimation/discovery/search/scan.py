@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +81,9 @@ class LawScan:
         """Project all columns of the candidates."""
         first = np.concatenate([[0], np.cumsum([len(one.columns) for one in candidates])]).astype(np.intp)
         rows = np.concatenate([one.rows for one in candidates]) if candidates else np.zeros((0, len(projector.basis)))
+        # parts of the one array: the candidates' own ones are not needed any more
+        parts = [rows[begin:end] for begin, end in pairwise(first.tolist())]
+        candidates = tuple(replace(one, rows=part) for one, part in zip(candidates, parts, strict=True))
         projected = projector.project(rows)
         norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
         by_size = grouped(
@@ -94,7 +98,7 @@ class LawScan:
             places = np.array([block for _, block in entries], dtype=np.intp)
             groups.append(_block_group(rows, projected, norms, first, owner, places))
         share = visible_norms(rows, projected) / norms
-        return cls(tuple(candidates), rows, projected, first[:-1], share, tuple(groups))
+        return cls(candidates, rows, projected, first[:-1], share, tuple(groups))
 
     def place(self, number: int) -> slice:
         """Where the columns of a candidate are in ``rows``, ``projected`` and ``visible_share``."""

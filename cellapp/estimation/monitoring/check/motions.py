@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, twists
@@ -104,7 +104,7 @@ def _without(stops: StopRows, T: Array, M: Array, own: NDArray[np.bool_]) -> Sto
     measured = apply(invert(T), stops.measured)
     measured[own] = apply(invert(M), measured[own])
     if stops.turned is not None:
-        left = Rotation.from_rotvec(stops.measured[stops.turned]).as_matrix()
+        left = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[stops.turned]).as_matrix()
         moved = np.where(own[stops.turned, None, None], (T @ M)[:3, :3], T[:3, :3])
         measured[stops.turned] = rotation_vectors(moved.swapaxes(1, 2) @ left)
     return replace(stops, measured=measured)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
 from cellapp.estimation.monitoring.check.belief import measured_vectors, noise_covariance
@@ -112,7 +112,7 @@ def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementCond
     """Imagined readings, with the orientation that the arm's model expects where a check measures it."""
     if arm.measured.turned is None:
         return Measured(imagined, conditions, np.ones(len(imagined)))
-    turns = Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
+    turns = scipy.spatial.transform.Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
     return measured_vectors(arm, replace(imagined, quaternion_M=turns.as_quat(scalar_first=True)), conditions)
 
 

@@ -1,0 +1,114 @@
+"""Touches of sockets that the other arm carries: both arms are led, and both arms' joints are recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.driving.touching import ReadBoth
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.flange_touches import (
+    FLANGE_TOUCHES_RESULT,
+    OFF_M,
+    FlangeTouch,
+    flange_touches_of,
+    flange_touches_text,
+    off_m,
+)
+from cellapp.commands.touch.result import RecordedTouch, TouchedPoint
+from cellapp.estimation.sockets import in_sockets
+from cellapp.ground.counting import counted
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FlangeHand:
+    """Two arms that are led, ``arm`` with the ball; where their touches go, and those that were recorded."""
+
+    folder: Path
+    profile: Profile
+    arm: str
+    read: ReadBoth
+    recorded: list[RecordedTouch] = field(default_factory=list)
+
+    @property
+    def other(self) -> str:
+        """The arm with the socket."""
+        return next(name for name in self.profile.arms if name != self.arm)
+
+    def touch(self, socket: str) -> FlangeTouch:
+        """Read both arms, which rest in a socket."""
+        return FlangeTouch(self.arm, socket, *self.read(socket, sum(one.socket == socket for one in self._own())))
+
+    def doubt(self, touch: FlangeTouch) -> str:
+        """Why the name of a touch is doubted, by the published arms; empty where it is not."""
+        off = float(self._off_m([*self._all(), touch])[-1])
+        if not off > OFF_M:
+            return ""
+        return f"this touch lies {off * 1e3:.0f} mm from the others of '{touch.socket}' by the published arms"
+
+    def store(self, touch: FlangeTouch) -> str:
+        """Store a touch, and say how many its socket has."""
+        touches = [*self._all(), touch]
+        self._write(touches, f"arm {self.arm}: touched '{touch.socket}' on arm {self.other}")
+        self.recorded.append(RecordedTouch(configuration=len(touches), point=touch.socket))
+        number = sum(one.socket == touch.socket for one in self._own())
+        return f"recorded: {counted(number, 'touch', 'touches')} of '{touch.socket}' on arm {self.other}"
+
+    def undo(self) -> str:
+        """Take the last touch back. Raises ``InputError`` if there is none."""
+        touches = self._all()
+        own = [k for k, one in enumerate(touches) if one.arm == self.arm]
+        if not own:
+            raise InputError(f"{self.folder}: there is no touch on arm {self.other} to take back")
+        last = touches.pop(own[-1])
+        self._write(touches, f"arm {self.arm}: a touch of '{last.socket}' on arm {self.other} was taken back")
+        return f"the touch of '{last.socket}' on arm {self.other} was taken back"
+
+    def points(self) -> tuple[TouchedPoint, ...]:
+        """The sockets with their touches."""
+        off, touches = self._off_m(self._all()), self._all()
+        found = []
+        for name in dict.fromkeys(one.socket for one in self._own()):
+            rows = [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, name)]
+            q = np.array([touches[k].q for k in rows])
+            found.append(
+                TouchedPoint(
+                    point=f"{name} (on {self.other})",
+                    touches=len(rows),
+                    worst_mm=float(off[rows].max()) * 1e3 if off.any() else None,
+                    turned_deg=tuple(np.degrees(np.ptp(q, axis=0)).tolist()),
+                )
+            )
+        return tuple(found)
+
+    def _all(self) -> list[FlangeTouch]:
+        with RunFile.open(self.folder) as run:
+            return flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT))
+
+    def _own(self) -> list[FlangeTouch]:
+        return [one for one in self._all() if one.arm == self.arm]
+
+    def _off_m(self, touches: list[FlangeTouch]) -> Array:
+        with RunFile.open(self.folder) as run:
+            return off_m(self.profile, {name: run.rows(name) for name in self.profile.arms}, touches)
+
+    def _write(self, touches: list[FlangeTouch], words: str) -> None:
+        with RunFile.open(self.folder, write=True) as run:
+            run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(touches))
+            run.log("info", words)
+
+
+def require_both_in_sockets(folder: Path, profile: Profile) -> None:
+    """Raise ``InputError`` unless a run holds touches of sockets that stand still by both arms."""
+    with RunFile.open(folder) as run:
+        missing = [name for name in profile.arms if name not in run.arms() or not in_sockets(run.rows(name))]
+    if missing:
+        raise InputError(
+            f"{folder}: arm {missing[0]} has not touched sockets that stand still, from which it is calibrated; record"
+            " these first, without --on-flange"
+        )

@@ -1,0 +1,126 @@
+"""Blind trials of measured torques and of sockets: names and errors of arms with and without them.
+
+    python -m tests.trials.quantities --seeds 10
+
+Arms are those of ``kinds``: elastic joints and an eccentric encoder 1, geometry drawn by the seed. Torques: masses are
+30 % off what the profile states, points are measured with or without the torques of the drives (0.5 Nm of noise); the
+compliance of joint 2 is judged against the true one. Sockets: 200 touches without a tracker, against as many points of
+a tracker. Errors are means at 300 configurations that no reading is of, of sockets with the base laid onto the truth.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from drivers.plant.mechanism import Posture
+from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth
+
+app = typer.Typer(add_completion=False)
+
+MASSES, NOISE_NM = 0.3, 0.5
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+
+
+@dataclass(frozen=True)
+class Found:
+    """Effects that were named, mean error at other configurations and held out [mm], compliance of joint 2 over the
+    true one; NaN where it was not found by that name."""
+
+    names: tuple[str, ...]
+    off_mm: float
+    held_out_mm: float
+    compliance: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether the hidden effects were named, and no other."""
+        return set(self.names) == set(EFFECTS)
+
+
+def held_torques(profile: Profile, q: Array, seed: int) -> Array:
+    """Torques (n, N) [Nm] with which the drives of the true arm hold it, with noise."""
+    plant = build_plant(profile)
+    gravity = plant.true_T_C_B("left")[:3, :3].T @ GRAVITY
+    held = -Posture(plant.true_mechanism("left"), q, gravity).torques
+    return np.asarray(held + NOISE_NM * np.random.default_rng([seed, 41]).standard_normal(q.shape))
+
+
+def found_in(profile: Profile, measured: Readings, truth: Truth, *, lay: bool = False) -> Found:
+    """What ``calibrate`` and ``discover`` make of readings."""
+    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
+        run.add_readings("left", measured)
+        if measured.distances:
+            run.write_result(DISTANCES_RESULT, distances_text({"left": measured}))
+        calibrate_run(run)
+        its = discover_run(run).arms["left"]
+        model = model_of(run, stage_in_force(run, read_stages(run))).arms["left"]
+    true = 1.0 / EFFECTS["joint_compliance"]["stiffness"][1]
+    values = [one.parameters["compliance2"].value for one in its.accepted if "compliance2" in one.parameters]
+    return Found(
+        names=tuple(sorted({one.effect for one in its.accepted})),
+        off_mm=truth.errors(model, lay=lay).smr_mm,
+        held_out_mm=its.heldout_mm.after,
+        compliance=values[0] / true if values else float("nan"),
+    )
+
+
+def trials(seed: int, stops: int) -> Iterator[tuple[str, Found]]:
+    """Each case of one arm."""
+    bench = Bench(seed, stops)
+    plain = bench.profile()
+    assert plain.plant is not None
+    off = plain.plant.geometry.model_copy(update={"mass": MASSES})
+    profile = plain.model_copy(update={"plant": plain.plant.model_copy(update={"geometry": off})})
+    measured, truth = bench.measured(profile), bench.truth(profile=profile)
+    yield "points, masses 30 % off", found_in(profile, measured, truth)
+    with_torques = replace(measured, tau_nm=held_torques(profile, measured.q, seed))
+    yield "points and torques, masses 30 % off", found_in(profile, with_torques, truth)
+    truth = bench.truth()
+    yield "points", found_in(plain, bench.measured(plain), truth)
+    touched = bench.touched(build_plant(plain), PLACES_B, stops // (2 * len(PLACES_B)))
+    yield "sockets", found_in(plain, touched, truth, lay=True)
+
+
+def lines(found: Mapping[str, Sequence[Found]]) -> Iterator[str]:
+    """The table, a line for each case."""
+    yield "readings | arms | exact | with a false name | other configurations [mm] | held out [mm] | compliance 2 off"
+    for case, its in found.items():
+        false = sum(bool(set(one.names) - set(EFFECTS)) for one in its)
+        off, held_out = (np.median([getattr(one, key) for one in its]) for key in ("off_mm", "held_out_mm"))
+        known = [abs(one.compliance - 1.0) for one in its if np.isfinite(one.compliance)]
+        compliance = f"{np.median(known):.1%}" if known else ""
+        exact = sum(one.exact for one in its)
+        yield f"{case} | {len(its)} | {exact} | {false} | {off:.3f} | {held_out:.3f} | {compliance}"
+
+
+@app.command()
+def main(
+    stops: Annotated[int, typer.Option(min=40)] = 200, seeds: Annotated[int, typer.Option(min=1)] = 10, first: int = 1
+) -> None:
+    """Print the table."""
+    found: dict[str, list[Found]] = {}
+    for seed in range(first, first + seeds):
+        for case, one in trials(seed, stops):
+            found.setdefault(case, []).append(one)
+            typer.echo(f"seed {seed}: {case}: {one}", err=True)
+    typer.echo("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    app()
