@@ -28,6 +28,8 @@ from cellapp.robot.model.nominal import prior_sigmas
 
 TOLERANCE = 1e-6
 """Step [m at arm's length] at which a fit ends: a twentieth of what a tracker resolves."""
+LEAST_SCATTER_M = 1e-7
+"""No instrument scatters less [m]; readings computed without noise would have weights that rounding makes singular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,7 @@ class ArmData:
             prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
             tolerance=TOLERANCE,
         )
-        sigma = np.full(len(readings), found.scale) if stated is None else stated
+        sigma = np.full(len(readings), max(found.scale, LEAST_SCATTER_M)) if stated is None else stated
         if stated is not None and its.turned is not None:
             sigma = with_excess(stated, excess_m**2, its.turned, found.excess_rad**2)
         geometry_only = replace(geometry_only, geometry=found.geometry)
@@ -144,7 +146,7 @@ class ArmData:
             replace(readings, p_M=fit.points.measured),
             conditions,
             None,
-            np.full(len(readings), fit.noise_m),
+            np.full(len(readings), max(fit.noise_m, LEAST_SCATTER_M)),
             parameters,
             priors,
             points=fit.points,

@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
+from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
@@ -336,7 +336,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
     if data.stated is None:
         for _ in range(_WEIGHING_ROUNDS):
             found, _ = _identify(data, terms, found)
-            data = replace(data, sigma=data.sigma * found.scale)
+            data = replace(data, sigma=np.maximum(data.sigma * found.scale, LEAST_SCATTER_M))
             if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
                 break
         return data, found
@@ -353,7 +353,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
     """Standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]: the stated ones, with a scatter added."""
     if data.stated is None:
-        return np.full(len(data), scatter.m)
+        return np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
     return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
 
 

@@ -114,7 +114,7 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
 
 def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:
     names = {column.name for column in COLUMNS}
-    assert names == set(Readings.__dataclass_fields__) - {"extras", "distances", "turning_covariance_M"}
+    assert names == set(Readings.__dataclass_fields__) - {"extras", "distances", "on_flange", "turning_covariance_M"}
     assert names - {"configuration"} == set(Reading.__dataclass_fields__) - {"extras"}
     csv_names = [name for column in COLUMNS for name in column.csv_names(7)]
     assert len(csv_names) == len(set(csv_names))

@@ -45,6 +45,7 @@ READ = {
         "--public-key",
         "--person",
         "--distances",
+        "--on-flange",
         "--touches",
         "--reference-nests",
         "--joints",  # of import; those of export are written, and say so

@@ -89,15 +89,15 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     return _probable(problem, _result(problem, best, fit, scan), best)
 
 
-def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[float]:
+def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
     """Probability of each term's name or of one that the data cannot distinguish from it, in the order of the terms.
 
-    That of the name alone where such a rival is more probable: an answer set begins with its most probable name.
+    Also whether such a rival is more probable than the name.
     """
     answers = []
     for own, one in zip(probable.terms, found.reviews, strict=True):
         rivals = [probable.effects.get(rival.effect, 0.0) for rival in one.rivals if not rival.distinguishable]
-        answers.append(own + (sum(rivals) if own >= max(rivals, default=0.0) else 0.0))
+        answers.append((own + sum(rivals), own < max(rivals, default=0.0)))
     return answers
 
 
@@ -124,29 +124,37 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """The outcome without names that are more probably not there than there, the least probable first.
 
     Rivals that the data cannot distinguish from a name stand beside it in one answer set, and count with it. A rival
-    may take the place of what is dropped, and is held to the same.
+    may take the place of what is dropped, and is held to the same. A name gives way to a more probable rival where the
+    search without it ends in a model that is no worse.
     """
     while True:
         scan = remaining_scan(found)
         probable = posteriors_of(found, scan)
-        named = [
+        doubtful = [
             (probability, number)
-            for number, probability in enumerate(_probability_of_answers(found, probable))
-            if state.fit.terms[number].slug != UNKNOWN
+            for number, (probability, led) in enumerate(_probability_of_answers(found, probable))
+            if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
-        probability, number = min(named, default=(1.0, -1))
-        if probability >= _EVEN_ODDS:
+        for probability, number in sorted(doubtful):
+            slug = state.fit.terms[number].slug
+            without = replace(problem, slugs=tuple(one for one in problem.slugs if one != slug))
+            rest = _state_without(without, state, number)
+            if probability < _EVEN_ODDS or criterion(rest.fit) <= criterion(state.fit):
+                break
+        else:
             return replace(found, remaining=scan, posteriors=probable)
-        slug = state.fit.terms[number].slug
+        problem, state = without, rest
         improbable = {**found.improbable, slug: probability}
-        problem = replace(problem, slugs=tuple(one for one in problem.slugs if one not in improbable))
-        # free parts were made to fit beside what is dropped, and may hold the name that takes its place
-        rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
-        rest = replace(rest, dropped=(*rest.dropped, slug))
-        if rest.data.points is None:
-            rest = reviewed(problem, _with_library_effects(problem, rest))
-        state = rest
         found = replace(_result(problem, state, found.geometry_only, found.scan), improbable=improbable)
+
+
+def _state_without(problem: SearchProblem, state: SearchState, number: int) -> SearchState:
+    """Where the search ends without a term and its effect."""
+    slug = state.fit.terms[number].slug
+    # free parts were made to fit beside what is dropped, and may hold the name that takes its place
+    rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
+    rest = replace(rest, dropped=(*rest.dropped, slug))
+    return rest if rest.data.points is not None else reviewed(problem, _with_library_effects(problem, rest))
 
 
 def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
