@@ -58,7 +58,7 @@ def draft_with_surveyed_base(
     arm, tracker = arm_and_tracker_pose(draft, index, path)
     found = surveyed_base(arm, points, tracker)
     position = ", ".join(f"{value:z.4f}" for value in found.pose.position)
-    rpy = ", ".join(f"{value:.3f} deg" for value in np.degrees(found.pose.rpy))
+    rpy = ", ".join(f"{value:z.3f} deg" for value in np.degrees(found.pose.rpy))
     draft = with_text(with_text(draft, f"arms.{index}.position", position), f"arms.{index}.rpy", rpy)
     return with_text(draft, f"arms.{index}.note", f"{SURVEYED} {found.fit.sentence}."), found
 

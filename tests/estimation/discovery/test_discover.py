@@ -102,6 +102,27 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
     assert "dropped in review: backlash" in found.result.steps[-1].what
 
 
+def test_readings_that_were_computed_without_noise_are_searched(tmp_path, plan):
+    """Rounding alone is left: weights by it would make every normal matrix singular."""
+    with measured_run(tmp_path / "run", {name: q[:60] for name, q in plan.items()}, {}) as run:
+        profile, measured = (
+            run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}}),
+            run.readings("left"),
+        )
+        exact = build_plant(run.profile).smr_positions(
+            "left", measured.q, approach=measured.approach.astype(np.float64)
+        )
+
+    def fill(run):
+        run.add_readings("left", replace(measured, p_M=exact, covariance_M=None))
+
+    with RunFile.create(tmp_path / "exact", profile, fill) as run:
+        found = calibrated_and_searched(run)
+    result = found.arms["left"].result
+    assert not [one for one in result.accepted if one.effect != "unknown"]
+    assert result.heldout_mm.after < 1e-3
+
+
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan, seed):
     _, found, _ = discovered(tmp_path / "run", plan, {}, seed=seed, noise_seed=seed)
