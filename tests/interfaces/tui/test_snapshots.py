@@ -89,7 +89,8 @@ async def final_text(pilot: Pilot[None], app: CellApp) -> str:
 
     def same_twice() -> bool:
         seen.append(shown_text(app))
-        return len(seen) > _SAME and len(set(seen[-_SAME:])) == 1
+        reads = "reading the folder of runs ..." in seen[-1]  # in a thread, which on a busy computer may rest
+        return not reads and len(seen) > _SAME and len(set(seen[-_SAME:])) == 1
 
     await until(pilot, same_twice, "a screen that rests")
     return seen[-1]

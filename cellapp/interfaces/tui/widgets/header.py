@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
+from rich.cells import cell_len
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.content import Content
@@ -57,6 +58,7 @@ class DayHeader(Horizontal):
         self.query_one(".where", Static).update(state.where)
         line = self.query_one(".job", Static)
         line.update(words)
+        line.styles.width = cell_len(words) + 2  # said outright: its container does not always ask again
         line.set_classes(f"job {record.state or 'idle'}")
         self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")

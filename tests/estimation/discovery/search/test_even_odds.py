@@ -82,4 +82,14 @@ def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch
     found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
     assert found.improbable == {"backlash": 0.4}, "of the whole answer set"
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
-    assert found.improbable == {"backlash": 0.3}, "a set begins with its most probable name"
+    assert [term.slug for term in found.fit.terms] == ["backlash"], "no search without it ends as well"
+    assert found.improbable == {}
+
+
+def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    monkeypatch.setattr(stepwise, "criterion", lambda fit: 0.0)  # of every model
+    found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
+    assert "backlash" not in {term.slug for term in found.fit.terms}
+    assert found.improbable == {"backlash": pytest.approx(0.9)}, "of the whole answer set"
