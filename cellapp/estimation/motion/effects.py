@@ -272,15 +272,17 @@ class _Search:
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Without laws, and fading parts of laws, that entered early and that chance explains beside all others."""
-        for law in [step.law for step in steps if step.law is not Law.LINE]:
-            terms = next(step.terms for step in steps if step.law is law)
-            fading = [term for term in terms if term.fading]
+        for entered in list(steps):  # one by one: each vibrating joint has a step of its own
+            step = entered
+            if step.law is Law.LINE:
+                continue
+            fading = [term for term in step.terms if term.fading]
             if fading and self._by_chance(state, fading, ALTERNATIVES):
-                terms = tuple(term for term in terms if not term.fading)
-                steps = [replace(one, terms=terms) if one.law is law else one for one in steps]
+                step = replace(step, terms=tuple(term for term in step.terms if not term.fading))
+                steps = [step if one is entered else one for one in steps]
                 state = self._refitted(state, steps)
-            if self._by_chance(state, terms) or not shown(state, law, steps):
-                steps = [one for one in steps if one.law is not law]
+            if self._by_chance(state, step.terms) or not shown(state, step.law, steps):
+                steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
         return state, steps
 

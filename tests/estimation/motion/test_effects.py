@@ -7,10 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.effects import effects_in_motion
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
+from cellapp.estimation.motion.effects import _Search, effects_in_motion
+from cellapp.estimation.motion.fit import solve
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import joint_path, play
-from cellapp.estimation.motion.terms import Masses, torques_in_motion
+from cellapp.estimation.motion.shaped import vibration
+from cellapp.estimation.motion.steps import State, Step
+from cellapp.estimation.motion.terms import Law, Masses, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm
@@ -116,6 +119,20 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     assert discovery.terms == ()
     assert discovery.fit.clocks["sweep"].offset_s == pytest.approx(0.0178, abs=1e-3)
     assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
+
+
+def test_of_two_vibrations_the_one_that_chance_explains_goes_and_the_other_stays():
+    rng = np.random.default_rng(8)
+    arm = replace(true_arm(rng), springs={0: (9.0, 0.04)})
+    recording = record(rng, arm, corners(rng, 6, 20.0), seconds=20.0, slow=0.0)
+    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    by_chance, true = vibration(2, (1e-4, 20.0, 0.05)), vibration(0, (1.0 / (2.0 * np.pi * 9.0) ** 2, 9.0, 0.04))
+    problem = problem.without_terms().with_terms((*by_chance, *true))
+    solution = solve(problem, rows)
+    search = _Search(problem, rows, lambda words: None)
+    steps = [Step(Law.VIBRATION, terms, 0.0, 0.0, 1.0, 1.0) for terms in (by_chance, true)]
+    _, kept = search._without_chance(State(problem, solution, 1.0), steps)
+    assert kept == steps[1:]
 
 
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
