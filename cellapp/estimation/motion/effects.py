@@ -334,13 +334,9 @@ class _Search:
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
         slow = {term.joint for term in problem.layout.terms if term.fading}
-        fast = [
-            place
-            for place, term in enumerate(problem.layout.terms)
-            if term.law is Law.LINE or (term.law is Law.PLAY and term.joint not in slow)
-        ]
-        for number in (size + place for place in fast):
-            if own[number] < theirs[number]:
+        for number, term in enumerate(problem.layout.terms, start=size):
+            fast = term.law is Law.LINE or (term.law is Law.PLAY and term.joint not in slow)
+            if fast and own[number] < theirs[number]:
                 mean[number] = solution.values[number]
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):

@@ -110,10 +110,11 @@ class JointTerm:
         if isinstance(self.law, MotionLaw):
             return f"{self.parameter}{number}"
         fresh = "fresh_" if self.fading else ""
+        line = f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
         return {
             Law.PLAY: f"{fresh}half_play{number}",
             Law.WINDUP: f"{fresh}windup{number}",
-            Law.LINE: (line := f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"),
+            Law.LINE: line,
             Law.ONE_CYCLE: line,
             Law.LAG: f"lag{number}",
             Law.COMPLIANCE: f"compliance{number}",
