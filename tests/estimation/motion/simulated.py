@@ -238,9 +238,11 @@ def record(
     n = q.shape[1]
     speed = motion.speed(fine)
     q_fine = motion.at(fine) - speed * arm.lag_s[:n] - arm.drag[:n] * np.tanh(speed / arm.drag_speed)
-    out = lost_motion(q_fine, arm.half_play) if arm.half_play.any() and not arm.reach else q_fine
+    out = q_fine
     if arm.reach:
         out = gradual(q_fine, arm.half_play, arm.reach)
+    elif arm.half_play.any():
+        out = lost_motion(q_fine, arm.half_play)
     out = out[np.searchsorted(fine, when)]
     if arm.springs or arm.time_constant.any():
         out = out + answered(arm, motion, when)
