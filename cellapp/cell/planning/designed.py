@@ -128,7 +128,8 @@ def _in_order(
 def _pool(
     profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator, cancel: CancelToken
 ) -> CandidatePool:
-    """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops."""
+    """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops, and the few that
+    are hard to reach where the first ones show no more of them."""
     pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
     home = home_positions(profile).get(name)

@@ -38,7 +38,7 @@ _WIDTHS = np.geomspace(0.008, 3.2, 14)
 class Fading:
     """How lost motion changes with the travel x since a joint turned round: ``exp(-x / reach)`` of it is left,
     ``reach`` in rad. ``kept``: beside what the joint had taken up before it turned; else it begins anew at each turn
-    and after each rest.
+    and after each gap of the recording.
 
     What is kept is that of plays in parallel (Prandtl, Ishlinskii; Masing's rules follow): of half gaps w in such
     shares, ``w / reach^2 exp(-w / reach)``, that a joint at rest in the middle of all of them takes up

@@ -21,6 +21,7 @@ _AS_WELL = 0.5 * SHOWN
 _OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
 """Laws that all joints of an arm may be expected to have where one has them."""
 _LEAST = 1e-300
+_LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
 """Forms of the effects' laws that say the same of stops, without fading parts; a lag has none."""
@@ -33,7 +34,6 @@ ONLY_MOTION = {
 """Why stops cannot show a law."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
 """The same of a law of a plug-in."""
-_LEAST_LOG = math.log(_LEAST)
 DENSE = 20
 """Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
 
@@ -141,8 +141,8 @@ def log_chance(statistic: float, parameters: int, tried: int) -> float:
 
 
 def with_step(steps: Sequence[Step], step: Step) -> list[Step]:
-    """Steps with one more; further terms of a law of joints that entered before, but for lines, join those."""
-    if step.law is Law.LINE or step.law is Law.VIBRATION or not has(steps, step.law):
+    """Steps with one more; further terms of a law that entered before join its step, but for lines and vibrations."""
+    if step.law in (Law.LINE, Law.VIBRATION) or not has(steps, step.law):
         return [*steps, step]
     return [
         replace(one, terms=one.terms + step.terms, statistic=one.statistic + step.statistic, after_mm=step.after_mm)
