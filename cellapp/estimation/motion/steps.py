@@ -12,6 +12,7 @@ import scipy
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
+from cellapp.robot.effects.backlash import LOAD_REACH, REACH
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -274,7 +275,7 @@ def _effect_of(
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p),
         form=_form(law, terms, dry),
         constants={
-            f"{'load_' if term.law is Law.WINDUP else ''}reach{term.joint + 1}": term.fading.reach
+            (LOAD_REACH if term.law is Law.WINDUP else REACH).key(term.joint): term.fading.reach
             for term in terms
             if term.fading
         },

@@ -28,6 +28,7 @@ import numpy as np
 
 from cellapp.estimation.motion.joint_path import BEND_S, Fading, JointPath
 from cellapp.robot.effects import MotionLaw
+from cellapp.robot.effects.backlash import left_by_motion
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -214,8 +215,7 @@ class JointState:
             return path.fading_at(time_s, self.q[:, joint], joint, fading)
         if self.step is None:
             return np.zeros(len(self.q))
-        size = np.abs(np.nan_to_num(self.step[:, joint]))
-        return np.asarray(self.direction[:, joint] * np.where(size > 0.0, np.exp(-size / fading.reach), 0.0))
+        return np.asarray(self.direction[:, joint] * left_by_motion(self.step[:, joint], fading.reach))
 
     @cached_property
     def qdd(self) -> Array:

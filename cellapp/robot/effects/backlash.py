@@ -153,10 +153,16 @@ def _gradual(
     left, where the law has a reach for it."""
     found = [joint_column(f"{name}{joint + 1}", unit, joint, lag, 0.0, most)]
     if reach.key(joint) in law.constants:
-        size = np.zeros(len(context)) if context.conditions.step is None else np.abs(context.step[:, joint])
-        left = np.where(size > 0.0, np.exp(-size / law.constants[reach.key(joint)]), 0.0)  # NaN counts as unknown, too
+        left = left_by_motion(context.step[:, joint], law.constants[reach.key(joint)])
         found.append(joint_column(f"fresh_{name}{joint + 1}", unit, joint, lag * left, -most, most, refines=True))
     return found
+
+
+def left_by_motion(step: Array, reach: float) -> Array:
+    """Share (n,) of gradual lost motion that a joint has not taken up after a last motion ``step`` (n,) [rad] from the
+    middle; none where the motion is unknown, zero or NaN. ``reach`` in rad."""
+    size = np.abs(np.nan_to_num(step))
+    return np.where(size > 0.0, np.exp(-size / reach), 0.0)
 
 
 def _step_sizes(context: EffectContext, law: Law) -> Array:
