@@ -287,12 +287,15 @@ def _torques_of_unit_masses(
             torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
             if names is None and np.abs(torque).max(initial=0.0) <= _ROUNDING:
                 continue
-            offsets = {f"unit{j + 1}_{i}": torque, f"bent{j + 1}_{i}": torque * np.abs(torque) / _UNIT_TORQUE}
+            offsets = {f"unit{j + 1}_{i}": torque}
+            if nobody_stated or names is not None:
+                offsets[f"bent{j + 1}_{i}"] = torque * np.abs(torque) / _UNIT_TORQUE
             for name, offset in offsets.items():
-                if name in names if names is not None else nobody_stated or offset is torque:
+                if names is None or name in names:
                     column = joint_column(name, "rad/Nm", j, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
                     columns.append(with_prior_sd(column, amplitude))
-        columns += _by_center_of_unknown_tool(context, j, amplitude, names) if nobody_stated or names else []
+        if nobody_stated or names is not None:
+            columns += _by_center_of_unknown_tool(context, j, amplitude, names)
     return columns
 
 
@@ -303,9 +306,9 @@ def _by_center_of_unknown_tool(
     rotations = context.frames[0]
     columns = []
     for axis, letter in enumerate("xy"):
-        moment = np.cross(0.5 * rotations[-1][:, :, axis], -_GRAVITY * context.up_M)
         name = f"aside_{letter}{joint + 1}"
         if names is None or name in names:
+            moment = np.cross(0.5 * rotations[-1][:, :, axis], -_GRAVITY * context.up_M)
             offset = _without_rounding(np.einsum("na,na->n", rotations[joint][:, :, 2], moment))
             column = joint_column(name, "rad/Nm", joint, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
             columns.append(with_prior_sd(column, amplitude))
