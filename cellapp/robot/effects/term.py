@@ -49,9 +49,9 @@ class Displacement:
     @classmethod
     def total(cls, parts: Sequence[Displacement], n: int, joints: int) -> Displacement:
         """Sum of displacements at ``n`` stops of an arm with so many joints."""
-        nothing = np.zeros((n, joints)), np.zeros((n, 3))
         return cls(
-            sum((one.joints for one in parts), start=nothing[0]), sum((one.shift_M for one in parts), start=nothing[1])
+            joints=sum((one.joints for one in parts), start=np.zeros((n, joints))),
+            shift_M=sum((one.shift_M for one in parts), start=np.zeros((n, 3))),
         )
 
 

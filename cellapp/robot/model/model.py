@@ -128,6 +128,7 @@ class ArmModel:
         if not moved.joints.any():
             return moved
         # Gravity acts at the actual joint positions, a few mrad off: the loads change by some parts in a thousand.
+        # What depends on the positions that are read alone, and shifts nothing by the posture, stays as it is.
         actual = replace(context, q_actual=q + moved.joints)
         again = [
             one
