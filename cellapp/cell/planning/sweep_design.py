@@ -18,7 +18,7 @@ from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_co
 from cellapp.estimation.motion.forecast import Expected, foreseen_laws, motion_information
 from cellapp.estimation.motion.joint_path import joint_path
 from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import JointState, JointTerm, Law, Masses, state_at_rest, state_in_motion
+from cellapp.estimation.motion.terms import JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions
@@ -101,9 +101,8 @@ class SweepDesign:
         """For the geometry and the effects that ``plan.effects`` lists, as far as recordings show them."""
         arm = ExpectedArm.of(profile, name)
         estimated, sds = arm.parameters()
-        wanted = {law.value for law in Law} if profile.plan.effects is None else set(profile.plan.effects)
-        laws = foreseen_laws(arm.model.geometry.joints)
-        terms = tuple(term for its in laws for term in its if term.law.value in wanted)
+        laws, wanted = foreseen_laws(arm.model.geometry.joints), profile.plan.effects
+        terms = tuple(term for its in laws for term in its if wanted is None or term.law.value in wanted)
         unit = np.array([*sds, *(term.prior_sd for term in terms), _DELAY_SD_S])
         return cls(arm, estimated, terms, np.minimum(unit, _UNKNOWN))
 
