@@ -396,13 +396,11 @@ class _Search:
     ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
         """Terms that a law may enter with, and the number of alternatives that chance may choose from: lost motion that
         changes at once, with a part that fades with the travel, or that part beside what entered before."""
-        known = terms_of(law, steps)
         plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
         if plain:
             yield plain, self.alternatives
-        gradual = law is Law.PLAY or (law is Law.WINDUP and not plain)
-        if gradual and not any(term.fading for term in known):
-            assert isinstance(law, Law)
+        fades = any(term.fading for term in terms_of(law, steps))
+        if not fades and (law is Law.PLAY or (law is Law.WINDUP and not plain)):
             self.told(f"reach of {law.value.replace('_', ' ')}")
             fading = fading_terms(state.problem, state.solution, law)
             yield (*plain, *fading), self.alternatives * ALTERNATIVES
