@@ -229,11 +229,11 @@ def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
 def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
     """The effects of all laws that entered and that some joint shows, with the terms of their parameters.
 
-    Beside wind-up, play is the dry part of friction: the arm shows one cause, not two.
+    Beside wind-up that some joint shows, play is the dry part of friction: the arm shows one cause, not two.
     """
     laws = list(dict.fromkeys(step.law for step in steps))
     groups: list[tuple[Law | MotionLaw, ...]] = [(law,) for law in laws]
-    if Law.WINDUP in laws and Law.PLAY in laws:
+    if Law.PLAY in laws and shown(state, Law.WINDUP, steps):
         groups[laws.index(Law.WINDUP)] = (Law.WINDUP, Law.PLAY)
         del groups[laws.index(Law.PLAY)]
     found = [_effect_of(state, group, steps) for group in groups]

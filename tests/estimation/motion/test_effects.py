@@ -12,8 +12,8 @@ from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.shaped import vibration
-from cellapp.estimation.motion.steps import State, Step
-from cellapp.estimation.motion.terms import Law, Masses, torques_in_motion
+from cellapp.estimation.motion.steps import State, Step, effects_of
+from cellapp.estimation.motion.terms import Law, Masses, of_all_joints, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm
@@ -133,6 +133,21 @@ def test_of_two_vibrations_the_one_that_chance_explains_goes_and_the_other_stays
     steps = [Step(Law.VIBRATION, terms, 0.0, 0.0, 1.0, 1.0) for terms in (by_chance, true)]
     _, kept = search._without_chance(State(problem, solution, 1.0), steps)
     assert kept == steps[1:]
+
+
+def test_play_is_no_dry_friction_where_no_joint_winds_up():
+    rng = np.random.default_rng(9)
+    arm = true_arm(rng, half_play=[120e-6] * 6)
+    motion = sweep(rng, 6, base_hz=0.02, harmonics=10)
+    recording = record(rng, arm, motion, seconds=60.0, point_hz=40.0, slow=0.0)
+    recorded = RecordedArm(NOMINAL, (recording,), tool_unknown=True, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
+    problem, rows = motion_problem(recorded, lambda words: None)
+    steps = [Step(law, of_all_joints(law, 6), 100.0, -50.0, 1.0, 1.0) for law in (Law.PLAY, Law.WINDUP)]
+    problem = problem.without_terms().with_terms(tuple(term for step in steps for term in step.terms))
+    (effect, terms), *others = effects_of(State(problem, solve(problem, rows), 1.0), steps)
+    assert (effect.slug, effect.form, others) == ("backlash", "constant", [])
+    assert terms == steps[0].terms
+    assert effect.values == pytest.approx([120e-6] * 6, rel=0.15)
 
 
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
