@@ -81,9 +81,9 @@ class MotionEffect:
     heldout_after_mm: float
     only_motion: str
     at_rest: bool
-    posterior: float = math.nan
-    form: str = ""
-    constants: Mapping[str, float] = field(default_factory=dict)
+    posterior: float
+    form: str
+    constants: Mapping[str, float]
 
     @property
     def p_value(self) -> float:
