@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.monitoring.check import CheckBelief
@@ -20,7 +20,7 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, true_geometry
+from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, measured_turns, true_geometry
 
 Array = NDArray[np.float64]
 SIGMA_M = 1.5e-5
@@ -51,11 +51,9 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
     """What a tracker measures of an arm without effects; of a probe its orientation too."""
     n = len(q)
     model = model_of(true, true)
-    turned = {}
+    turned: dict[str, Any] = {}
     if true.probe is not None:
-        noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((n, 3)))
-        quaternion_M = (noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True)
-        turned = {"quaternion_M": quaternion_M, "sigma_rad": np.full(n, SIGMA_RAD)}
+        turned = {"quaternion_M": measured_turns(model, q, SIGMA_RAD, rng), "sigma_rad": np.full(n, SIGMA_RAD)}
     steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
     return Readings(
         configuration=np.arange(n),
