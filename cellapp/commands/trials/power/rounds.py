@@ -67,7 +67,7 @@ def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit
 
 
 def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
-    """Make ``trials`` trials of each effect in each arm, in rounds of four; ``seed`` draws them all.
+    """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` draws them all.
 
     What the time allows is shared among the effects; the intervals say what that leaves open.
 
