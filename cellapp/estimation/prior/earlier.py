@@ -78,7 +78,7 @@ def calibration_posterior(
     if measured.turned is None:
         model = model.of_positions()
     if before is None:
-        return posterior(model, some, conditions, _first_prior(model, some, sizes(profile, model, measured))), measured
+        return posterior(model, measured, _first_prior(model, some, sizes(profile, model, measured))), measured
     carried = {_key(term) for term in before.terms}
     further = tuple(term for term in model.effects if _key(term) not in carried)
     return update(profile, name, some, conditions, before, since, further).found, measured

@@ -81,13 +81,13 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         candidates[name] = rng.uniform(-2.0, 2.0, (readings, nominal.joints))
         if nominal.probe is not None:
             true[name] = replace(true[name], probe=nominal.probe + rng.normal(0.0, 3e-3, 3))
-        measured = readings_of(true[name], candidates[name], rng)
-        conditions = MeasurementConditions(approach=measured.approach)
+        its = readings_of(true[name], candidates[name], rng)
+        measured = Measured.of(its, MeasurementConditions(approach=its.approach))
         columns = candidate_columns(nominal)
         precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
         prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
-        found = posterior(model_of(nominal, nominal), measured, conditions, prior)
-        beliefs[name] = arm_belief(found.model, found, Measured.of(measured, conditions))
+        found = posterior(model_of(nominal, nominal), measured, prior)
+        beliefs[name] = arm_belief(found.model, found, measured)
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 
