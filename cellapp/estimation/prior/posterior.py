@@ -14,7 +14,8 @@ import numpy as np
 from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
-from cellapp.estimation.prior.linear_model import Measured, NormalMatrix, normal_matrix, values_of, with_values
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.prior.linear_model import Measured, normal_matrix, values_of, with_values
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import Contacts, in_sockets
 from cellapp.robot.kinematics.chain import Geometry
@@ -61,7 +62,6 @@ class Posterior:
     covariance: Array
     model: ArmModel
     measured: Measured
-    normal: NormalMatrix
     scatter_m: float
     left_M: Array
     scatter_rad: float = 0.0
@@ -87,7 +87,7 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
         if moved < _SETTLED and settled:
             break
     of_turns = 0.0 if measured.turned is None else before[1]
-    return Posterior(prior, values, covariance, model, measured, normal, before[0], left_M, of_turns)
+    return Posterior(prior, values, covariance, model, measured, before[0], left_M, of_turns)
 
 
 def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:
