@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
+from cellapp.robot.model import ArmModel
 from drivers.plant import ArmConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
 
 Array = NDArray[np.float64]
@@ -58,6 +60,12 @@ def true_geometry(
 def at_station(rows: Array, tool: Array, T_M_B: Array = STATION) -> Geometry:
     """The nominal geometry of an arm that stands in front of the tracker."""
     return nominal_geometry(rows, tool, T_M_B)
+
+
+def measured_turns(model: ArmModel, q: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
+    """Quaternions (n, 4) that a tracker measures of an arm's probe."""
+    noise = Rotation.from_rotvec(sigma_rad * rng.standard_normal((len(q), 3)))
+    return np.asarray((noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True))
 
 
 def plant_of(

@@ -138,7 +138,9 @@ def _imitated(asked: NamingTrial) -> NamingTrial:
 class Imitation(Work):
     """Answers of a search that is known."""
 
-    def gather(self, kind: Any, job: str, common: Any, parameters: Any, name: str = "") -> Gathered[Any]:
+    def gather(
+        self, kind: Any, job: str, common: Any, parameters: Any, name: str = "", *, all_may_fail: bool = False
+    ) -> Gathered[Any]:
         return Gathered(tuple(_imitated(one) for one in parameters), {}, 1)
 
 
@@ -178,9 +180,9 @@ def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
     class Slow(Imitation):
         """Two seconds a trial."""
 
-        def gather(self, kind: Any, job: str, common: Any, parameters: Any, name: str = "") -> Gathered[Any]:
-            clock[0] += 2.0 * len(parameters)
-            return super().gather(kind, job, common, parameters, name)
+        def gather(self, *args: Any, **settings: Any) -> Gathered[Any]:
+            clock[0] += 2.0 * len(args[3])
+            return super().gather(*args, **settings)
 
     found = power_of(planned, 16, 3, Slow(), TimeLimit(5.0, 0.0, lambda: clock[0]))
     assert clock[0] <= 300.0
@@ -189,6 +191,33 @@ def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
     counts = [one.trials for arm in found.arms.values() for one in arm.effects if one.trials]
     assert max(counts) - min(counts) <= 4
     assert sum(counts) >= 140
+
+
+def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned: PlannedCell) -> None:
+    asked = list[NamingTrial]()
+
+    class Failing(Imitation):
+        """No trial of an effect in one arm can be computed, and only the first of another."""
+
+        def gather(self, *args: Any, **settings: Any) -> Gathered[Any]:
+            asked.extend(args[3])
+            assert settings["all_may_fail"] == (len(asked) > len(args[3]))
+            lost = [
+                (one.arm, one.effect) == ("left", "backlash") or (one.effect == "target_slip" and one.size_mm < 0.03)
+                for one in args[3]
+            ]
+            found = super().gather(*args, **settings).results
+            failures = {f"{one.arm}, {one.effect}, {one.seed}": "refused" for one, no in zip(args[3], lost) if no}
+            return Gathered(tuple(None if no else one for one, no in zip(found, lost)), failures, 1)
+
+    found = power_of(planned, 8, 3, Failing(), TimeLimit.from_now(None))
+    assert len(set(asked)) == len(asked)
+    effects = {name: {one.effect: one for one in arm.effects} for name, arm in found.arms.items()}
+    assert effects["left"]["backlash"].trials == 0
+    assert effects["right"]["backlash"].trials == 8
+    assert 0 < effects["left"]["target_slip"].trials < 8
+    assert len(found.failed) == len(asked) - len(found.trials)
+    assert not found.ended_by_time
 
 
 def test_table_and_chart_show_every_effect(result: PowerResult) -> None:

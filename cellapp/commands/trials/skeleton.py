@@ -32,13 +32,15 @@ class Work:
         common: Common,
         parameters: Sequence[Parameters],
         name: str = "seed {0.seed}",
+        *,
+        all_may_fail: bool = False,
     ) -> Gathered[Found]:
         """Results of all tasks; ``name`` is the format of what a task with some parameters is called.
 
         Raises as ``gather`` of ``cellapp.ground.scale`` does.
         """
         batch = Batch(kind, common, parameters, [name.format(one) for one in parameters])
-        return gather(batch, job, self.resources, self.listener, self.cancel)
+        return gather(batch, job, self.resources, self.listener, self.cancel, all_may_fail=all_may_fail)
 
 
 IN_PLACE = Work()

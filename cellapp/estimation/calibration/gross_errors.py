@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import identify
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import measured_positions
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, turned_rows
+from cellapp.robot.model import ArmModel
 
 _MOST = 10.0
 """Length over that of one standard deviation of a coordinate. Of Student's t with 4 degrees of freedom one reading in
@@ -94,6 +98,13 @@ def gross_errors_of_geometry(
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
     found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
     return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
+
+
+def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
+    """Which readings (n,) have a position or an orientation that is a gross error for a model."""
+    its = measured_quantities(readings, conditions)
+    computed = model.predict(its.readings.q, conditions=its.conditions)
+    return its.readings_with(gross_errors(measured_positions(its.readings, computed) - computed, its.turned))
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:

@@ -94,8 +94,8 @@ def _left_out(
             # the fit determines some of them by others
             rows = np.concatenate([fit.rows, new])
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
-            scale = NormalMatrix.of(rows, target).scale
-            solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, scale).solution
+            of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
+            solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
             yield one.out, one.left, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.solver.normal.moment

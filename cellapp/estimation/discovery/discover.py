@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.gross_errors import (
     ROUNDS,
-    gross_errors,
     gross_errors_of_geometry,
+    gross_errors_of_model,
     left_out_words,
     without,
 )
@@ -49,7 +49,7 @@ from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets, measured_positions
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -293,10 +293,7 @@ def _search_and_refit(
     gross = gross.copy()
     for _ in range(ROUNDS):
         result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
-        its = measured_quantities(readings.take(rows), conditions.take(rows))
-        computed = result.model.predict(its.readings.q, conditions=its.conditions)
-        left = gross_errors(measured_positions(its.readings, computed) - computed, its.turned)
-        wrong = its.readings_with(left)
+        wrong = gross_errors_of_model(result.model, readings.take(rows), conditions.take(rows))
         if not wrong.any():
             break
         gross[rows[wrong]] = True

@@ -140,6 +140,10 @@ class JointFit:
         """Projector onto the complement of all fitted parameters."""
         return NuisanceProjector.of(self.rows, self.precision, self.normal.gram)
 
+    def projector_of(self, kept: NDArray[np.bool_]) -> NuisanceProjector:
+        """Projector onto the complement of some of the fitted parameters."""
+        return NuisanceProjector.of(self.rows[kept], self.precision[kept], self.normal.take(kept).gram)
+
     @cached_property
     def projected_residual(self) -> ProjectedResidual:
         """The residual in the complement of all that was fitted."""
@@ -166,9 +170,7 @@ class JointFit:
     def residual_without(self, term: int) -> ProjectedResidual:
         """Residual of the model without one term, in the complement of that model's parameters."""
         if term not in self._behind:
-            kept = self.layout.all_but(term)
-            gram = self.normal.take(kept).gram
-            projector = NuisanceProjector.of(self.rows[kept], self.precision[kept], gram)
+            projector = self.projector_of(self.layout.all_but(term))
             self._behind[term] = ProjectedResidual(projector, self.residual + self.signal(term))
         return self._behind[term]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.evaluation import evaluate_quantities
-from cellapp.estimation.calibration.gross_errors import without
+from cellapp.estimation.calibration.gross_errors import gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
@@ -18,7 +18,7 @@ from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.joint_fit import noise_by_kind
 from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
-from cellapp.estimation.prior.earlier import Earlier, gross_vectors
+from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Posterior
 from cellapp.estimation.prior.update import Updated, first_model, update
@@ -94,7 +94,7 @@ def learned(
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")]).astype(np.intp)
     some, its = readings.take(rows), conditions.take(rows)
     model = first_model(profile, name, Measured.of(some, its), earlier.belief)
-    good = ~gross_vectors(model, some, its)
+    good = ~gross_errors_of_model(model, some, its)
     return some.take(good), its.take(good)
 
 

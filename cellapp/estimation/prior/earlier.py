@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.gross_errors import gross_errors
+from cellapp.estimation.calibration.gross_errors import gross_errors_of_model
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import candidate_columns
-from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.socket_identification import estimated_in_sockets
 from cellapp.estimation.prior.belief import Belief, sizes
 from cellapp.estimation.prior.linear_model import Measured
@@ -22,7 +20,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets, placed
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ModelStage
-from cellapp.robot.effects import EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EffectTerm
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -73,24 +71,17 @@ def calibration_posterior(
     """The posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
     model, conditions = models[name], conditions_of_arms(models, readings)[name]
     its = placed(readings[name], model.predict(readings[name].q, conditions=conditions))
-    good = ~gross_vectors(model, its, conditions)
+    good = ~gross_errors_of_model(model, its, conditions)
     some, conditions = its.take(good), conditions.take(good)
     model = replace(model, network=None, posterior=None)
     measured = Measured.of(some, conditions)
     if measured.turned is None:
         model = model.of_positions()
     if before is None:
-        return posterior(model, some, conditions, _first_prior(model, some, sizes(profile, model, measured))), measured
+        return posterior(model, measured, _first_prior(model, some, sizes(profile, model, measured))), measured
     carried = {_key(term) for term in before.terms}
     further = tuple(term for term in model.effects if _key(term) not in carried)
     return update(profile, name, some, conditions, before, since, further).found, measured
-
-
-def gross_vectors(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
-    """Which readings (n,) have a position or an orientation with a gross error."""
-    its = measured_quantities(readings, conditions)
-    left = its.readings.p_M - model.predict(its.readings.q, conditions=its.conditions)
-    return its.readings_with(gross_errors(left, its.turned))
 
 
 def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.quantities import measured_quantities
-from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import Contacts, in_sockets, measured_positions
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
@@ -86,20 +87,6 @@ class Measured:
         return np.asarray(measured_positions(self.readings, computed) - computed)
 
 
-@dataclass(frozen=True, eq=False)
-class NormalMatrix:
-    """``X^T X`` (p, p), ``X^T y`` (p,) and ``y^T y`` of n whitened coordinates; y is measured less the reference.
-
-    ``log_variance`` is the sum of the logarithms of the coordinates' variances.
-    """
-
-    gram: Array
-    moment: Array
-    square: float
-    coordinates: int
-    log_variance: float
-
-
 def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
     """Columns of all effects of a model, in the order of their values, at the true joint positions."""
     q, conditions = measured.readings.q, measured.conditions
@@ -115,30 +102,21 @@ def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
 
 def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:
     """Whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
-    white = whitener(measured.sigma)
-    if white.ndim == 1:
-        white = np.eye(3)[:, :, None] * white
-    terms = term_columns(model, measured)
+    white, terms = whitening(measured.sigma), term_columns(model, measured)
     R_M_S = measured.conditions.R_M_S
     return LinearModel.of(model.geometry, measured.readings.q, white, columns, terms, R_M_S).rows
 
 
 def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:
-    """Gathered over all readings, linearised at ``model``."""
+    """Gathered over all readings, linearised at ``model``; y is measured less the reference."""
     deviation = values_of(model.geometry, model.effects, columns, reference)
     total = len(deviation)
-    gram, moment, square, log_variance = np.zeros((total, total)), np.zeros(total), 0.0, 0.0
+    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
     for chunk in measured.chunks():
-        white = whitener(chunk.sigma)
-        if white.ndim == 1:
-            white = np.eye(3)[:, :, None] * white
         rows = _seen(chunk.readings, design(model, chunk, columns))
-        target = np.einsum("acn,nc->an", white, chunk.left(model)).ravel() + deviation @ rows
-        gram += rows @ rows.T
-        moment += rows @ target
-        square += float(target @ target)
-        log_variance -= 2.0 * float(np.sum(np.log(np.einsum("aan->an", white))))
-    return NormalMatrix(gram, moment, square, 3 * len(measured), log_variance)
+        target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.left(model)).ravel() + deviation @ rows
+        found += NormalMatrix.of(rows, target)
+    return found
 
 
 def _seen(readings: Readings, rows: Array) -> Array:

@@ -14,10 +14,10 @@ import numpy as np
 from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
-from cellapp.estimation.prior.linear_model import Measured, NormalMatrix, normal_matrix, values_of, with_values
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.prior.linear_model import Measured, normal_matrix, values_of, with_values
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import Contacts, in_sockets
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -62,21 +62,17 @@ class Posterior:
     covariance: Array
     model: ArmModel
     measured: Measured
-    normal: NormalMatrix
     scatter_m: float
     left_M: Array
     scatter_rad: float = 0.0
 
 
-def posterior(
-    model: ArmModel, readings: Readings, conditions: MeasurementConditions, prior: Prior, scatter_m: float | None = None
-) -> Posterior:
+def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: float | None = None) -> Posterior:
     """Posterior from a start ``model``, whose effects are those of the values; a ``scatter_m`` that is given stays."""
-    every = Measured.of(readings, conditions)
     scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
-        measured = replace(every, sigma=_sigma(every, *scatter))
+        measured = replace(measured, sigma=_sigma(measured, *scatter))
         normal = normal_matrix(model, measured, prior.columns, prior.reference)
         found, covariance = solution(normal, prior)
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -86,12 +82,12 @@ def posterior(
         left_M = measured.left(model)
         before = scatter
         if scatter_m is None:
-            scatter = _scatter(every, left_M, float(np.sum(covariance * normal.gram)))
+            scatter = _scatter(measured, left_M, float(np.sum(covariance * normal.gram)))
         settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
         if moved < _SETTLED and settled:
             break
     of_turns = 0.0 if measured.turned is None else before[1]
-    return Posterior(prior, values, covariance, model, measured, normal, before[0], left_M, of_turns)
+    return Posterior(prior, values, covariance, model, measured, before[0], left_M, of_turns)
 
 
 def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:

@@ -117,9 +117,7 @@ def update(
     changed, drifts, changes, tested = _changed(supported, model, judged, since)
     first = len(sizes(profile, model, measured))
     model = replace(model, effects=(*model.effects, *further))
-    found = posterior(
-        model, readings, conditions, changed.prior(model.nominal, sizes(profile, model, measured)[first:])
-    )
+    found = posterior(model, measured, changed.prior(model.nominal, sizes(profile, model, measured)[first:]))
     parts = {part: _part(belief, part, drifts.of_parts.get(part)) for part in dict.fromkeys(belief.parts)}
     return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m, drifts.scatter_rad)
 

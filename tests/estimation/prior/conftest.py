@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
@@ -18,7 +17,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import true_geometry
+from tests.arms import measured_turns, true_geometry
 from tests.twin import PROFILES
 
 SIGMA_M, SIGMA_RAD = 1e-5, 2e-5
@@ -41,9 +40,7 @@ class SimulatedArm:
         learn = count - 1 if learn is None else learn
         quaternion_M = None
         if self.model.geometry.probe is not None:
-            noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((count, 3)))
-            turns = noise * Rotation.from_matrix(self.model.orientation(q))
-            quaternion_M = turns.as_quat(scalar_first=True)
+            quaternion_M = measured_turns(self.model, q, SIGMA_RAD, rng)
         return Readings(
             quaternion_M=quaternion_M,
             sigma_rad=None if quaternion_M is None else np.full(count, SIGMA_RAD),

@@ -39,11 +39,11 @@ def error_um(arm: SimulatedArm, outcome: Updated) -> float:
 
 def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlier: Earlier) -> None:
     readings = replace(arm.readings(20, seed=3), sigma_m=np.full(20, 1e4))
-    conditions = measurement_conditions(readings)
+    measured = Measured.of(readings, measurement_conditions(readings))
     belief = earlier.belief
-    model = first_model(arm.profile, "left", Measured.of(readings, conditions), belief)
+    model = first_model(arm.profile, "left", measured, belief)
     prior = belief.prior(model.nominal, np.zeros(0))
-    after = Belief.of(posterior(model, readings, conditions, prior, scatter_m=0.0), np.ones(len(prior.mean)))
+    after = Belief.of(posterior(model, measured, prior, scatter_m=0.0), np.ones(len(prior.mean)))
     absolute = [one.nominal.vector()[list(one.columns)] for one in (belief, after)]
     K = len(belief.columns)
     before_mean = np.concatenate([absolute[0] + belief.mean[:K], belief.mean[K:]])
@@ -56,14 +56,14 @@ def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlie
 def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedArm) -> None:
     bare = replace(arm, model=replace(arm.model, effects=()))
     readings = bare.readings(40, seed=4)
-    conditions = measurement_conditions(readings)
+    measured = Measured.of(readings, measurement_conditions(readings))
     weak = weak_priors(6)
     columns = tuple(column for column in candidate_columns(arm.model.nominal) if is_own(column, 6))
     sigma = np.array([weak[parameter_names(6)[column]] for column in columns])
     belief = Belief(arm.model.nominal, columns, (), np.zeros(len(sigma)), np.diag(sigma**2), sigma)
-    model = first_model(arm.profile, "left", Measured.of(readings, conditions), belief)
+    model = first_model(arm.profile, "left", measured, belief)
     prior = belief.prior(model.nominal, np.zeros(0))
-    found = posterior(model, readings, conditions, prior, scatter_m=0.0)
+    found = posterior(model, measured, prior, scatter_m=0.0)
     today = identify(
         model.geometry, readings.q, readings.p_M, sigma=readings.sigma_m, prior_sigma=weak_priors(6),
         prior_mean=model.nominal,

@@ -67,7 +67,7 @@ def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit
 
 
 def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
-    """Make ``trials`` trials of each effect in each arm, in rounds of four; ``seed`` draws them all.
+    """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` draws them all.
 
     What the time allows is shared among the effects; the intervals say what that leaves open.
 
@@ -90,10 +90,10 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     while asked := _round(tried, trials)[:allowed]:
         name = "arm {0.arm}, {0.effect}, {0.size_mm:.3f} mm"
         began_s = limit.now()
-        gathered = work.gather(NAMING_TRIALS, f"power, {limit.words()}", planned, asked, name)
+        job, begun = f"power, {limit.words()}", any(one.trials for one in tried)
+        gathered = work.gather(NAMING_TRIALS, job, planned, asked, name, all_may_fail=begun)
         failed += gathered.failed
-        found = [trial for trial in gathered.results if trial is not None]
-        tried = [one.with_trials(found) for one in tried]
+        tried = [one.with_trials(asked, gathered.results) for one in tried]
         allowed = limit.allowed((limit.now() - began_s) / len(asked), 2 * len(tried))
     powers = {(one.arm, one.effect): one.power() for one in tried}
     return PowerResult(
@@ -126,13 +126,17 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
 
 @dataclass(frozen=True)
 class _Tried:
-    """One effect in one arm, and the trials of it so far; ``noise_mm`` is the rms length of the noise."""
+    """One effect in one arm, and the trials of it so far; ``noise_mm`` is the rms length of the noise.
+
+    ``failed`` counts those that could not be computed: they are not asked for again.
+    """
 
     arm: str
     effect: str
     seed: int
     noise_mm: float
     trials: tuple[NamingTrial, ...] = ()
+    failed: int = 0
 
     @property
     def belief(self) -> NamingCurve:
@@ -151,15 +155,21 @@ class _Tried:
         """The trials of the next round, none after ``most``."""
         if self.is_hopeless:
             return
-        sizes = [size * self.noise_mm for size in _FIRST[len(self.trials) :]] or self.belief.next_sizes(SHARE)
-        for place, size in enumerate(sizes[: most - len(self.trials)], start=len(self.trials)):
+        made = len(self.trials) + self.failed
+        sizes = [size * self.noise_mm for size in _FIRST[made:]] or self.belief.next_sizes(SHARE)
+        for place, size in enumerate(sizes[: most - made], start=made):
             rng = np.random.default_rng([self.seed, place, *f"{self.arm} {self.effect}".encode()])
             yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
 
-    def with_trials(self, found: Sequence[NamingTrial]) -> _Tried:
-        """The same with those of some trials that are of this effect and arm."""
-        own = [trial for trial in found if (trial.arm, trial.effect) == (self.arm, self.effect)]
-        return replace(self, trials=(*self.trials, *own))
+    def with_trials(self, asked: Sequence[NamingTrial], found: Sequence[NamingTrial | None]) -> _Tried:
+        """The same with those of the trials ``asked`` that are of this effect and arm; None for one that failed."""
+        own = [
+            result
+            for trial, result in zip(asked, found, strict=True)
+            if (trial.arm, trial.effect) == (self.arm, self.effect)
+        ]
+        done = [result for result in own if result is not None]
+        return replace(self, trials=(*self.trials, *done), failed=self.failed + len(own) - len(done))
 
     def power(self) -> EffectPower:
         """What the trials say."""

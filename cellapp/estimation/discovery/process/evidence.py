@@ -112,9 +112,8 @@ class _Factored:
         A.flat[:: len(A) + 1] += 1.0
         if not len(active):
             return cls(active, root, gram, A)
-        lower, failed = scipy.linalg.lapack.dpotrf(
-            A.T, lower=1, overwrite_a=1
-        )  # transposed: in the order of LAPACK, without a copy
+        # transposed: in the order of LAPACK, without a copy
+        lower, failed = scipy.linalg.lapack.dpotrf(A.T, lower=1, overwrite_a=1)
         return None if failed else cls(active, root, gram, lower)
 
     def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:

@@ -175,9 +175,8 @@ def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np
     projected = projector.project(rows)
     A = process.gram.gram / noise + np.diag(1.0 / np.maximum(process.values.variances(process.components), _SMALLEST))
     lower = scipy.linalg.cholesky(A, lower=True, check_finite=False)
-    half = scipy.linalg.solve_triangular(
-        lower, projected, lower=True, check_finite=False, overwrite_b=True
-    ) / math.sqrt(noise)
+    half = scipy.linalg.solve_triangular(lower, projected, lower=True, check_finite=False, overwrite_b=True)
+    half /= math.sqrt(noise)
     behind = fit.projected_residual.projected
     left = behind - (half @ behind) @ half
     determined = np.sum(half**2, axis=0) + np.sum(projector.basis**2, axis=1)

@@ -8,7 +8,7 @@ from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.search.bounds import within_bounds
 from cellapp.estimation.discovery.search.comparison import floor_reached
-from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.free_part import are_look_alikes, explains_beside_free_parts
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.robot.effects import EFFECTS, Channel
@@ -49,7 +49,7 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
     return any(
         explained < _REMAINDER**2 * fit.removed_square(number)
         for number, term in enumerate(fit.terms)
-        if term.effect is not None and _are_look_alikes(score.slug, term.effect.slug)
+        if term.effect is not None and are_look_alikes(score.slug, term.effect.slug)
     )
 
 
@@ -79,7 +79,3 @@ def _is_joint_offset(state: SearchState, score: LawScore, place: int) -> bool:
     offsets = (state.fit.by_joint * along).swapaxes(0, 1).reshape(len(state.fit.by_joint[0]), -1)
     cosines = offsets @ row / np.maximum(np.linalg.norm(offsets, axis=1) * np.linalg.norm(row), 1e-300)
     return bool(np.max(np.abs(cosines)) > _SAME_DIRECTION)
-
-
-def _are_look_alikes(first: str, second: str) -> bool:
-    return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes

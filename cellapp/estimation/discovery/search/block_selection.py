@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
-from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
 from cellapp.robot.kinematics.transforms import Array
 
 NEXT_BLOCK = 10.0
@@ -93,11 +93,11 @@ class BlockSelection:
             return math.inf
         every = tuple(place for block in self.blocks for place in block)
         share = self._scores([every])[0][1]
-        return -len(self.residual) * math.log1p(-min(share, MOST_SHARE)) - math.log(len(self.residual))
+        return bic_gain(share, len(self.residual), 1)
 
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
         """``score`` of several sets of columns; those of equal size are computed together."""
-        values, shares = np.zeros((2, len(sets)))
+        shares, ranks = np.zeros(len(sets)), np.zeros(len(sets), dtype=np.intp)
         sizes = np.array([len(one) for one in sets])
         place = np.concatenate(sets).astype(np.intp)
         used: slice | NDArray[np.intp] = slice(None)
@@ -105,15 +105,15 @@ class BlockSelection:
             used, place = np.unique(place, return_inverse=True)
         gram = self._gram if isinstance(used, slice) else self.candidate.rows[used] @ self.projected[used].T
         norms, moments = self.norms[used], self.moments[used]
-        first, N = np.cumsum(sizes) - sizes, len(self.residual)
+        first = np.cumsum(sizes) - sizes
         for size in np.unique(sizes).tolist():
             numbers = np.flatnonzero(sizes == size)
             places = place[first[numbers, None] + np.arange(size)]
-            root, ranks = visible_root(gram[places[:, :, None], places[:, None, :]], norms[places])
+            root, ranks[numbers] = visible_root(gram[places[:, :, None], places[:, None, :]], norms[places])
             along = np.einsum("bkr,bk->br", root, moments[places])
             shares[numbers] = np.sum(along**2, axis=1) / self.residual.square
-            values[numbers] = -N * np.log1p(-np.minimum(shares[numbers], MOST_SHARE)) - ranks * math.log(N)
-        return list(zip(values.tolist(), shares.tolist(), strict=True))
+        found = zip(shares.tolist(), ranks.tolist(), strict=True)
+        return [(bic_gain(share, len(self.residual), rank), share) for share, rank in found]
 
     def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
         """The best score among sets of columns, and its number."""

@@ -184,31 +184,37 @@ def may_be_left_by_a_look_alike(state: SearchState, step: SearchStep) -> bool:
 
     What a law leaves over looks most like its look-alikes.
     """
-    fit, alike = state.fit, EFFECTS[step.slug].look_alikes
+    fit = state.fit
     if step.slug in state.slugs:
         return False
-    for number, term in enumerate(fit.terms):
-        if term.effect is None or (term.slug not in alike and step.slug not in term.effect.look_alikes):
-            continue
-        parts = [] if term.modulations else possible_free_parts(state.data, fit, number)
-        if parts and _best_shares(fit, fit.rows, fit.precision, parts)[1] > step.score - SCORE_MARGIN:
-            return True
-    return False
+    of_look_alikes = (
+        possible_free_parts(state.data, fit, number)
+        for number, term in enumerate(fit.terms)
+        if term.effect is not None and not term.modulations and are_look_alikes(step.slug, term.effect.slug)
+    )
+    needed = step.score - SCORE_MARGIN
+    return any(parts and _best_shares(fit, fit.projector, parts)[1] > needed for parts in of_look_alikes)
+
+
+def are_look_alikes(first: str, second: str) -> bool:
+    """Whether one of two effects is among those that look like the other."""
+    return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes
 
 
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
     """The terms with the free parts that gain, those of the largest effects first."""
     fit, terms = state.fit, state.fit.terms
-    nuisance, precision = fit.rows, fit.precision
+    nuisance, precision, projector = fit.rows, fit.precision, fit.projector
     order = sorted(range(len(terms)), key=lambda number: -float(np.sum(fit.signal(number) ** 2)))
     for number in order:
         parts = possible_free_parts(state.data, fit, number)
-        chosen, _ = _best_shares(fit, nuisance, precision, parts)
+        chosen, _ = _best_shares(fit, projector, parts)
         if not chosen:
             continue
         sd = np.concatenate([share * part.sd for part, share in chosen])
         nuisance = np.concatenate([nuisance, *(part.rows for part, _ in chosen)])
         precision = np.concatenate([precision, 1.0 / sd**2])
+        projector = NuisanceProjector.of(nuisance, precision)
         term = replace(
             terms[number],
             modulations=tuple(one for part, _ in chosen for one in part.modulations),
@@ -219,15 +225,15 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 
 
 def _best_shares(
-    fit: JointFit, nuisance: Array, precision: Array, parts: Sequence[FreePart]
+    fit: JointFit, projector: NuisanceProjector, parts: Sequence[FreePart]
 ) -> tuple[list[tuple[FreePart, float]], float]:
-    """Drivers of a free part and the share of each, and twice the log evidence that they gain.
+    """Drivers of a free part and the share of each behind other parameters, and twice the log evidence that they gain.
 
     The best one joins while the evidence gains enough.
     """
     if not parts:
         return [], 0.0
-    evidence = _evidence_of(fit, nuisance, precision, np.concatenate([part.rows for part in parts]))
+    evidence = _evidence_of(fit, projector, np.concatenate([part.rows for part in parts]))
     if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters already take all that the readings hold
         return [], 0.0
     chosen: dict[int, float] = {}
@@ -252,8 +258,7 @@ def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
 
 
-def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> FreePartEvidence:
-    projector = NuisanceProjector.of(nuisance, precision)
+def _evidence_of(fit: JointFit, projector: NuisanceProjector, rows: Array) -> FreePartEvidence:
     residual = projector.project(fit.target)
     return FreePartEvidence(
         gram=rows @ projector.project(rows).T,

@@ -156,7 +156,7 @@ def _in_place_of(
     problem: SearchProblem, fit: JointFit, replaced: NDArray[np.bool_], target: Array, laws: Sequence[CandidateLaw]
 ) -> list[RunnerUp]:
     """The best of some laws as a rival, if it explains ``target`` about as well as the parameters that it replaces."""
-    projector = NuisanceProjector.of(fit.rows[~replaced], fit.precision[~replaced])
+    projector = fit.projector_of(~replaced)
     rest = ProjectedResidual(projector, target)
     gain = math.log(rest.square / fit.projected_residual.square) * len(rest)
     gain -= (fit.projector.effective_parameters - projector.effective_parameters) * math.log(len(rest))

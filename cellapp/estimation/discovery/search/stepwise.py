@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -136,25 +137,26 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         for probability, number in sorted(doubtful):
-            slug = state.fit.terms[number].slug
-            without = replace(problem, slugs=tuple(one for one in problem.slugs if one != slug))
-            rest = _state_without(without, state, number)
+            without, rest = _searched_without(problem, state, number)
             if probability < _EVEN_ODDS or criterion(rest.fit) <= criterion(state.fit):
                 break
         else:
             return replace(found, remaining=scan, posteriors=probable)
+        improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
-        improbable = {**found.improbable, slug: probability}
         found = replace(_result(problem, state, found.geometry_only, found.scan), improbable=improbable)
 
 
-def _state_without(problem: SearchProblem, state: SearchState, number: int) -> SearchState:
-    """Where the search ends without a term and its effect."""
+def _searched_without(problem: SearchProblem, state: SearchState, number: int) -> tuple[SearchProblem, SearchState]:
+    """The problem without the effect of a term, and where the search for the others ends."""
     slug = state.fit.terms[number].slug
+    problem = replace(problem, slugs=tuple(one for one in problem.slugs if one != slug))
     # free parts were made to fit beside what is dropped, and may hold the name that takes its place
     rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
     rest = replace(rest, dropped=(*rest.dropped, slug))
-    return rest if rest.data.points is not None else reviewed(problem, _with_library_effects(problem, rest))
+    if rest.data.points is None:
+        rest = reviewed(problem, _with_library_effects(problem, rest))
+    return problem, rest
 
 
 def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
@@ -191,14 +193,15 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
         return reviewed(problem, with_effects_in_sockets(problem, start, scan))
     named = reviewed(problem, _with_library_effects(problem, start, scan))
     progress.step("beyond the library")
-    first = with_smooth_terms(problem, start) if _far_from_floor(named) else None
-    if not floor_reached(named) and not _beats_all_names(problem, first, named):
+    before_names = cache(partial(with_smooth_terms, problem, start))
+    beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
+    if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     instead = in_place_of_names(problem, start, named)
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
         return best
-    free = _with_free_functions(problem, first or with_smooth_terms(problem, start), named)
+    free = _with_free_functions(problem, before_names(), named)
     if best_state([best, free]) is not best:
         best = free
     if floor_reached(best):
@@ -257,7 +260,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
         problem.cancel.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         step = _next_step(problem, state, scan, refused, refining=refining)
-        if step is None or may_be_left_by_a_look_alike(state, step):
+        if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
             free = None if freed else with_free_parts(problem, state)
             if free is not None:  # what the laws leave over is out of the way: look once more
                 state, scan, freed = free, None, True

@@ -141,10 +141,10 @@ class BesideField:
             return -_IMPOSSIBLE
         both = np.concatenate([rows[~smooth], self.fit.target[None]])
         white = scipy.linalg.solve_triangular(factor, both.T, lower=True, check_finite=False).T
-        flat = NuisanceProjector.of(white[:-1], precision[~smooth])
-        left = flat.project(white[-1])
+        gram = white[:-1] @ white[:-1].T
+        left = NuisanceProjector.of(white[:-1], precision[~smooth], gram).project(white[-1])
         scale = np.linalg.norm(rows[~smooth], axis=1)
-        gram = (white[:-1] @ white[:-1].T + np.diag(precision[~smooth])) / scale / scale[:, None]
+        gram = (gram + np.diag(precision[~smooth])) / scale / scale[:, None]
         log_determinant = 2.0 * float(np.log(factor.diagonal()).sum()) + float(np.linalg.slogdet(gram)[1])
         return -0.5 * (log_determinant + float(white[-1] @ left))
 

@@ -88,7 +88,7 @@ def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> lis
 
 def centre_of(belief: CheckBelief) -> Array:
     """Middle (3,) of the points of the calibration [m]."""
-    return np.asarray(np.concatenate([arm.points.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
+    return np.asarray(np.concatenate([arm.positions.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
 
 
 def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
@@ -113,7 +113,7 @@ def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
     """
     columns = term_columns(arm.model, arm.measured)
     every = design(arm.model, arm.measured, arm.columns)
-    rms = np.sqrt(np.sum(every[len(arm.columns) :] ** 2, axis=1) / len(arm.points))
+    rms = np.sqrt(np.sum(every[len(arm.columns) :] ** 2, axis=1) / len(arm.positions))
     found, place = _growth(name, arm, every), len(arm.columns)
     for term in arm.model.effects:
         for value, unit in enumerate(term.units):
@@ -136,5 +136,5 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
     if len(places) < _FEWEST_LENGTHS:
         return []
     shares = nominal[[arm.columns[place] for place in places]]
-    rms = math.sqrt(float(np.sum((shares @ rows[places]) ** 2)) / len(arm.points))
+    rms = math.sqrt(float(np.sum((shares @ rows[places]) ** 2)) / len(arm.positions))
     return [Direction(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]

@@ -132,7 +132,7 @@ def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBel
 
 
 def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
-    """Covariance (n, 3, 3) [m^2] of predictions at the readings of the calibration."""
+    """Covariance (n, 3, 3) [m^2, rad^2] of predictions at the readings of the calibration."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
     covariance = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
     if stored.network is None:
@@ -146,8 +146,7 @@ def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
 def _held_out_excess(
     stored: ArmModel, found: Posterior, measured: Measured, promised: Array, kind: NDArray[np.bool_]
 ) -> float:
-    """Variance [m^2, rad^2] of a coordinate by which readings of a kind (n,) that were not learned from scatter beyond
-    what is promised.
+    """Variance [m^2, rad^2] by which a coordinate of held-out readings of a ``kind`` (n,) scatters beyond ``promised``.
 
     What a model leaves of the arm is small at the readings that it was chosen by, and not at others.
     """

@@ -44,9 +44,11 @@ def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
 def _needed(critical: float, rank: int, miss: float) -> float:
     """Non-centrality at which a test of ``rank`` numbers misses a change with the chance ``miss``."""
     limit = float(scipy.special.chdtri(rank, critical))
-    return float(
-        scipy.optimize.brentq(lambda size: float(scipy.special.chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED)
-    )
+
+    def surplus(size: float) -> float:
+        return float(scipy.special.chndtr(limit, rank, size)) - miss
+
+    return float(scipy.optimize.brentq(surplus, 1e-6, _MOST_NEEDED))
 
 
 def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
@@ -146,7 +148,7 @@ def moved_m(design: Design, cause: Cause, arm: str | None) -> float:
     names = [arm] if arm is not None else (list(belief.arms) if one.kind == "tracker" else [one.arm])
     squares, count = 0.0, 0
     for name in names:
-        p_M = belief.arms[name].points.readings.p_M
+        p_M = belief.arms[name].positions.readings.p_M
         if cause.motion is not None:
             moved = apply(cause.motion, p_M) - p_M
         else:
@@ -163,7 +165,7 @@ def _turned_mrad(design: Design, cause: Cause) -> float | None:
         return None
     if cause.motion is not None:
         return float(np.linalg.norm(rotation_vectors(cause.motion[None, :3, :3])[0])) * 1e3
-    turned = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.points) :], axes=1)
+    turned = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.positions) :], axes=1)
     return math.sqrt(float(np.mean(np.sum(turned**2, axis=1)))) * 1e3
 
 

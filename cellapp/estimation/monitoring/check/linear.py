@@ -184,9 +184,8 @@ class Moments:
     @classmethod
     def of(cls, stops: StopRows) -> Moments:
         """Whitened by the factor of K."""
-        solved = scipy.linalg.solve_triangular(
-            stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True
-        )
+        columns = np.column_stack([stops.left.ravel(), stops.rows.T])
+        solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
         return cls(solved[:, 0], directions, stops.stop_ends, spanned(directions[: stops.free]))
 
@@ -233,7 +232,7 @@ def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
 
 def arm_centre(arm: ArmBelief) -> Array:
     """Middle (3,) of the points of an arm's calibration [m]."""
-    return np.asarray(arm.points.readings.p_M.mean(axis=0))
+    return np.asarray(arm.positions.readings.p_M.mean(axis=0))
 
 
 def _day_sizes(arm: ArmBelief) -> Array:
@@ -241,7 +240,7 @@ def _day_sizes(arm: ArmBelief) -> Array:
 
     Half of the mean square is that of the shift, half that of the turn.
     """
-    p_M = arm.points.readings.p_M - arm_centre(arm)
+    p_M = arm.positions.readings.p_M - arm_centre(arm)
     by_turn = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))
     return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_turn], 3)
 

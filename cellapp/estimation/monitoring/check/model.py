@@ -79,7 +79,7 @@ class ArmBelief:
     noise_rad: float = 0.0
 
     @property
-    def points(self) -> Measured:
+    def positions(self) -> Measured:
         """The positions among the readings of the calibration."""
         return self.measured.positions
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
-from cellapp.estimation.monitoring.check.belief import measured_vectors, noise_covariance
+from cellapp.estimation.monitoring.check.belief import noise_covariance
 from cellapp.estimation.monitoring.check.linear import conditions_now
 from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief, ChosenStops, Power
 from cellapp.estimation.monitoring.check.visible import calibration_motions, motions, visibility
@@ -103,21 +103,21 @@ def _whitened(
         rows, noise = motions(belief, name, measured, directions), noise_covariance(arm, arm.measured)
         kinds = ((measured.points, arm.measured.points), (~measured.points, ~arm.measured.points))
         found += [
-            np.einsum("ac,knc->kan", _whitener(noise[known]), rows[:, here]) for here, known in kinds if here.any()
+            np.einsum("ac,knc->kan", _whitener(noise[known]), rows[:, asked]) for asked, known in kinds if asked.any()
         ]
     return np.concatenate(found, axis=1)
 
 
 def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementConditions) -> Measured:
     """Imagined readings, with the orientation that the arm's model expects where a check measures it."""
-    if arm.measured.turned is None:
-        return Measured(imagined, conditions, np.ones(len(imagined)))
-    turns = scipy.spatial.transform.Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
-    return measured_vectors(arm, replace(imagined, quaternion_M=turns.as_quat(scalar_first=True)), conditions)
+    if arm.measured.turned is not None:
+        turns = scipy.spatial.transform.Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
+        imagined = replace(imagined, quaternion_M=turns.as_quat(scalar_first=True))
+    return Measured.of(imagined, conditions)
 
 
 def _whitener(covariances: Array) -> Array:
-    """Whitening (3, 3) of a point: by the mean covariance (n, 3, 3) of the calibration's readings."""
+    """Whitening (3, 3) of a vector: by the mean of the covariances (n, 3, 3) of the calibration's readings."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(np.mean(covariances, axis=0))))
 
 

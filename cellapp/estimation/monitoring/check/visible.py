@@ -63,7 +63,7 @@ def visibility(
     own = np.array([one.arm == TRACKER for one in directions])
     basis = np.linalg.qr(rows[own].T)[0]
     left = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
-    counts = {name: len(arm.points) for name, arm in belief.arms.items()}
+    counts = {name: len(arm.positions) for name, arm in belief.arms.items()}
     noise = {name: arm.noise_m for name, arm in belief.arms.items()}
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
     of_arm = np.array([counts[one.arm] for one in directions])

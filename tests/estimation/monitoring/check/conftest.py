@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.monitoring.check import CheckBelief
@@ -20,7 +20,7 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, true_geometry
+from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, measured_turns, true_geometry
 
 Array = NDArray[np.float64]
 SIGMA_M = 1.5e-5
@@ -51,11 +51,9 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
     """What a tracker measures of an arm without effects; of a probe its orientation too."""
     n = len(q)
     model = model_of(true, true)
-    turned = {}
+    turned: dict[str, Any] = {}
     if true.probe is not None:
-        noise = Rotation.from_rotvec(SIGMA_RAD * rng.standard_normal((n, 3)))
-        quaternion_M = (noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True)
-        turned = {"quaternion_M": quaternion_M, "sigma_rad": np.full(n, SIGMA_RAD)}
+        turned = {"quaternion_M": measured_turns(model, q, SIGMA_RAD, rng), "sigma_rad": np.full(n, SIGMA_RAD)}
     steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
     return Readings(
         configuration=np.arange(n),
@@ -83,13 +81,13 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         candidates[name] = rng.uniform(-2.0, 2.0, (readings, nominal.joints))
         if nominal.probe is not None:
             true[name] = replace(true[name], probe=nominal.probe + rng.normal(0.0, 3e-3, 3))
-        measured = readings_of(true[name], candidates[name], rng)
-        conditions = MeasurementConditions(approach=measured.approach)
+        its = readings_of(true[name], candidates[name], rng)
+        measured = Measured.of(its, MeasurementConditions(approach=its.approach))
         columns = candidate_columns(nominal)
         precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
         prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
-        found = posterior(model_of(nominal, nominal), measured, conditions, prior)
-        beliefs[name] = arm_belief(found.model, found, Measured.of(measured, conditions))
+        found = posterior(model_of(nominal, nominal), measured, prior)
+        beliefs[name] = arm_belief(found.model, found, measured)
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 

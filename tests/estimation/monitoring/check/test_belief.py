@@ -85,8 +85,8 @@ def test_expected_errors_are_those_of_new_readings(pair: SimulatedCell) -> None:
 def posterior_of(pair: SimulatedCell, readings: Readings, conditions: MeasurementConditions) -> CheckBelief:
     arm = pair.belief.arms["left"]
     prior = Prior(arm.columns, arm.stored.nominal, np.zeros(len(arm.columns)), 1e6 * np.eye(len(arm.columns)))
-    found = posterior(arm.stored, readings, conditions, prior)
-    return CheckBelief({"left": arm_belief(arm.stored, found, Measured(readings, conditions, np.ones(len(readings))))})
+    measured = Measured.of(readings, conditions)
+    return CheckBelief({"left": arm_belief(arm.stored, posterior(arm.stored, measured, prior), measured)})
 
 
 def test_readings_that_were_not_learned_from_show_the_scatter(pair: SimulatedCell) -> None:
@@ -116,10 +116,10 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     )
     drifting = replace(arm.stored, effects=(term,))
     readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.stored.predict(its.q))
-    measured = Measured(readings, conditions, np.ones(len(its)))
+    measured = Measured.of(readings, conditions)
     count = len(arm.columns) + 3
     prior = Prior(arm.columns, arm.stored.nominal, np.zeros(count), np.diag(np.r_[np.full(count - 3, 1e6), 0, 0, 0]))
-    belief = arm_belief(drifting, posterior(drifting, readings, conditions, prior), measured)
+    belief = arm_belief(drifting, posterior(drifting, measured, prior), measured)
     assert belief.day_m == pytest.approx(1e-4, rel=0.2)  # sqrt(3) 0.1 mm at the end, a third of its square on average
     still, moved = CheckBelief({"left": arm}), CheckBelief({"left": belief})
     here = {"left": pair.measured([1, 20, 40, 60], 0)["left"]}

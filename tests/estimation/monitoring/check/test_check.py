@@ -27,7 +27,7 @@ def visible_changes(cell: SimulatedCell) -> list[Power]:
 
 def positions(cell: SimulatedCell) -> Measured:
     """The readings of its calibration without orientation."""
-    return cell.belief.arms["only"].points
+    return cell.belief.arms["only"].positions
 
 
 def checked(cell: SimulatedCell, changed: dict[str, Geometry] | None = None) -> tuple[Conclusion, SequentialTest]:
@@ -108,7 +108,7 @@ def test_moved_tracker_and_base_turn_orientations_too(probed: SimulatedCell, siz
     assert found.verdict in ("valid", "cannot say")  # a station that was set up anew is no change
     assert not found.changes
     assert found.T_new_old is not None
-    points = probed.belief.arms["only"].points.readings.p_M
+    points = probed.belief.arms["only"].positions.readings.p_M
     true = apply(transform(rotation_from_vector([size, size, -size]), [size, -size, size]), points)
     assert np.linalg.norm(apply(found.T_new_old, points) - true, axis=1).max() < 6e-5
 
