@@ -13,7 +13,7 @@ from cellapp.estimation.calibration.pair_on_flange import (
     sockets_on_flange,
     tie_on_flange,
 )
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform
+from cellapp.robot.kinematics.transforms import apply, invert, rotation_zyx, transform
 
 pytestmark = pytest.mark.fast
 TRUE = transform(rotation_zyx(0.4, -0.1, 0.2), [1.2, -0.3, 0.1])
@@ -34,17 +34,22 @@ def touches(
     rotation = np.array([rotation_zyx(*rng.uniform(-turn_rad, turn_rad, 3)) for _ in range(count)])
     origin, socket = rng.uniform(-0.6, 0.6, (count, 3)), np.arange(count) % len(SOCKETS_F)
     on_right = np.resize(np.array(carriers), count)
-    carried = origin + np.einsum("nab,nb->na", rotation, SOCKETS_F[socket])
-    there: Array = np.where(on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
-    return FlangeRows(socket, on_right, there + scatter_m * rng.standard_normal((count, 3)), rotation, origin)
+    exact = with_exact_balls(FlangeRows(socket, on_right, origin, rotation, origin))
+    return replace(exact, ball=exact.ball + scatter_m * rng.standard_normal((count, 3)))
+
+
+def with_exact_balls(rows: FlangeRows) -> FlangeRows:
+    """The touches with the balls where the sockets are."""
+    carried = rows.origin + np.einsum("nab,nb->na", rows.rotation, SOCKETS_F[rows.socket])
+    ball = np.where(rows.on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
+    return replace(rows, ball=ball)
 
 
 @pytest.mark.parametrize("carriers", [(True,), (False,), (True, True, False)], ids=["right", "left", "both"])
 def test_exact_touches_give_the_tie_and_the_sockets(carriers: tuple[bool, ...]) -> None:
     rows = touches(1, scatter_m=0.0, carriers=carriers)
     if len(carriers) > 1:  # a socket on each flange
-        rows = replace(rows, socket=np.where(rows.on_right, 0, 1), ball=rows.ball)
-        rows = replace(rows, ball=_balls(rows))
+        rows = with_exact_balls(replace(rows, socket=np.where(rows.on_right, 0, 1)))
     found = tie_on_flange(rows, START)
     assert found is not None
     np.testing.assert_allclose(found.identification.T_R_L, TRUE, atol=1e-9)
@@ -53,12 +58,6 @@ def test_exact_touches_give_the_tie_and_the_sockets(carriers: tuple[bool, ...]) 
     sockets_F = sockets_on_flange(rows, START)
     assert sockets_F is not None
     np.testing.assert_allclose(sockets_F, SOCKETS_F, atol=1e-9)
-
-
-def _balls(rows: FlangeRows) -> Array:
-    carried = rows.origin + np.einsum("nab,nb->na", rows.rotation, SOCKETS_F[rows.socket])
-    there = np.where(rows.on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
-    return np.asarray(there)
 
 
 def test_standard_errors_are_what_the_tie_is_off_by() -> None:
