@@ -25,11 +25,12 @@ from cellapp.estimation.calibration.inter_base_transform import PairIdentificati
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.pair_by_touching import TouchedPoints, common_points, tie_by_touching
 from cellapp.estimation.calibration.pair_on_flange import (
+    FlangeRows,
+    fit_on_flange,
     flange_rows,
+    moved_by_parameters,
     nominal_flange_rows,
-    sockets_on_flange,
     tie_on_flange,
-    with_parameters,
 )
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
@@ -241,21 +242,19 @@ def _by_carried_sockets(
     methods: dict[Method, PairMethod] = {}
     models = [arm.model for arm in arms]
     refined: Method = "effects" if any(model.effects for model in models) else "method_1"
-    held_out = True
-    names: tuple[Method, ...] = ("nominal", refined)
-    for name in names:
-        nominal = name == "nominal"
-        rows = nominal_flange_rows(both, [one.nominal for one in models]) if nominal else flange_rows(both, models)
-        sockets_F = sockets_on_flange(rows, start)
-        if sockets_F is not None and not nominal:
-            rows = with_parameters(rows, both, models, start, sockets_F)
-        tied = None if sockets_F is None else tie_on_flange(rows, start)
-        if tied is None:
+    touches: dict[Method, FlangeRows] = {
+        "nominal": nominal_flange_rows(both, [one.nominal for one in models]),
+        refined: flange_rows(both, models),
+    }
+    for name, rows in touches.items():
+        found = fit_on_flange(rows, start)
+        if found is None:
             return None, [
                 f"pair: {counted(len(rows.socket), 'touch', 'touches')} of sockets on a flange leave a direction open;"
                 " turn all joints of both arms, and touch each socket ten times at least"
             ]
-        held_out = tied.held_out
+        moved = None if name == "nominal" else moved_by_parameters(rows, both, models, start, found.sockets_F)
+        tied = tie_on_flange(rows, found, moved)
         methods[name] = PairMethod(
             by_distances=summarise(tied.errors_m),
             by_tracker=None,
@@ -264,10 +263,10 @@ def _by_carried_sockets(
             errors={"flange": tied.errors_m},
             position_errors={},
         )
-    least = "each error is at a touch that the tie never had" if held_out else "errors are what the tie leaves"
+    least = "each error is at a touch that the tie never had" if tied.held_out else "errors are what the tie leaves"
     number = len(rows.socket)
     notes = [f"pair: tied by {counted(number, 'touch', 'touches')} of sockets on a flange, without a tracker; {least}"]
-    counts = {"identify": number, "validate": number if held_out else 0}
+    counts = {"identify": number, "validate": number if tied.held_out else 0}
     return PairCalibration(methods, "flange", counts, np.arange(1, number + 1)), notes
 
 

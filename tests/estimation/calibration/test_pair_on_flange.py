@@ -10,7 +10,7 @@ import pytest
 from cellapp.estimation.calibration.pair_on_flange import (
     FlangeRows,
     doubtful_touches,
-    sockets_on_flange,
+    fit_on_flange,
     tie_on_flange,
 )
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_zyx, transform
@@ -50,21 +50,22 @@ def test_exact_touches_give_the_tie_and_the_sockets(carriers: tuple[bool, ...]) 
     rows = touches(1, scatter_m=0.0, carriers=carriers)
     if len(carriers) > 1:  # a socket on each flange
         rows = with_exact_balls(replace(rows, socket=np.where(rows.on_right, 0, 1)))
-    found = tie_on_flange(rows, START)
-    assert found is not None
+    fit = fit_on_flange(rows, START)
+    assert fit is not None
+    np.testing.assert_allclose(fit.sockets_F, SOCKETS_F, atol=1e-9)
+    found = tie_on_flange(rows, fit)
     np.testing.assert_allclose(found.identification.T_R_L, TRUE, atol=1e-9)
     assert found.held_out
     assert found.errors_m.max() < 1e-9
-    sockets_F = sockets_on_flange(rows, START)
-    assert sockets_F is not None
-    np.testing.assert_allclose(sockets_F, SOCKETS_F, atol=1e-9)
 
 
 def test_standard_errors_are_what_the_tie_is_off_by() -> None:
     off = []
     for seed in range(30):
-        found = tie_on_flange(touches(100 + seed), START)
-        assert found is not None
+        rows = touches(100 + seed)
+        fit = fit_on_flange(rows, START)
+        assert fit is not None
+        found = tie_on_flange(rows, fit)
         off.append((found.identification.T_R_L[:3, 3] - TRUE[:3, 3]) / found.identification.standard_errors[:3])
     assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.25
 
@@ -72,15 +73,15 @@ def test_standard_errors_are_what_the_tie_is_off_by() -> None:
 def test_what_both_arms_are_uncertain_by_widens_the_tie() -> None:
     rows = touches(3)
     common = np.tile(1e-4 * np.eye(3), (len(rows.socket), 1))
-    plain, widened = (tie_on_flange(one, START) for one in (rows, replace(rows, of_parameters=common)))
-    assert plain is not None
-    assert widened is not None
+    fit = fit_on_flange(rows, START)
+    assert fit is not None
+    plain, widened = (tie_on_flange(rows, fit, moved) for moved in (None, common))
     assert (widened.identification.standard_errors[:3] > 3.0 * plain.identification.standard_errors[:3]).all()
 
 
 def test_too_few_touches_or_flanges_that_never_turn_leave_the_tie_open() -> None:
-    assert tie_on_flange(touches(4, count=4), START) is None
-    assert tie_on_flange(touches(4, turn_rad=0.0), START) is None
+    assert fit_on_flange(touches(4, count=4), START) is None
+    assert fit_on_flange(touches(4, turn_rad=0.0), START) is None
 
 
 def test_touches_with_another_name_lie_far_off() -> None:
