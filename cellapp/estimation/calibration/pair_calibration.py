@@ -89,12 +89,15 @@ class PairCalibration:
     stops: NDArray[np.int64]
 
     @property
+    def best(self) -> PairMethod:
+        """The best available method."""
+        return self.methods[next(name for name in _BEST_FIRST if name in self.methods)]
+
+    @property
     def T_R_L(self) -> Array:
         """The selected transform of the best available method, shape (4, 4)."""
-        best = next(name for name in _BEST_FIRST if name in self.methods)
-        method = self.methods[best]
-        by_tracker = method.T_R_L_tracker if self.chosen == "tracker" else None
-        return method.identification.T_R_L if by_tracker is None else by_tracker
+        by_tracker = self.best.T_R_L_tracker if self.chosen == "tracker" else None
+        return self.best.identification.T_R_L if by_tracker is None else by_tracker
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -182,9 +185,9 @@ def _by_touching(
     carried, of_carried = _by_carried_sockets((left, right), arms, start)
     if carried is None or fixed is None:
         return carried or fixed, of_carried if fixed is None else [*of_fixed, *of_carried]
-    both = [one.methods[next(name for name in _BEST_FIRST if name in one.methods)] for one in (fixed, carried)]
-    apart_mm = 1e3 * float(np.linalg.norm(both[0].identification.values[:3] - both[1].identification.values[:3]))
-    sizes = [float(np.linalg.norm(one.identification.standard_errors[:3])) for one in both]
+    both = [one.best.identification for one in (fixed, carried)]
+    apart_mm = 1e3 * float(np.linalg.norm(both[0].values[:3] - both[1].values[:3]))
+    sizes = [float(np.linalg.norm(one.standard_errors[:3])) for one in both]
     kept, notes = (carried, of_carried) if sizes[1] < sizes[0] else (fixed, of_fixed)
     return kept, [
         *notes,
