@@ -151,6 +151,15 @@ def identification_of(T: Array, covariance: Array, steps: int, converged: bool, 
     )
 
 
+def identified_columns(model: ArmModel) -> tuple[tuple[int, ...], Array]:
+    """Columns (m,) of the geometry that were identified, with their covariance (m, m); none where that is unknown."""
+    if model.covariance is None:
+        return (), np.zeros((0, 0))
+    names = model.geometry.names
+    known = [k for k, name in enumerate(model.identified) if name in names]
+    return tuple(names.index(model.identified[k]) for k in known), model.covariance[np.ix_(known, known)]
+
+
 @dataclass(frozen=True, eq=False)
 class _Problem:
     left: TouchedPoints
@@ -209,15 +218,12 @@ class _Problem:
 
 def _of_parameters(model: ArmModel, readings: Readings, contacts: Contacts) -> Array:
     """Covariance (3 P, 3 P) of all points [m^2] from that of the arm's parameters, in its base frame."""
-    assert model.covariance is not None
-    names = model.geometry.names
-    known = [k for k, name in enumerate(model.identified) if name in names]
-    columns = tuple(names.index(model.identified[k]) for k in known)
+    columns, covariance = identified_columns(model)
     _, J = jacobian(model.geometry, JointAngles.of(readings.q), columns)
     R_B_M = model.geometry.T_M_B()[:3, :3].T
     means = [J[:, :, contacts.index == k].mean(axis=2) for k in range(len(contacts.names))]
     rows = np.concatenate([R_B_M @ one for one in means])
-    return np.asarray(rows @ model.covariance[np.ix_(known, known)] @ rows.T)
+    return np.asarray(rows @ covariance @ rows.T)
 
 
 def _taken(covariance: Array, rows: Sequence[int]) -> Array:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.pair_by_touching import UNSEEN, TouchedPair, identification_of
+from cellapp.estimation.calibration.pair_by_touching import UNSEEN, TouchedPair, identification_of, identified_columns
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
@@ -191,16 +191,14 @@ def _names(both: Sequence[Readings]) -> list[str]:
 def _of_parameters(model: ArmModel, q: Array, tool: Array | None) -> Array:
     """Motion (n, 3, m) [m] of the ball, or of a point ``tool`` (3,) on the flange, in the arm's base by each of the m
     independent standard deviations of its parameters. Its own place on the flange is that of the ball alone."""
-    names = model.geometry.names
-    known = [k for k, name in enumerate(model.identified) if name in names]
-    if model.covariance is None or not known:
+    columns, covariance = identified_columns(model)
+    if not columns:
         return np.zeros((len(q), 3, 0))
-    columns = tuple(names.index(model.identified[k]) for k in known)
     geometry = model.geometry if tool is None else replace(model.geometry, tool=tool)
     _, J = jacobian(geometry, JointAngles.of(q), columns)
     if tool is not None:
         J = J * ~np.isin(columns, 6 + 5 * geometry.joints + np.arange(3))[None, :, None]
-    values, vectors = np.linalg.eigh(model.covariance[np.ix_(known, known)])
+    values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(np.einsum("ba,bkn,km->nam", model.geometry.T_M_B()[:3, :3], J, root, optimize=True))
 
