@@ -36,13 +36,11 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import ErrorSummary, Method
+from cellapp.ground.results import BEST_METHODS, ErrorSummary, Method
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, register
 from cellapp.robot.model import ArmModel, ResidualNetwork
-
-_BEST_FIRST: tuple[Method, ...] = ("effects", "proposed", "method_1")
 
 
 class CalibratedArm(Protocol):
@@ -91,7 +89,7 @@ class PairCalibration:
     @property
     def best(self) -> PairMethod:
         """The best available method."""
-        return self.methods[next(name for name in _BEST_FIRST if name in self.methods)]
+        return self.methods[next(name for name in BEST_METHODS if name in self.methods)]
 
     @property
     def T_R_L(self) -> Array:
