@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.pair_by_touching import TouchedPoints, common_points, tie_by_touching
+from cellapp.estimation.calibration.pair_by_touching import TouchedPair, TouchedPoints, common_points, tie_by_touching
 from cellapp.estimation.calibration.pair_on_flange import (
     FlangeRows,
     fit_on_flange,
@@ -61,7 +61,9 @@ class PairMethod:
 
     ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
     maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
-    Without a tracker, errors are those at sockets that both arms touched.
+    Without a tracker, errors are the distances (n,) [m] between both arms' places of a socket: one for each that both
+    touched, or for each touch of one that an arm carries. ``position_errors`` are then the scatter of each arm's
+    touches of those sockets; of carried ones there are none.
     """
 
     by_distances: ErrorSummary
@@ -78,7 +80,8 @@ class PairCalibration:
 
     ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; without a tracker it is
     ``touches``, of sockets that stand still, or ``flange``, of such that an arm carries.
-    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors.
+    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors; of sockets on a
+    flange those of the touches, from 1.
     """
 
     methods: Mapping[Method, PairMethod]
@@ -217,14 +220,8 @@ def _by_fixed_sockets(
         if not common:
             return None, ["pair: skipped, no socket was touched by both arms; distances alone are no test of the tie"]
         rows = [[one.place[point] for point in common] for one in points]
-        methods[name] = PairMethod(
-            by_distances=summarise(tied.errors_m),
-            by_tracker=None,
-            identification=tied.identification,
-            T_R_L_tracker=None,
-            errors={"touches": tied.errors_m},
-            position_errors={arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)},
-        )
+        scatter = {arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)}
+        methods[name] = _without_tracker(tied, "touches", scatter)
     assert tied is not None
     least = (
         "each error is at a socket that the tie never had"
@@ -256,19 +253,24 @@ def _by_carried_sockets(
             ]
         moved = None if name == "nominal" else moved_by_parameters(rows, both, models, start, found.sockets_F)
         tied = tie_on_flange(rows, found, moved)
-        methods[name] = PairMethod(
-            by_distances=summarise(tied.errors_m),
-            by_tracker=None,
-            identification=tied.identification,
-            T_R_L_tracker=None,
-            errors={"flange": tied.errors_m},
-            position_errors={},
-        )
+        methods[name] = _without_tracker(tied, "flange", {})
     least = "each error is at a touch that the tie never had" if tied.held_out else "errors are what the tie leaves"
     number = len(rows.socket)
     notes = [f"pair: tied by {counted(number, 'touch', 'touches')} of sockets on a flange, without a tracker; {least}"]
     counts = {"identify": number, "validate": number if tied.held_out else 0}
     return PairCalibration(methods, "flange", counts, np.arange(1, number + 1)), notes
+
+
+def _without_tracker(tied: TouchedPair, chosen: str, position_errors: Mapping[str, Array]) -> PairMethod:
+    """One method by touches alone."""
+    return PairMethod(
+        by_distances=summarise(tied.errors_m),
+        by_tracker=None,
+        identification=tied.identification,
+        T_R_L_tracker=None,
+        errors={chosen: tied.errors_m},
+        position_errors=position_errors,
+    )
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
