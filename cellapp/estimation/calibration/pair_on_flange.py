@@ -20,16 +20,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.pair_by_touching import UNSEEN, TouchedPair, identification_of, identified_columns
+from cellapp.estimation.calibration.pair_by_touching import (
+    LEAST_NOISE_M,
+    MOST_STEPS,
+    SETTLED,
+    UNSEEN,
+    TouchedPair,
+    identification_of,
+    identified_columns,
+)
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
 from cellapp.robot.model import ArmModel
 
-_MOST_STEPS = 50
-_SETTLED = 1e-10
 _FOLDS = 5
-_LEAST_NOISE_M = 1e-6
 _HALVINGS = 40
 """Of the logarithm of a variance: from a metre to a micrometre they leave nothing."""
 _ROBUST_ROUNDS = 20
@@ -150,7 +155,7 @@ def tie_on_flange(rows: FlangeRows, found: FlangeFit, of_parameters: Array | Non
         errors[left_out] = _off_m(rows.take(left_out), without or found)
     scale = float(np.sqrt(np.mean(errors**2) / 3.0))
     covariance = _covariance(rows, found, of_parameters)[:6, :6]
-    identification = identification_of(found.T_R_L, covariance, found.steps, found.steps < _MOST_STEPS, scale)
+    identification = identification_of(found.T_R_L, covariance, found.steps, scale)
     return TouchedPair(identification, errors, held_out)
 
 
@@ -228,7 +233,7 @@ def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) ->
     """Gauss-Newton steps in least squares, each touch with its weight (n,); None where a direction is not seen."""
     root = np.ones(3 * len(rows.socket)) if weights is None else np.repeat(np.sqrt(weights), 3)
     fit = replace(guess, steps=0)
-    while fit.steps < _MOST_STEPS:
+    while fit.steps < MOST_STEPS:
         r, A = rows.linearised(fit)
         sizes = np.linalg.svd(A, compute_uv=False)
         if len(r) <= A.shape[1] or sizes[-1] < UNSEEN * sizes[0]:
@@ -236,7 +241,7 @@ def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) ->
         move = np.linalg.lstsq(A * root[:, None], r * root, rcond=None)[0]
         T = transform(rotation_from_vector(move[3:6]) @ fit.T_R_L[:3, :3], fit.T_R_L[:3, 3] + move[:3])
         fit = FlangeFit(T, fit.sockets_F + move[6:].reshape(-1, 3), fit.steps + 1)
-        if float(np.abs(move).max()) <= _SETTLED:
+        if float(np.abs(move).max()) <= SETTLED:
             break
     return fit
 
@@ -250,7 +255,7 @@ def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:
         moved = behind.T @ of_parameters
         values, vectors = np.linalg.eigh(moved @ moved.T)
         along = (vectors.T @ left) ** 2
-    low, high = _LEAST_NOISE_M**2, max(float(np.mean(along)), _LEAST_NOISE_M**2)
+    low, high = LEAST_NOISE_M**2, max(float(np.mean(along)), LEAST_NOISE_M**2)
     for _ in range(_HALVINGS):  # the sum falls as the variance grows
         middle = math.sqrt(low * high)
         low, high = (middle, high) if np.sum(along / (middle + np.maximum(values, 0.0))) > len(along) else (low, middle)
