@@ -130,11 +130,10 @@ def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> It
             first = next(
                 command.target.name for command in own if conditions_of(command.target, name).payload == stated_kg
             )
-            asked = f"{low:.3f} kg" if high - low < SAME_PAYLOAD_KG else f"{low:.3f} to {high:.3f} kg"
             why = "the run was measured with" if stated_kg is None else f"target '{first}' states"
             if several:
                 why = f"the readings had several, and target '{first}', which states none, is for"
-            yield f"arm {name}: its controller is set to a payload of {has_kg:.3f} kg, {why} {asked}"
+            yield f"arm {name}: its controller is set to a payload of {has_kg:.3f} kg, {why} {low:.3f} kg"
 
 
 def _payload_ranges(run: RunFile) -> Mapping[str, tuple[float, float]]:

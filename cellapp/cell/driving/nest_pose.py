@@ -89,12 +89,13 @@ def turned_by(shape: NestShape, measured: Mapping[str, Point]) -> Point:
             p_M[0, place] = measured[nest].p_M
             information[0, place] = np.linalg.inv(measured[nest].covariance_M)
     rotation, origin, covariance = poses(shape.points_S, p_M, information)
-    left = np.nan_to_num(p_M[0] - origin[0] - shape.points_S @ rotation[0].T)
-    square = float(np.einsum("ka,kab,kb->", left, information[0], left))
-    noise_m = np.sqrt(np.mean([np.trace(one.covariance_M) for one in measured.values()]) / 3.0)
-    worse = max(shape.noise_m / noise_m, 1.0) if np.isfinite(shape.noise_m) else 1.0
-    if np.isfinite(shape.noise_m) and square > 3.0 * len(measured) * (_FITS * worse) ** 2:
-        return replace(point, quality=(*point.quality, "the nests do not stand as at the calibration"))
+    if np.isfinite(shape.noise_m):  # NaN where no readings show the scatter of the figure
+        left = np.nan_to_num(p_M[0] - origin[0] - shape.points_S @ rotation[0].T)
+        square = float(np.einsum("ka,kab,kb->", left, information[0], left))
+        noise_m = np.sqrt(np.mean([np.trace(one.covariance_M) for one in measured.values()]) / 3.0)
+        worse = max(shape.noise_m / noise_m, 1.0)
+        if square > 3.0 * len(measured) * (_FITS * worse) ** 2:
+            return replace(point, quality=(*point.quality, "the nests do not stand as at the calibration"))
     return replace(
         point,
         quaternion_M=scipy.spatial.transform.Rotation.from_matrix(rotation[0]).as_quat(

@@ -8,6 +8,7 @@ import numpy as np
 
 from cellapp.cell.targets.measuring_noise import MeasuringNoise
 from cellapp.cell.targets.other_payload import OpenElasticity
+from cellapp.cell.targets.working_conditions import conditions_payload
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
@@ -86,7 +87,7 @@ class ConditionRanges:
         if self.elasticity is None:
             return conditions
         low, high = self.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
-        asked_kg = arm.context(q, conditions=conditions).payload_kg
+        asked_kg = conditions_payload(conditions, arm.bodies.payload_mass, len(q))
         if bool(np.all((low <= asked_kg) & (asked_kg <= high))):
             return conditions
         return replace(conditions, payload_kg=np.clip(asked_kg, low, high))

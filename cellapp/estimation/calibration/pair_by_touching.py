@@ -32,12 +32,12 @@ from cellapp.robot.kinematics.transforms import (
 )
 from cellapp.robot.model import ArmModel
 
-_MOST_STEPS = 50
-_SETTLED = 1e-10
+MOST_STEPS = 50
+SETTLED = 1e-10
 UNSEEN = 3e-3
 """Smallest singular value, over the largest, from which on all six directions are seen: sockets half a metre apart are
 then some millimetres off one line."""
-_LEAST_NOISE_M = 1e-6
+LEAST_NOISE_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class TouchedPoints:
         touches = np.bincount(own, minlength=count)
         at_B = contacts.centres(p_B)
         square = np.bincount(own, np.sum((p_B - at_B[own]) ** 2, axis=1), minlength=count)
-        noise = max(float(square.sum()) / (3.0 * max(len(own) - count, 1)), _LEAST_NOISE_M**2)
+        noise = max(float(square.sum()) / (3.0 * max(len(own) - count, 1)), LEAST_NOISE_M**2)
         covariance = np.diag(np.repeat(noise / touches, 3))
         if model is not None and model.covariance is not None:
             covariance += _of_parameters(model, readings, contacts)
@@ -134,11 +134,11 @@ def tie_by_touching(
         for k, name in enumerate(common)
     ]
     scale = float(np.sqrt(np.mean(np.square(errors)) / 3.0)) if errors else float("nan")
-    identification = identification_of(T, covariance, steps, steps < _MOST_STEPS, scale)
+    identification = identification_of(T, covariance, steps, scale)
     return TouchedPair(identification, np.array(errors), held_out)
 
 
-def identification_of(T: Array, covariance: Array, steps: int, converged: bool, scale: float) -> PairIdentification:
+def identification_of(T: Array, covariance: Array, steps: int, scale: float) -> PairIdentification:
     """T_R_L with the standard errors of x, y, z and three angles, from the covariance (6, 6) of a shift and a turn."""
     size = np.sqrt(np.diag(covariance))
     return PairIdentification(
@@ -146,9 +146,18 @@ def identification_of(T: Array, covariance: Array, steps: int, converged: bool, 
         values=np.concatenate([T[:3, 3], zyx_angles(T[:3, :3])]),
         standard_errors=np.concatenate([size[:3], size[:2:-1]]),
         iterations=steps,
-        converged=converged,
+        converged=steps < MOST_STEPS,
         scale=scale,
     )
+
+
+def identified_columns(model: ArmModel) -> tuple[tuple[int, ...], Array]:
+    """Columns (m,) of the geometry that were identified, with their covariance (m, m); none where that is unknown."""
+    if model.covariance is None:
+        return (), np.zeros((0, 0))
+    names = model.geometry.names
+    known = [k for k, name in enumerate(model.identified) if name in names]
+    return tuple(names.index(model.identified[k]) for k in known), model.covariance[np.ix_(known, known)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +176,7 @@ class _Problem:
         p_L, p_R, n = self.left.at_B[rows_L], self.right.at_B[rows_R], len(self.common)
         T = np.asarray(register(p_R[:n], p_L[:n])) if n >= 3 else start
         steps = 0
-        while steps < _MOST_STEPS:
+        while steps < MOST_STEPS:
             steps += 1
             r, A, S = self._linearised(T, p_L, p_R, rows_L, rows_R)
             lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
@@ -178,7 +187,7 @@ class _Problem:
             A, r = np.linalg.solve(white, A), np.linalg.solve(white, r)
             move = np.linalg.lstsq(A, r, rcond=None)[0]
             T = transform(rotation_from_vector(move[3:]) @ T[:3, :3], T[:3, 3] + move[:3])
-            if float(np.abs(move).max()) <= _SETTLED:
+            if float(np.abs(move).max()) <= SETTLED:
                 break
         left = r - A @ move
         excess = max(float(left @ left) / max(len(r) - 6, 1), 1.0)
@@ -209,15 +218,12 @@ class _Problem:
 
 def _of_parameters(model: ArmModel, readings: Readings, contacts: Contacts) -> Array:
     """Covariance (3 P, 3 P) of all points [m^2] from that of the arm's parameters, in its base frame."""
-    assert model.covariance is not None
-    names = model.geometry.names
-    known = [k for k, name in enumerate(model.identified) if name in names]
-    columns = tuple(names.index(model.identified[k]) for k in known)
+    columns, covariance = identified_columns(model)
     _, J = jacobian(model.geometry, JointAngles.of(readings.q), columns)
     R_B_M = model.geometry.T_M_B()[:3, :3].T
     means = [J[:, :, contacts.index == k].mean(axis=2) for k in range(len(contacts.names))]
     rows = np.concatenate([R_B_M @ one for one in means])
-    return np.asarray(rows @ model.covariance[np.ix_(known, known)] @ rows.T)
+    return np.asarray(rows @ covariance @ rows.T)
 
 
 def _taken(covariance: Array, rows: Sequence[int]) -> Array:

@@ -23,25 +23,24 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.pair_by_touching import TouchedPoints, common_points, tie_by_touching
+from cellapp.estimation.calibration.pair_by_touching import TouchedPair, TouchedPoints, common_points, tie_by_touching
 from cellapp.estimation.calibration.pair_on_flange import (
+    FlangeRows,
+    fit_on_flange,
     flange_rows,
+    moved_by_parameters,
     nominal_flange_rows,
-    sockets_on_flange,
     tie_on_flange,
-    with_parameters,
 )
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import ErrorSummary, Method
+from cellapp.ground.results import BEST_METHODS, ErrorSummary, Method
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, register
 from cellapp.robot.model import ArmModel, ResidualNetwork
-
-_BEST_FIRST: tuple[Method, ...] = ("effects", "proposed", "method_1")
 
 
 class CalibratedArm(Protocol):
@@ -62,7 +61,9 @@ class PairMethod:
 
     ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
     maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
-    Without a tracker, errors are those at sockets that both arms touched.
+    Without a tracker, errors are the distances (n,) [m] between both arms' places of a socket: one for each that both
+    touched, or for each touch of one that an arm carries. ``position_errors`` are then the scatter of each arm's
+    touches of those sockets; of carried ones there are none.
     """
 
     by_distances: ErrorSummary
@@ -79,7 +80,8 @@ class PairCalibration:
 
     ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; without a tracker it is
     ``touches``, of sockets that stand still, or ``flange``, of such that an arm carries.
-    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors.
+    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors; of sockets on a
+    flange those of the touches, from 1.
     """
 
     methods: Mapping[Method, PairMethod]
@@ -88,12 +90,15 @@ class PairCalibration:
     stops: NDArray[np.int64]
 
     @property
+    def best(self) -> PairMethod:
+        """The best available method."""
+        return self.methods[next(name for name in BEST_METHODS if name in self.methods)]
+
+    @property
     def T_R_L(self) -> Array:
         """The selected transform of the best available method, shape (4, 4)."""
-        best = next(name for name in _BEST_FIRST if name in self.methods)
-        method = self.methods[best]
-        by_tracker = method.T_R_L_tracker if self.chosen == "tracker" else None
-        return method.identification.T_R_L if by_tracker is None else by_tracker
+        by_tracker = self.best.T_R_L_tracker if self.chosen == "tracker" else None
+        return self.best.identification.T_R_L if by_tracker is None else by_tracker
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -181,9 +186,9 @@ def _by_touching(
     carried, of_carried = _by_carried_sockets((left, right), arms, start)
     if carried is None or fixed is None:
         return carried or fixed, of_carried if fixed is None else [*of_fixed, *of_carried]
-    both = [one.methods[next(name for name in _BEST_FIRST if name in one.methods)] for one in (fixed, carried)]
-    apart_mm = 1e3 * float(np.linalg.norm(both[0].identification.values[:3] - both[1].identification.values[:3]))
-    sizes = [float(np.linalg.norm(one.identification.standard_errors[:3])) for one in both]
+    both = [one.best.identification for one in (fixed, carried)]
+    apart_mm = 1e3 * float(np.linalg.norm(both[0].values[:3] - both[1].values[:3]))
+    sizes = [float(np.linalg.norm(one.standard_errors[:3])) for one in both]
     kept, notes = (carried, of_carried) if sizes[1] < sizes[0] else (fixed, of_fixed)
     return kept, [
         *notes,
@@ -215,14 +220,8 @@ def _by_fixed_sockets(
         if not common:
             return None, ["pair: skipped, no socket was touched by both arms; distances alone are no test of the tie"]
         rows = [[one.place[point] for point in common] for one in points]
-        methods[name] = PairMethod(
-            by_distances=summarise(tied.errors_m),
-            by_tracker=None,
-            identification=tied.identification,
-            T_R_L_tracker=None,
-            errors={"touches": tied.errors_m},
-            position_errors={arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)},
-        )
+        scatter = {arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)}
+        methods[name] = _without_tracker(tied, "touches", scatter)
     assert tied is not None
     least = (
         "each error is at a socket that the tie never had"
@@ -241,34 +240,37 @@ def _by_carried_sockets(
     methods: dict[Method, PairMethod] = {}
     models = [arm.model for arm in arms]
     refined: Method = "effects" if any(model.effects for model in models) else "method_1"
-    held_out = True
-    names: tuple[Method, ...] = ("nominal", refined)
-    for name in names:
-        nominal = name == "nominal"
-        rows = nominal_flange_rows(both, [one.nominal for one in models]) if nominal else flange_rows(both, models)
-        sockets_F = sockets_on_flange(rows, start)
-        if sockets_F is not None and not nominal:
-            rows = with_parameters(rows, both, models, start, sockets_F)
-        tied = None if sockets_F is None else tie_on_flange(rows, start)
-        if tied is None:
+    touches: dict[Method, FlangeRows] = {
+        "nominal": nominal_flange_rows(both, [one.nominal for one in models]),
+        refined: flange_rows(both, models),
+    }
+    for name, rows in touches.items():
+        found = fit_on_flange(rows, start)
+        if found is None:
             return None, [
                 f"pair: {counted(len(rows.socket), 'touch', 'touches')} of sockets on a flange leave a direction open;"
                 " turn all joints of both arms, and touch each socket ten times at least"
             ]
-        held_out = tied.held_out
-        methods[name] = PairMethod(
-            by_distances=summarise(tied.errors_m),
-            by_tracker=None,
-            identification=tied.identification,
-            T_R_L_tracker=None,
-            errors={"flange": tied.errors_m},
-            position_errors={},
-        )
-    least = "each error is at a touch that the tie never had" if held_out else "errors are what the tie leaves"
+        moved = None if name == "nominal" else moved_by_parameters(rows, both, models, start, found.sockets_F)
+        tied = tie_on_flange(rows, found, moved)
+        methods[name] = _without_tracker(tied, "flange", {})
+    least = "each error is at a touch that the tie never had" if tied.held_out else "errors are what the tie leaves"
     number = len(rows.socket)
     notes = [f"pair: tied by {counted(number, 'touch', 'touches')} of sockets on a flange, without a tracker; {least}"]
-    counts = {"identify": number, "validate": number if held_out else 0}
+    counts = {"identify": number, "validate": number if tied.held_out else 0}
     return PairCalibration(methods, "flange", counts, np.arange(1, number + 1)), notes
+
+
+def _without_tracker(tied: TouchedPair, chosen: str, position_errors: Mapping[str, Array]) -> PairMethod:
+    """One method by touches alone."""
+    return PairMethod(
+        by_distances=summarise(tied.errors_m),
+        by_tracker=None,
+        identification=tied.identification,
+        T_R_L_tracker=None,
+        errors={chosen: tied.errors_m},
+        position_errors=position_errors,
+    )
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:

@@ -20,16 +20,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.pair_by_touching import UNSEEN, TouchedPair, identification_of
+from cellapp.estimation.calibration.pair_by_touching import (
+    LEAST_NOISE_M,
+    MOST_STEPS,
+    SETTLED,
+    UNSEEN,
+    TouchedPair,
+    identification_of,
+    identified_columns,
+)
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
 from cellapp.robot.model import ArmModel
 
-_MOST_STEPS = 50
-_SETTLED = 1e-10
 _FOLDS = 5
-_LEAST_NOISE_M = 1e-6
 _HALVINGS = 40
 """Of the logarithm of a variance: from a metre to a micrometre they leave nothing."""
 _ROBUST_ROUNDS = 20
@@ -49,8 +54,6 @@ class FlangeRows:
     ball : array, shape (n, 3) [m]
     rotation, origin : arrays, shapes (n, 3, 3), (n, 3) [m]
         Flange of the arm with the socket.
-    of_parameters : array, shape (3 n, m), or None
-        How the residuals move by each standard deviation of both arms' parameters [m]; None if nothing is known.
     """
 
     socket: NDArray[np.intp]
@@ -58,15 +61,12 @@ class FlangeRows:
     ball: Array
     rotation: Array
     origin: Array
-    of_parameters: Array | None = None
 
-    def take(self, rows: NDArray[np.intp]) -> FlangeRows:
+    def take(self, rows: NDArray[np.bool_]) -> FlangeRows:
         """Some of the touches."""
-        of_parameters = self.of_parameters
-        if of_parameters is not None:
-            of_parameters = of_parameters.reshape(len(self.socket), 3, -1)[rows].reshape(3 * len(rows), -1)
-        arrays = {name: getattr(self, name)[rows] for name in ("socket", "on_right", "ball", "rotation", "origin")}
-        return FlangeRows(**arrays, of_parameters=of_parameters)
+        return FlangeRows(
+            self.socket[rows], self.on_right[rows], self.ball[rows], self.rotation[rows], self.origin[rows]
+        )
 
     def ends(self, sockets_F: Array) -> tuple[Array, Array]:
         """Where the right arm and the left arm have each touch (n, 3) [m], with sockets (P, 3) on their flanges."""
@@ -74,8 +74,9 @@ class FlangeRows:
         right = self.on_right[:, None]
         return np.where(right, carried, self.ball), np.where(right, self.ball, carried)
 
-    def linearised(self, T: Array, sockets_F: Array) -> tuple[Array, Array]:
+    def linearised(self, fit: FlangeFit) -> tuple[Array, Array]:
         """Residuals (3 n,) and what a shift and a turn of R, b, then every socket, explain of them (3 n, 6 + 3 P)."""
+        T, sockets_F = fit.T_R_L, fit.sockets_F
         right, left = self.ends(sockets_F)
         n, rotated = len(left), left @ T[:3, :3].T
         A = np.zeros((n, 3, 6 + sockets_F.size))
@@ -87,11 +88,12 @@ class FlangeRows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
-    T: Array
+class FlangeFit:
+    """The transform T_R_L (4, 4), where the sockets are on their flanges (P, 3) [m], and the steps to both."""
+
+    T_R_L: Array
     sockets_F: Array
-    steps: int
-    covariance: Array | None = None
+    steps: int = 0
 
 
 def nominal_flange_rows(both: Sequence[Readings], chains: Sequence[Geometry]) -> FlangeRows:
@@ -111,10 +113,13 @@ def flange_rows(both: Sequence[Readings], models: Sequence[ArmModel]) -> FlangeR
     return _rows(both, lambda arm, q: apply(bases[arm], models[arm].predict(q)), flange)
 
 
-def with_parameters(
+def moved_by_parameters(
     rows: FlangeRows, both: Sequence[Readings], models: Sequence[ArmModel], start: Array, sockets_F: Array
-) -> FlangeRows:
-    """The touches with what the uncertainty of both arms' parameters does to them; ``sockets_F`` (P, 3) [m]."""
+) -> Array:
+    """How the residuals move by each of m standard deviations of both arms' parameters (3 n, m) [m].
+
+    ``start`` (4, 4) is T_R_L from the profile, ``sockets_F`` (P, 3) [m] as the touches have them.
+    """
     found, first = [], 0
     for mine, its in enumerate(both):
         touches = its.on_flange
@@ -127,48 +132,43 @@ def with_parameters(
         of_arm[1 - mine] = _of_parameters(models[1 - mine], touches.other_q, tool)
         whole = np.concatenate([start[:3, :3] @ of_arm[0], -of_arm[1]], axis=2)
         found.append(whole.reshape(3 * len(touches), -1))
-    return replace(rows, of_parameters=np.concatenate(found))
+    return np.concatenate(found)
 
 
-def tie_on_flange(rows: FlangeRows, start: Array) -> TouchedPair | None:
-    """Tie the bases of two arms; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen.
+def fit_on_flange(rows: FlangeRows, start: Array) -> FlangeFit | None:
+    """The fit to all touches; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen."""
+    return _fitted(rows, _guess(rows, start))
 
-    The errors are those of touches that a fit to the others never had, a fifth at a time.
+
+def tie_on_flange(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None = None) -> TouchedPair:
+    """Tie the bases of two arms by what was ``found`` from all touches.
+
+    ``of_parameters`` are from ``moved_by_parameters``; None if nothing is known. The errors are those of touches that a
+    fit to the others never had, a fifth at a time.
     """
-    count = int(rows.socket.max()) + 1
-    found = _solved(rows, start, np.zeros((count, 3)))
-    if found is None or found.covariance is None:
-        return None
     errors, fold, held_out = np.full(len(rows.socket), np.nan), np.arange(len(rows.socket)) % _FOLDS, True
     for one in range(_FOLDS):
-        left_out = np.flatnonzero(fold == one)
-        kept = rows.take(np.flatnonzero(fold != one))
-        without = _solved(kept, found.T, found.sockets_F) if {*kept.socket.tolist()} == {*range(count)} else None
+        left_out = fold == one
+        kept = rows.take(~left_out)
+        without = _fitted(kept, found) if len(np.unique(kept.socket)) == len(found.sockets_F) else None
         held_out = held_out and without is not None
-        r, _ = rows.take(left_out).linearised(*((without or found).T, (without or found).sockets_F))
-        errors[left_out] = np.linalg.norm(r.reshape(-1, 3), axis=1)
+        errors[left_out] = _off_m(rows.take(left_out), without or found)
     scale = float(np.sqrt(np.mean(errors**2) / 3.0))
-    identification = identification_of(found.T, found.covariance[:6, :6], found.steps, found.steps < _MOST_STEPS, scale)
+    covariance = _covariance(rows, found, of_parameters)[:6, :6]
+    identification = identification_of(found.T_R_L, covariance, found.steps, scale)
     return TouchedPair(identification, errors, held_out)
-
-
-def sockets_on_flange(rows: FlangeRows, start: Array) -> Array | None:
-    """Where the sockets are on their flanges (P, 3) [m]; None where a direction is not seen."""
-    found = _fitted(rows, start, np.zeros((int(rows.socket.max()) + 1, 3)), np.ones(len(rows.socket)))
-    return None if found is None else found.sockets_F
 
 
 def doubtful_touches(rows: FlangeRows, start: Array) -> Array | None:
     """Distance (n,) [m] of each touch from where most others have it, by published arms; None if not seen."""
-    found = _Solved(start, np.zeros((int(rows.socket.max()) + 1, 3)), 0)
+    found = _guess(rows, start)
     off_m = np.ones(len(rows.socket))
     for _ in range(_ROBUST_ROUNDS):
-        better = _fitted(rows, found.T, found.sockets_F, 1.0 / np.maximum(off_m, _LEAST_OFF_M))
+        better = _fitted(rows, found, 1.0 / np.maximum(off_m, _LEAST_OFF_M))
         if better is None:
             return None
-        found = better
-        off_m = np.linalg.norm(rows.linearised(found.T, found.sockets_F)[0].reshape(-1, 3), axis=1)
-    return np.asarray(off_m)
+        found, off_m = better, _off_m(rows, better)
+    return off_m
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -196,59 +196,66 @@ def _names(both: Sequence[Readings]) -> list[str]:
 def _of_parameters(model: ArmModel, q: Array, tool: Array | None) -> Array:
     """Motion (n, 3, m) [m] of the ball, or of a point ``tool`` (3,) on the flange, in the arm's base by each of the m
     independent standard deviations of its parameters. Its own place on the flange is that of the ball alone."""
-    names = model.geometry.names
-    known = [k for k, name in enumerate(model.identified) if name in names]
-    if model.covariance is None or not known:
+    columns, covariance = identified_columns(model)
+    if not columns:
         return np.zeros((len(q), 3, 0))
-    columns = tuple(names.index(model.identified[k]) for k in known)
     geometry = model.geometry if tool is None else replace(model.geometry, tool=tool)
     _, J = jacobian(geometry, JointAngles.of(q), columns)
     if tool is not None:
         J = J * ~np.isin(columns, 6 + 5 * geometry.joints + np.arange(3))[None, :, None]
-    values, vectors = np.linalg.eigh(model.covariance[np.ix_(known, known)])
+    values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(np.einsum("ba,bkn,km->nam", model.geometry.T_M_B()[:3, :3], J, root, optimize=True))
 
 
-def _solved(rows: FlangeRows, T: Array, sockets_F: Array) -> _Solved | None:
-    """The fit from a guess, with the covariance of what it found; None where a direction is not seen."""
-    found = _fitted(rows, T, sockets_F, np.ones(len(rows.socket)))
-    if found is None:
-        return None
-    r, A = rows.linearised(found.T, found.sockets_F)
+def _guess(rows: FlangeRows, start: Array) -> FlangeFit:
+    """The transform from the profile, with the sockets in the middle of their flanges."""
+    return FlangeFit(start, np.zeros((int(rows.socket.max()) + 1, 3)))
+
+
+def _off_m(rows: FlangeRows, fit: FlangeFit) -> Array:
+    """Distance (n,) [m] of the ball from its socket at each touch."""
+    return np.asarray(np.linalg.norm(rows.linearised(fit)[0].reshape(-1, 3), axis=1))
+
+
+def _covariance(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None) -> Array:
+    """Covariance (6 + 3 P, 6 + 3 P) of what was found."""
+    r, A = rows.linearised(found)
     inverse = np.linalg.pinv(A)
-    covariance = _scatter(r, A, rows.of_parameters) * inverse @ inverse.T
-    if rows.of_parameters is not None:
-        moved = inverse @ rows.of_parameters
+    covariance = _scatter(r, A, of_parameters) * inverse @ inverse.T
+    if of_parameters is not None:
+        moved = inverse @ of_parameters
         covariance += moved @ moved.T
-    return replace(found, covariance=covariance)
+    return np.asarray(covariance)
 
 
-def _fitted(rows: FlangeRows, T: Array, sockets_F: Array, weights: Array) -> _Solved | None:
+def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) -> FlangeFit | None:
     """Gauss-Newton steps in least squares, each touch with its weight (n,); None where a direction is not seen."""
-    root, steps = np.repeat(np.sqrt(weights), 3), 0
-    while steps < _MOST_STEPS:
-        steps += 1
-        r, A = rows.linearised(T, sockets_F)
+    root = np.ones(3 * len(rows.socket)) if weights is None else np.repeat(np.sqrt(weights), 3)
+    fit = replace(guess, steps=0)
+    while fit.steps < MOST_STEPS:
+        r, A = rows.linearised(fit)
         sizes = np.linalg.svd(A, compute_uv=False)
         if len(r) <= A.shape[1] or sizes[-1] < UNSEEN * sizes[0]:
             return None
         move = np.linalg.lstsq(A * root[:, None], r * root, rcond=None)[0]
-        T = transform(rotation_from_vector(move[3:6]) @ T[:3, :3], T[:3, 3] + move[:3])
-        sockets_F = sockets_F + move[6:].reshape(-1, 3)
-        if float(np.abs(move).max()) <= _SETTLED:
+        T = transform(rotation_from_vector(move[3:6]) @ fit.T_R_L[:3, :3], fit.T_R_L[:3, 3] + move[:3])
+        fit = FlangeFit(T, fit.sockets_F + move[6:].reshape(-1, 3), fit.steps + 1)
+        if float(np.abs(move).max()) <= SETTLED:
             break
-    return _Solved(T, sockets_F, steps)
+    return fit
 
 
 def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:
     """Variance of a touch's coordinate [m^2]: with it, residuals behind A are as large as they should be."""
     behind = np.linalg.qr(A, mode="complete")[0][:, A.shape[1] :]
-    values, along = np.zeros(behind.shape[1]), (behind.T @ r) ** 2
+    left = behind.T @ r
+    values, along = np.zeros(len(left)), left**2
     if of_parameters is not None:
-        values, vectors = np.linalg.eigh((moved := behind.T @ of_parameters) @ moved.T)
-        along = (vectors.T @ (behind.T @ r)) ** 2
-    low, high = _LEAST_NOISE_M**2, max(float(np.mean(along)), _LEAST_NOISE_M**2)
+        moved = behind.T @ of_parameters
+        values, vectors = np.linalg.eigh(moved @ moved.T)
+        along = (vectors.T @ left) ** 2
+    low, high = LEAST_NOISE_M**2, max(float(np.mean(along)), LEAST_NOISE_M**2)
     for _ in range(_HALVINGS):  # the sum falls as the variance grows
         middle = math.sqrt(low * high)
         low, high = (middle, high) if np.sum(along / (middle + np.maximum(values, 0.0))) > len(along) else (low, middle)

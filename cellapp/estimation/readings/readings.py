@@ -267,31 +267,28 @@ def joined(parts: Sequence[Readings]) -> Readings:
     ValueError
         If they have different numbers of joints.
     """
-    values: dict[str, Values | None] = {}
+    values: dict[str, Any] = {}
     for column in COLUMNS:
         own = [getattr(part, column.name) for part in parts]
-        if all(value is None for value in own):
-            values[column.name] = None
-        elif column.dtype is str:
+        if column.dtype is not str:
+            values[column.name] = _stacked(own, [column.array_shape(len(part), part.joints) for part in parts])
+        elif any(words is not None for words in own):
             values[column.name] = tuple(
                 word
                 for part, words in zip(parts, own, strict=True)
                 for word in ((None,) * len(part) if words is None else words)
             )
-        else:
-            values[column.name] = np.concatenate(
-                [
-                    np.full(column.array_shape(len(part), part.joints), np.nan) if value is None else value
-                    for part, value in zip(parts, own, strict=True)
-                ]
-            )
-    found, turning = readings_from_columns(values, {}), [part.turning_covariance_M for part in parts]
-    if all(its is None for its in turning):
-        return found
-    known = [
-        np.full((len(part), 3, 3), np.nan) if its is None else its for part, its in zip(parts, turning, strict=True)
-    ]
-    return replace(found, turning_covariance_M=np.concatenate(known))
+    turning = _stacked([part.turning_covariance_M for part in parts], [(len(part), 3, 3) for part in parts])
+    return Readings(**values, turning_covariance_M=turning)
+
+
+def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:
+    """Arrays one after the other, with NaN in the place of those that are missing; None where all are."""
+    if all(array is None for array in arrays):
+        return None
+    return np.concatenate(
+        [np.full(shape, np.nan) if array is None else array for array, shape in zip(arrays, shapes, strict=True)]
+    )
 
 
 def stated_uncertainty(readings: Readings) -> _Floats | None:

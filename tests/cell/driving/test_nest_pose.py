@@ -14,6 +14,7 @@ from cellapp.estimation.nests import NestShape
 from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
 from drivers.trackers.protocol import Point
 from tests.cell.driving.test_more_than_a_point import cell_with
+from tests.twin import with_arm
 
 pytestmark = pytest.mark.fast
 SIGMA_M = 1e-5
@@ -57,8 +58,7 @@ def test_figures_are_those_of_the_profile_until_readings_show_them() -> None:
     assert set(poses.nests.cells["left"]) == {"B", "C"}
     smr = profile.arms["left"].smr
     nests = {**smr.nests, "C": smr.nests["C"].model_copy(update={"offset": "unknown"})}
-    arms = {"left": profile.arms["left"].model_copy(update={"smr": smr.model_copy(update={"nests": nests})})}
-    unknown = profile.model_copy(update={"arms": {**profile.arms, **arms}})
+    unknown = with_arm(profile, "left", smr=smr.model_copy(update={"nests": nests}))
     assert not NestPoses.of(unknown, None, cell_bodies(unknown), {}).shapes
 
 

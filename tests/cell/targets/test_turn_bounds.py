@@ -22,7 +22,7 @@ def test_angles_of_several_smrs_keep_their_bound() -> None:
     rng = np.random.default_rng(1)
     turns = Rotation.random(4000, random_state=2)
     angles = np.linalg.norm(turns.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
-    true = np.tile(1e-12 * np.eye(3), (1, 1, 1))
+    true = 1e-12 * np.eye(3)[None]
     by_axis = length_bounds(_with_noise(true, DRAWS))[1][0]
     alike = length_bounds(_with_noise(true, replace(DRAWS, noise_axes_rad=None)))[1][0]
     assert np.mean(angles <= by_axis) == pytest.approx(0.95, abs=0.012)

@@ -10,10 +10,10 @@ import pytest
 from cellapp.estimation.calibration.pair_on_flange import (
     FlangeRows,
     doubtful_touches,
-    sockets_on_flange,
+    fit_on_flange,
     tie_on_flange,
 )
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform
+from cellapp.robot.kinematics.transforms import apply, invert, rotation_zyx, transform
 
 pytestmark = pytest.mark.fast
 TRUE = transform(rotation_zyx(0.4, -0.1, 0.2), [1.2, -0.3, 0.1])
@@ -34,38 +34,38 @@ def touches(
     rotation = np.array([rotation_zyx(*rng.uniform(-turn_rad, turn_rad, 3)) for _ in range(count)])
     origin, socket = rng.uniform(-0.6, 0.6, (count, 3)), np.arange(count) % len(SOCKETS_F)
     on_right = np.resize(np.array(carriers), count)
-    carried = origin + np.einsum("nab,nb->na", rotation, SOCKETS_F[socket])
-    there: Array = np.where(on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
-    return FlangeRows(socket, on_right, there + scatter_m * rng.standard_normal((count, 3)), rotation, origin)
+    exact = with_exact_balls(FlangeRows(socket, on_right, origin, rotation, origin))
+    return replace(exact, ball=exact.ball + scatter_m * rng.standard_normal((count, 3)))
+
+
+def with_exact_balls(rows: FlangeRows) -> FlangeRows:
+    """The touches with the balls where the sockets are."""
+    carried = rows.origin + np.einsum("nab,nb->na", rows.rotation, SOCKETS_F[rows.socket])
+    ball = np.where(rows.on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
+    return replace(rows, ball=ball)
 
 
 @pytest.mark.parametrize("carriers", [(True,), (False,), (True, True, False)], ids=["right", "left", "both"])
 def test_exact_touches_give_the_tie_and_the_sockets(carriers: tuple[bool, ...]) -> None:
     rows = touches(1, scatter_m=0.0, carriers=carriers)
     if len(carriers) > 1:  # a socket on each flange
-        rows = replace(rows, socket=np.where(rows.on_right, 0, 1), ball=rows.ball)
-        rows = replace(rows, ball=_balls(rows))
-    found = tie_on_flange(rows, START)
-    assert found is not None
+        rows = with_exact_balls(replace(rows, socket=np.where(rows.on_right, 0, 1)))
+    fit = fit_on_flange(rows, START)
+    assert fit is not None
+    np.testing.assert_allclose(fit.sockets_F, SOCKETS_F, atol=1e-9)
+    found = tie_on_flange(rows, fit)
     np.testing.assert_allclose(found.identification.T_R_L, TRUE, atol=1e-9)
     assert found.held_out
     assert found.errors_m.max() < 1e-9
-    sockets_F = sockets_on_flange(rows, START)
-    assert sockets_F is not None
-    np.testing.assert_allclose(sockets_F, SOCKETS_F, atol=1e-9)
-
-
-def _balls(rows: FlangeRows) -> Array:
-    carried = rows.origin + np.einsum("nab,nb->na", rows.rotation, SOCKETS_F[rows.socket])
-    there = np.where(rows.on_right[:, None], apply(np.asarray(invert(TRUE)), carried), apply(TRUE, carried))
-    return np.asarray(there)
 
 
 def test_standard_errors_are_what_the_tie_is_off_by() -> None:
     off = []
     for seed in range(30):
-        found = tie_on_flange(touches(100 + seed), START)
-        assert found is not None
+        rows = touches(100 + seed)
+        fit = fit_on_flange(rows, START)
+        assert fit is not None
+        found = tie_on_flange(rows, fit)
         off.append((found.identification.T_R_L[:3, 3] - TRUE[:3, 3]) / found.identification.standard_errors[:3])
     assert 0.8 < np.sqrt(np.mean(np.square(off))) < 1.25
 
@@ -73,15 +73,15 @@ def test_standard_errors_are_what_the_tie_is_off_by() -> None:
 def test_what_both_arms_are_uncertain_by_widens_the_tie() -> None:
     rows = touches(3)
     common = np.tile(1e-4 * np.eye(3), (len(rows.socket), 1))
-    plain, widened = (tie_on_flange(one, START) for one in (rows, replace(rows, of_parameters=common)))
-    assert plain is not None
-    assert widened is not None
+    fit = fit_on_flange(rows, START)
+    assert fit is not None
+    plain, widened = (tie_on_flange(rows, fit, moved) for moved in (None, common))
     assert (widened.identification.standard_errors[:3] > 3.0 * plain.identification.standard_errors[:3]).all()
 
 
 def test_too_few_touches_or_flanges_that_never_turn_leave_the_tie_open() -> None:
-    assert tie_on_flange(touches(4, count=4), START) is None
-    assert tie_on_flange(touches(4, turn_rad=0.0), START) is None
+    assert fit_on_flange(touches(4, count=4), START) is None
+    assert fit_on_flange(touches(4, turn_rad=0.0), START) is None
 
 
 def test_touches_with_another_name_lie_far_off() -> None:
