@@ -205,9 +205,8 @@ def _with_quaternions(
     if written is None or any(len(row) != len(names) for _, row in body):
         return names, body
     at = {name: place for place, name in enumerate(names)}
-    found, fault = written.quaternions({name: [row[at[name]] for _, row in body] for name in written.columns})
-    if fault is not None:
-        raise InputError(f"{path}:{body[fault[0]][0]}: {fault[1]}: {fault[2]}")
+    own_cells = {name: [row[at[name]] for _, row in body] for name in written.columns}
+    found = written.quaternions(own_cells, lambda row: f"{path}:{body[row][0]}")
     kept = [place for place, name in enumerate(names) if name not in written.columns]
     rows = [(n, [*(row[place] for place in kept), *own]) for (n, row), own in zip(body, found, strict=True)]
     return [*(names[place] for place in kept), *QUATERNION], rows
