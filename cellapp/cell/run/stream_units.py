@@ -24,7 +24,7 @@ _DEG = math.pi / 180.0
 
 def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
     """The table in SI units, and a sentence about columns that stand under other names."""
-    if not known.said:
+    if not known.others:
         return table, []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
     if known.unsaid("time_s"):
