@@ -6,7 +6,6 @@ Cells are looked at one by one only where numpy refuses the file: line and colum
 from __future__ import annotations
 
 import codecs
-import csv
 import itertools
 import math
 import re
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, csv_rows, opened_text, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, csv_rows, opened_text, short, split_row
 from cellapp.cell.run.recorded_csv import COMMENTS, DECIMAL_COMMA
 from cellapp.ground.errors import InputError
 
@@ -92,7 +91,7 @@ class StreamFile:
             yield from itertools.islice(csv_rows(self.path, self.what, _ROW), 1, None)
             return
         for line, text in self._numbered():
-            cells = _cells(text, self.separator)
+            cells = split_row(text, self.separator)
             if len(cells) != len(self.names) + self.trailing:
                 raise InputError(
                     f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
@@ -149,11 +148,11 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]]) -> StreamF
     """How the first row of numbers and the names above it are written; None for plain CSV, and where there are none."""
     for place, (line, text) in enumerate(lines):
         separator, comma = _separator(text)
-        cells = _cells(text, separator)
+        cells = split_row(text, separator)
         numbers = sum(is_number(cell.replace(",", ".") if comma else cell) for cell in cells)
         if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * numbers <= len(cells):
             continue
-        above = [(n, _cells(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
+        above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
         above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
         if not above:
             raise InputError(
@@ -179,12 +178,6 @@ def _separator(text: str) -> tuple[str, bool]:
     if len(blanks) > 1 and all(DECIMAL_COMMA.fullmatch(cell) or is_number(cell) for cell in blanks):
         return " ", True
     return ",", False
-
-
-def _cells(text: str, separator: str) -> list[str]:
-    if separator == " ":
-        return text.split()
-    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator), [])]
 
 
 def read_stream_table(
