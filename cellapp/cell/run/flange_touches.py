@@ -16,6 +16,7 @@ import numpy as np
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.cell.run.distances import published_arm
+from cellapp.cell.run.rows import select_document
 from cellapp.estimation.calibration.pair_on_flange import doubtful_touches, nominal_flange_rows
 from cellapp.estimation.readings import FlangeTouches, Readings
 from cellapp.estimation.sockets import in_sockets
@@ -96,8 +97,8 @@ def with_flange_touches(connection: sqlite3.Connection, arm: str, readings: Read
     """The readings of one arm in sockets with the stored touches of its ball on the other arm's flange."""
     if readings.point is None:
         return readings
-    row = connection.execute("SELECT text FROM result WHERE name = ?", (FLANGE_TOUCHES_RESULT,)).fetchone()
-    return _joined(arm, readings, flange_touches_of(None if row is None else row[0]))
+    document = select_document(connection, FLANGE_TOUCHES_RESULT)
+    return readings if document is None else _joined(arm, readings, flange_touches_of(document.text))
 
 
 def _joined(arm: str, readings: Readings, touches: Sequence[FlangeTouch]) -> Readings:
