@@ -51,19 +51,19 @@ def read_flange_touches(path: Path, profile: Profile, readings: Mapping[str, Rea
         Names file, line and column of what is missing, no number, out of the joints' reach, or contradicts the arms.
     """
     joints = require_pair(profile, str(path))
-    columns = [f"{prefix}{joint}" for prefix, n in (("q", joints), ("other_q", joints)) for joint in range(1, n + 1)]
+    columns = [f"{prefix}{joint}" for prefix in ("q", "other_q") for joint in range(1, joints + 1)]
     table = read_table_of(Path(path), "touches on a flange", "touch", "a row per touch", ["arm", "socket", *columns])
     problems = Problems(table.place)
     found = dict(_checked(table, problems, profile))
     problems.check()
     touches = list(found.values())
-    for number, off in enumerate(off_m(profile, readings, touches).tolist()):
+    for (line, touch), off in zip(found.items(), off_m(profile, readings, touches).tolist(), strict=True):
         if off > OFF_M:
             problems.add(
-                list(found)[number],
+                line,
                 "socket",
-                f"'{touches[number].socket}' is {off * 1e3:.0f} mm from where the other touches have it by the"
-                " published arms; check its name, and which arm has the ball",
+                f"'{touch.socket}' is {off * 1e3:.0f} mm from where the other touches have it by the published arms;"
+                " check its name, and which arm has the ball",
             )
     problems.check()
     return touches
