@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,11 +19,11 @@ from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.cli.app import app
+from tests.cell.run.csv_rows import Rows, written
 from tests.twin import PROFILES
 
 pytestmark = pytest.mark.fast
 TWIN = PROFILES / "twin.yaml"
-Rows = list[dict[str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +55,6 @@ def rows(touches: list[FlangeTouch]) -> Rows:
         }
         for one in touches
     ]
-
-
-def written(path: Path, rows: Rows) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
 
 
 def test_a_file_is_read_as_it_was_written(
