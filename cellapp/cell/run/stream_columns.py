@@ -32,7 +32,7 @@ UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "na
 _COLUMNS_OF_TIME = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
 _USUAL_STEP_S = (5e-4, 0.05)
 """Steps of recordings [s], a hundredfold: at most one unit puts a step between them."""
-_DEGREES = "Then name the columns q1_deg, q2_deg, ..."
+_DEGREES = "degrees? Then name the columns q1_deg, q2_deg, ..."
 _FASTEST_RAD_S = 12.0
 """No joint of an industrial arm is faster [rad/s]."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
@@ -92,9 +92,8 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
     wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
-    for one in beyond_limits(q, limits):
-        text = one.text.replace("degrees?", f"degrees? {_DEGREES}")
-        wrong.append(Implausible(one.row, f"q{(one.place or 0) + 1}", text))
+    beyond = beyond_limits(q, limits, _DEGREES)
+    wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond]
     yield from wrong
     if wrong:
         return
@@ -104,7 +103,7 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
     fast = np.quantile(speed, 0.95, axis=0)
     joint = int(np.argmax(fast))
     if fast[joint] > _FASTEST_RAD_S:
-        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; degrees? {_DEGREES}"
+        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
         yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
