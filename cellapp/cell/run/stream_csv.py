@@ -149,8 +149,9 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]]) -> StreamF
     for place, (line, text) in enumerate(lines):
         separator, comma = _separator(text)
         cells = split_row(text, separator)
-        numbers = sum(is_number(cell.replace(",", ".") if comma else cell) for cell in cells)
-        if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * numbers <= len(cells):
+        filled = [cell.replace(",", ".") if comma else cell for cell in cells if cell]
+        texts = sum(not is_number(cell) for cell in filled)
+        if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * texts >= len(cells) or texts == len(filled):
             continue
         above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
         above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]

@@ -112,6 +112,8 @@ def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
     one, notes = read(tmp_path, frame, points)
     assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
     assert any("'index' is unknown" in note for note in notes)
+    title = text_of("Leica AT960;;;\nt;X;Y;Z", joints(TIMES, POINTS), ";")  # as spreadsheets fill a line up
+    assert read(tmp_path, frame, title)[0].points.columns["z_m"] == pytest.approx(POINTS[:, 2])
     degrees = text_of("Zeit [s];A1 [°];A2 [°]", joints(STAMPS, np.degrees(Q)), ";", comma=True)
     for encoding in ("latin-1", "utf-16"):
         file = tmp_path / encoding
