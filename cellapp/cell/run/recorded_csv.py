@@ -43,7 +43,10 @@ _UNITS_OF_NAMES: Mapping[str, str] = {
     "rad": "rad",
     "mm": "mm",
     "m": "m",
+    "um": "um",
+    "µm": "um",
 }
+"""Those that are no ``AngleUnit`` or ``LengthUnit`` are refused."""
 _TO_SI: Mapping[str, float] = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 _SURELY_RAD, SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
 """Joint positions [rad] within the first and over more than ``_WIDE`` are radians; beyond the second are degrees."""
