@@ -211,7 +211,7 @@ def read_stream_table(
     except ValueError:
         table = None
     if table is None or not np.isfinite(table[:, numeric]).all():
-        blank, other = _cell_by_cell(file, names, numbers, required, (*words, *stamps))
+        blank, other = _cell_by_cell(file, names, numbers, required, words, stamps)
         try:
             table, codes = _load(file, names, [*words, *other], blank, stamps)
         except ValueError as error:
@@ -274,7 +274,12 @@ def is_number(cell: str) -> bool:
 
 
 def _cell_by_cell(
-    file: StreamFile, names: Sequence[str], numbers: Collection[str], required: Collection[str], words: Collection[str]
+    file: StreamFile,
+    names: Sequence[str],
+    numbers: Collection[str],
+    required: Collection[str],
+    words: Collection[str],
+    stamps: Collection[str],
 ) -> tuple[set[str], set[str]]:
     """Columns with empty cells, and unknown ones with texts. Raises ``InputError`` with the first wrong cell of each
     column of ``numbers``."""
@@ -288,11 +293,12 @@ def _cell_by_cell(
             cell = "" if _is_empty(row[place]) else row[place].strip()
             if not cell:
                 blank.add(name)
-            if cell and not is_number(cell) and name not in numbers:
+            right = math.isfinite(_seconds(cell)) if name in stamps else is_number(cell)
+            if cell and not right and name not in numbers:
                 texts.add(name)
-            elif name not in wrong and not (is_number(cell) if cell else name not in required):
+            elif name not in wrong and not (right if cell else name not in required):
                 wrong.add(name)
-                expected = f"expected a finite number such as 0.25, got '{short(cell)}'"
-                problems.add(line, name, expected if cell else "the value is missing")
+                what = "a date with its time, or a time of day," if name in stamps else "a finite number such as 0.25,"
+                problems.add(line, name, f"expected {what} got '{short(cell)}'" if cell else "the value is missing")
     problems.check()
     return blank - texts, texts

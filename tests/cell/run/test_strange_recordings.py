@@ -128,6 +128,12 @@ BAD = {
     "no names": (text_of("1;2;3", joints(STAMPS, Q), ";"), FILES["RTDE"][1], r"joints.txt:1: there is no row of names"),
     "two clocks": (text_of("time,stamp,q1,q2", joints(STAMPS, STAMPS, Q)), FILES["RTDE"][1], r"time_s: .* rename the"),
     "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"points.txt:11: the row has 3 cells"),
+    "no time": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + "error;2;3;4\n" + ";2;3;4\n",
+        r"points.txt:11: time_s: expected a date with its time, or a time of day, got 'error'",
+    ),
+    "empty time": (FILES["RTDE"][0], "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + ";2;3;4\n", r"txt:11: time_s: .* missing"),
     "no number": (
         FILES["RTDE"][0],
         "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;a;4\n",
