@@ -254,6 +254,7 @@ def _read(
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Readings, what their order of measurement gave, and notes."""
     problems = Problems(table.place)
+    check_names(table, problems)  # of all columns: those of an orientation are replaced
     table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
@@ -283,7 +284,6 @@ def _read(
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
     names = table.names
-    check_names(table, problems)
     unknown = [name for name in names if not is_known(name)]
     named = POINT in names
     required = [
