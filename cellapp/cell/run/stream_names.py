@@ -58,7 +58,7 @@ class Understood:
     Attributes
     ----------
     names : tuple of str
-        As cellapp calls them; those that it does not know as they stand in the file.
+        As cellapp calls them, each once; those that it does not know as they stand in the file.
     factors : mapping
         Of those whose unit stands in their name: what turns their values to SI.
     others : mapping
@@ -113,19 +113,21 @@ def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understo
     if len(turned) not in (0, 4) or (turned and any(_is_fifth_joint(name) for name in names)):
         chosen = {place: name for place, name in chosen.items() if place not in turned}  # q1, q2, q3 of joints
     shift = 0 if kind == "points" or "q0" not in chosen.values() else 1
-    result, factors, others = list(names), {}, {}
+    owned = {name for place, name in chosen.items() if read[place].rank < 0}
+    called, factors = dict[int, str](), {}
     for place, name in chosen.items():
         one = read[place]
-        if one.rank < 0:
-            continue
         stem = name.rstrip("0123456789")
         new = f"{stem}{int(name[len(stem) :]) + shift}" if stem != name else name
-        result[place] = new
-        others[new] = names[place]
+        if one.rank < 0 or new in owned:
+            continue
+        called[place] = new
         if one.factor is not None:
             factors[new] = one.factor
     commanded = any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items())
-    return Understood(tuple(result), factors, others, commanded)
+    others = {new: names[place] for place, new in called.items()}
+    free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
+    return Understood(tuple(called.get(place, name) for place, name in enumerate(free)), factors, others, commanded)
 
 
 def _read(name: str, kind: Kind) -> _Read | None:

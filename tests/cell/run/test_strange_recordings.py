@@ -91,6 +91,18 @@ def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path
 
 
 @pytest.mark.fast
+@pytest.mark.parametrize(
+    ("head", "columns"),
+    [("t,actual_q0,actual_q1,q0,q1", (Q, Q + 1.0)), ("time_s,q1,q2,actual_q_0,actual_q_1", (Q, Q + 1.0))],
+)
+def test_no_name_of_a_joint_is_given_twice(head: str, columns: tuple[np.ndarray, ...], tmp_path: Path) -> None:
+    points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    one, _ = read(tmp_path, text_of(head, joints(STAMPS, *columns)), points)
+    assert np.column_stack([one.joints.columns["q1"], one.joints.columns["q2"]]) == pytest.approx(Q)
+    assert len(one.state.unknown) == 2
+
+
+@pytest.mark.fast
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     rows = joints(TIMES, POINTS).tolist()
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
