@@ -149,11 +149,12 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]]) -> StreamF
     for place, (line, text) in enumerate(lines):
         separator, comma = _separator(text)
         cells = split_row(text, separator)
-        filled = [cell.replace(",", ".") if comma else cell for cell in cells if cell]
+        filled = [cell.replace(",", ".") if comma else cell for cell in cells if not _is_empty(cell)]
         texts = sum(not is_number(cell) for cell in filled)
         if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * texts >= len(cells) or texts == len(filled):
             continue
         above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
+        above = [(n, row) for n, row in above if not any(math.isfinite(_seconds(cell)) for cell in row)]  # no names
         above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
         if not above:
             raise InputError(

@@ -108,12 +108,12 @@ def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
     cells = [[stamp, *map(repr, row[1:])] for stamp, row in zip(clock, rows, strict=True)]
     cells = [[*row, "1", "0", "0", "0"] for row in cells]
-    cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["0.0"] * 7
+    cells[0][1:], cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["NaN"] * 7, ["0.0"] * 7
     text = "stamp;x;y;z;qw;qx;qy;qz\n" + "".join(";".join(row) + "\n" for row in cells)
     one, notes = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), text)
-    assert f"2 of {len(rows)} rows have no orientation" in notes[1]
-    assert one.state.points.lost == 2
-    kept = np.delete(TIMES, [7, 9])
+    assert f"3 of {len(rows)} rows have no orientation" in notes[1]
+    assert one.state.points.lost == 3
+    kept = np.delete(TIMES, [0, 7, 9])
     assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
 
 
