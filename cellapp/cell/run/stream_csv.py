@@ -46,6 +46,8 @@ class StreamTable:
     words: Mapping[str, tuple[str, ...]]
     rows: NDArray[np.intp]
     file: StreamFile | None = None
+    dated: bool = False
+    """Whether ``time_s`` stands there as dates or times of day, which are in seconds."""
 
     def take(self, rows: NDArray[np.intp]) -> StreamTable:
         """These rows of it."""
@@ -219,7 +221,7 @@ def read_stream_table(
             raise InputError(f"{file.path}: not CSV: {error}; correct the file") from None
     columns = dict(zip(names, table.T, strict=True))
     found = {name: (*code,) for name, code in codes.items()}
-    return StreamTable(file.path, columns, found, np.arange(len(table)), file)
+    return StreamTable(file.path, columns, found, np.arange(len(table)), file, dated=bool(stamps))
 
 
 def _seconds(cell: str) -> float:

@@ -22,8 +22,10 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
     if not known.others:
         return table, []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
+    if table.dated:
+        factors.pop("time_s", None)
     if known.unsaid("time_s"):
-        unit = time_unit(columns["time_s"])
+        unit = "seconds" if table.dated else time_unit(columns["time_s"])
         factors["time_s"] = 1.0 if unit is None else UNITS_OF_TIME[unit]
         guessed.append("stamps in seconds" if unit is None else f"stamps in {unit}, by the step between them")
     if kind == "joints":

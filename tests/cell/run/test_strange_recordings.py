@@ -146,6 +146,11 @@ BAD = {
         r"points.txt:11: time_s: expected a date with its time, or a time of day, got 'error'",
     ),
     "empty time": (FILES["RTDE"][0], "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + ";2;3;4\n", r"txt:11: time_s: .* missing"),
+    "stops with dates": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "".join(f"10:{n // 6:02d}:{10 * (n % 6):02d};{n};2;3\n" for n in range(30)),
+        "time_s: the median step is 10; expected seconds",
+    ),
     "no number": (
         FILES["RTDE"][0],
         "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;a;4\n",
