@@ -142,9 +142,9 @@ def off_m(profile: Profile, readings: Mapping[str, Readings], touches: Sequence[
     """How far each touch lies from where the others have its socket (n,) [m]; zero where too few were recorded."""
     if not touches:
         return np.zeros(0)
-    both = [_joined(name, readings[name], touches) for name in profile.arms]
-    if not all(in_sockets(its) for its in both):
+    if not all(name in readings and in_sockets(readings[name]) for name in profile.arms):
         raise InputError("touches on a flange tie two arms that were in sockets; no reading names a point")
+    both = [_joined(name, readings[name], touches) for name in profile.arms]
     chains = [published_arm(profile, name, its) for name, its in zip(profile.arms, both, strict=True)]
     bases = [np.eye(4) if arm.base is None else pose_matrix(arm.base) for arm in profile.arms.values()]
     off = doubtful_touches(nominal_flange_rows(both, chains), np.asarray(invert(bases[1]) @ bases[0]))
