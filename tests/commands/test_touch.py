@@ -152,6 +152,7 @@ def test_bad_inputs_are_refused(touch: Touch, tmp_path: Path) -> None:
     refused(touch("--point", "x" * 61), "at most 60 printable characters")
     refused(touch("--point", "a", "--undo"), "leave the name out to take the last touch back")
     refused(touch("--sure"), "--sure belongs to --point")
+    refused(touch("--on-flange", "--distances", "known.csv"), "--distances are between sockets that stand still")
     refused(touch("--point", "a", arm="third"), "arm 'third' is not in the profile; arms are left, right")
     refused(touch("--point", "a", arm=None), "say which arm is led; arms are left, right")
     refused(touch("--undo"), "there is no touch of arm left to take back")

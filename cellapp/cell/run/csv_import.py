@@ -50,7 +50,7 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
-from cellapp.cell.run.written_orientation import with_quaternions
+from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.estimation.sockets import in_sockets
@@ -148,7 +148,7 @@ def readings_from_csv(
         tied, notes = stations_text(first, ties, sentences), [*notes, *sentences]
 
     def fill(run: RunFile) -> None:
-        run.keep_columns(with_quaternions(table)[0].names)
+        run.keep_columns(names_with_quaternion(table.names))
         for arm, rows in readings.items():
             run.add_readings(arm, rows)
         count = ", ".join(f"{len(rows)} of arm {arm}" for arm, rows in readings.items())
@@ -254,6 +254,7 @@ def _read(
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Readings, what their order of measurement gave, and notes."""
     problems = Problems(table.place)
+    check_names(table, problems)  # of all columns: those of an orientation are replaced
     table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
@@ -283,7 +284,6 @@ def _read(
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
     names = table.names
-    check_names(table, problems)
     unknown = [name for name in names if not is_known(name)]
     named = POINT in names
     required = [

@@ -151,6 +151,13 @@ def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[
         raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
 
 
+def split_row(line: str, separator: str) -> list[str]:
+    """The cells of a line of text; a blank as separator stands for any number of them."""
+    if separator == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+
+
 def check_names(table: CsvTable, problems: Problems) -> None:
     """Note columns without a name, and names that are there twice."""
     for number, name in enumerate(table.names, start=1):

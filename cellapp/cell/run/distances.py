@@ -11,6 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
+from cellapp.cell.run.rows import select_document
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.estimation.sockets.plausibility import (
@@ -138,10 +139,8 @@ def with_distances(connection: sqlite3.Connection, readings: Readings) -> Readin
     """The readings of one arm with the stored distances between their points."""
     if readings.point is None:
         return readings
-    row = connection.execute("SELECT text FROM result WHERE name = ?", (DISTANCES_RESULT,)).fetchone()
-    if row is None:
+    document = select_document(connection, DISTANCES_RESULT)
+    if document is None:
         return readings
-    return replace(
-        readings,
-        distances=tuple(one for one in (Distance(**d) for d in json.loads(row[0])) if one.point_a in readings.point),
-    )
+    stored = (Distance(**its) for its in json.loads(document.text))
+    return replace(readings, distances=tuple(one for one in stored if one.point_a in readings.point))

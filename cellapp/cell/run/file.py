@@ -50,7 +50,7 @@ from cellapp.cell.run.readings_table import (
     stop_rows,
     update_splits,
 )
-from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
+from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, select_document, utc_now
 from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
 from cellapp.cell.run.sqlite_file import (
     APPLICATION_ID,
@@ -378,8 +378,7 @@ class RunFile:
     def read_document(self, name: str) -> Document | None:
         """A stored document, or None."""
         with self.look() as connection:
-            row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
-        return None if row is None else Document(*row)
+            return select_document(connection, name)
 
     # -- stages ------------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.cell.run.distances import published_arm
+from cellapp.cell.run.rows import select_document
 from cellapp.estimation.calibration.pair_on_flange import doubtful_touches, nominal_flange_rows
 from cellapp.estimation.readings import FlangeTouches, Readings
 from cellapp.estimation.sockets import in_sockets
@@ -50,19 +51,19 @@ def read_flange_touches(path: Path, profile: Profile, readings: Mapping[str, Rea
         Names file, line and column of what is missing, no number, out of the joints' reach, or contradicts the arms.
     """
     joints = require_pair(profile, str(path))
-    columns = [f"{prefix}{joint}" for prefix, n in (("q", joints), ("other_q", joints)) for joint in range(1, n + 1)]
+    columns = [f"{prefix}{joint}" for prefix in ("q", "other_q") for joint in range(1, joints + 1)]
     table = read_table_of(Path(path), "touches on a flange", "touch", "a row per touch", ["arm", "socket", *columns])
     problems = Problems(table.place)
     found = dict(_checked(table, problems, profile))
     problems.check()
     touches = list(found.values())
-    for number, off in enumerate(off_m(profile, readings, touches).tolist()):
+    for (line, touch), off in zip(found.items(), off_m(profile, readings, touches).tolist(), strict=True):
         if off > OFF_M:
             problems.add(
-                list(found)[number],
+                line,
                 "socket",
-                f"'{touches[number].socket}' is {off * 1e3:.0f} mm from where the other touches have it by the"
-                " published arms; check its name, and which arm has the ball",
+                f"'{touch.socket}' is {off * 1e3:.0f} mm from where the other touches have it by the published arms;"
+                " check its name, and which arm has the ball",
             )
     problems.check()
     return touches
@@ -96,8 +97,8 @@ def with_flange_touches(connection: sqlite3.Connection, arm: str, readings: Read
     """The readings of one arm in sockets with the stored touches of its ball on the other arm's flange."""
     if readings.point is None:
         return readings
-    row = connection.execute("SELECT text FROM result WHERE name = ?", (FLANGE_TOUCHES_RESULT,)).fetchone()
-    return _joined(arm, readings, flange_touches_of(None if row is None else row[0]))
+    document = select_document(connection, FLANGE_TOUCHES_RESULT)
+    return readings if document is None else _joined(arm, readings, flange_touches_of(document.text))
 
 
 def _joined(arm: str, readings: Readings, touches: Sequence[FlangeTouch]) -> Readings:
@@ -141,9 +142,9 @@ def off_m(profile: Profile, readings: Mapping[str, Readings], touches: Sequence[
     """How far each touch lies from where the others have its socket (n,) [m]; zero where too few were recorded."""
     if not touches:
         return np.zeros(0)
-    both = [_joined(name, readings[name], touches) for name in profile.arms]
-    if not all(in_sockets(its) for its in both):
+    if not all(name in readings and in_sockets(readings[name]) for name in profile.arms):
         raise InputError("touches on a flange tie two arms that were in sockets; no reading names a point")
+    both = [_joined(name, readings[name], touches) for name in profile.arms]
     chains = [published_arm(profile, name, its) for name, its in zip(profile.arms, both, strict=True)]
     bases = [np.eye(4) if arm.base is None else pose_matrix(arm.base) for arm in profile.arms.values()]
     off = doubtful_touches(nominal_flange_rows(both, chains), np.asarray(invert(bases[1]) @ bases[0]))

@@ -6,7 +6,6 @@ the same rows as ``read_readings_csv`` reads them. Nothing is written here.
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import NUMBER, Problems, short
+from cellapp.cell.run.csv_text import NUMBER, Problems, short, split_row
 from cellapp.cell.run.written_orientation import QUATERNION, written_orientation
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
@@ -44,12 +43,15 @@ _UNITS_OF_NAMES: Mapping[str, str] = {
     "rad": "rad",
     "mm": "mm",
     "m": "m",
+    "um": "um",
+    "µm": "um",
 }
+"""Those that are no ``AngleUnit`` or ``LengthUnit`` are refused."""
 _TO_SI: Mapping[str, float] = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
-_SURELY_RAD, _SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
+_SURELY_RAD, SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
 """Joint positions [rad] within the first and over more than ``_WIDE`` are radians; beyond the second are degrees."""
 _WIDE = 0.3
-_SURELY_M, _SURELY_MM = 20.0, 100.0
+_SURELY_M, SURELY_MM = 20.0, 100.0
 """No cell is wider than the first [m]; no tracker measures beyond the second [m]."""
 _LEAST_M = 0.05
 """Points that lie closer together [m] may be in another unit."""
@@ -121,7 +123,7 @@ def read_recorded(path: Path) -> Recorded:
     """
     lines = _text_lines(path)
     separator = next((sign for sign in _SEPARATORS if sign in lines[0][1]), " ")
-    cells = [(number, _cells(line, separator)) for number, line in lines]
+    cells = [(number, split_row(line, separator)) for number, line in lines]
     (_, names), body = cells[0], cells[1:]
     if sum(_is_number(name) for name in names) > len(names) // 2:
         raise InputError(
@@ -183,12 +185,6 @@ def _text_lines(path: Path) -> list[tuple[int, str]]:
     return kept
 
 
-def _cells(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
-
-
 def _is_number(cell: str) -> bool:
     return bool(NUMBER.fullmatch(cell) or DECIMAL_COMMA.fullmatch(cell))
 
@@ -205,9 +201,8 @@ def _with_quaternions(
     if written is None or any(len(row) != len(names) for _, row in body):
         return names, body
     at = {name: place for place, name in enumerate(names)}
-    found, fault = written.quaternions({name: [row[at[name]] for _, row in body] for name in written.columns})
-    if fault is not None:
-        raise InputError(f"{path}:{body[fault[0]][0]}: {fault[1]}: {fault[2]}")
+    own_cells = {name: [row[at[name]] for _, row in body] for name in written.columns}
+    found = written.quaternions(own_cells, lambda row: f"{path}:{body[row][0]}")
     kept = [place for place, name in enumerate(names) if name not in written.columns]
     rows = [(n, [*(row[place] for place in kept), *own]) for (n, row), own in zip(body, found, strict=True)]
     return [*(names[place] for place in kept), *QUATERNION], rows
@@ -334,13 +329,13 @@ def _stated(path: Path, columns: Sequence[RecordedColumn], possible: Sequence[st
 
 def _angles_by_size(q: NDArray[np.float64]) -> AngleUnit | Literal[""]:
     largest, widest = float(np.abs(q).max()), float(np.ptp(q, axis=0).max())
-    if largest > _SURELY_DEG:
+    if largest > SURELY_DEG:
         return "deg"
     return "rad" if largest <= _SURELY_RAD and widest > _WIDE else ""
 
 
 def _lengths_by_size(p: NDArray[np.float64]) -> LengthUnit | Literal[""]:
     largest, widest = float(np.abs(p).max()), float(np.ptp(p, axis=0).max())
-    if largest > _SURELY_MM:
+    if largest > SURELY_MM:
         return "mm"
     return "m" if largest <= _SURELY_M and widest > _LEAST_M else ""

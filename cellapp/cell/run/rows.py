@@ -44,6 +44,12 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
+def select_document(connection: sqlite3.Connection, name: str) -> Document | None:
+    """A stored document, or None."""
+    row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
+    return None if row is None else Document(*row)
+
+
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
     """Store a document; it replaces an earlier one of that name."""
     connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), text))

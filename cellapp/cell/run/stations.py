@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
+from cellapp.cell.run.rows import select_document
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.stations import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.ground.counting import counted
@@ -99,8 +100,8 @@ def stations_text(first: str, ties: Mapping[str, StationTie], sentences: Sequenc
 
 def select_stations(connection: sqlite3.Connection) -> Poses:
     """The poses of a run's stations; empty without any."""
-    row = connection.execute("SELECT text FROM result WHERE name = ?", (STATIONS_RESULT,)).fetchone()
-    return {} if row is None else {name: np.array(T) for name, T in json.loads(row[0])["poses"].items()}
+    document = select_document(connection, STATIONS_RESULT)
+    return {} if document is None else {name: np.array(T) for name, T in json.loads(document.text)["poses"].items()}
 
 
 def stored_tie_sentences(document: str | None) -> tuple[str, ...]:

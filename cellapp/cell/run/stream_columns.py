@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run.records import StreamState
 from cellapp.cell.run.stream_names import Kind
+from cellapp.cell.run.written_orientation import QUATERNION
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
 
@@ -19,7 +20,6 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
-QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 TRIGGER = "trigger_s"
 """Stamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
@@ -28,9 +28,11 @@ _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],)
 _LEAST_ROWS = 20
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
 """Rates of recordings [Hz]; what is outside was not written in seconds."""
-_USUAL_HZ = (20.0, 2000.0)
-"""Rates by which the unit of stamps is guessed [Hz]."""
-_DEGREES = "Then name the columns q1_deg, q2_deg, ..."
+UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_COLUMNS_OF_TIME = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
+_USUAL_STEP_S = (5e-4, 0.05)
+"""Steps of recordings [s], a hundredfold: at most one unit puts a step between them."""
+_DEGREES = "degrees? Then name the columns q1_deg, q2_deg, ..."
 _FASTEST_RAD_S = 12.0
 """No joint of an industrial arm is faster [rad/s]."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
@@ -77,14 +79,21 @@ def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
     )
 
 
+def time_unit(stamps: NDArray[np.float64]) -> str | None:
+    """The unit of stamps by the median step between them; None where none is usual for recordings."""
+    step = np.diff(stamps)
+    usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
+    least, most = _USUAL_STEP_S
+    return next((unit for unit, factor in UNITS_OF_TIME.items() if least <= usual * factor <= most), None)
+
+
 def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
     """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad]."""
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
     wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
-    for one in beyond_limits(q, limits):
-        text = one.text.replace("degrees?", f"degrees? {_DEGREES}")
-        wrong.append(Implausible(one.row, f"q{(one.place or 0) + 1}", text))
+    beyond = beyond_limits(q, limits, _DEGREES)
+    wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond]
     yield from wrong
     if wrong:
         return
@@ -94,7 +103,7 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
     fast = np.quantile(speed, 0.95, axis=0)
     joint = int(np.argmax(fast))
     if fast[joint] > _FASTEST_RAD_S:
-        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; degrees? {_DEGREES}"
+        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
         yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
@@ -189,10 +198,8 @@ def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
     rate = 1.0 / float(np.median(forward))
     if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
-        units = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
-        factors = {unit: 1e3 ** (k + 1) for k, unit in enumerate(units)}
-        meant = [unit for unit, factor in factors.items() if _USUAL_HZ[0] <= factor * rate <= _USUAL_HZ[1]]
-        hint = f"; are these {meant[0]}? Then name the column {units[meant[0]]}" if meant else ""
+        unit = time_unit(time_s)
+        hint = "" if unit is None else f"; are these {unit}? Then name the column {_COLUMNS_OF_TIME[unit]}"
         yield Implausible(None, "time_s", text + hint)
 
 

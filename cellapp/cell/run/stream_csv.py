@@ -6,7 +6,6 @@ Cells are looked at one by one only where numpy refuses the file: line and colum
 from __future__ import annotations
 
 import codecs
-import csv
 import itertools
 import math
 import re
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, csv_rows, opened_text, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, csv_rows, opened_text, short, split_row
 from cellapp.cell.run.recorded_csv import COMMENTS, DECIMAL_COMMA
 from cellapp.ground.errors import InputError
 
@@ -47,6 +46,8 @@ class StreamTable:
     words: Mapping[str, tuple[str, ...]]
     rows: NDArray[np.intp]
     file: StreamFile | None = None
+    dated: bool = False
+    """Whether ``time_s`` stands there as dates or times of day, which are in seconds."""
 
     def take(self, rows: NDArray[np.intp]) -> StreamTable:
         """These rows of it."""
@@ -92,7 +93,7 @@ class StreamFile:
             yield from itertools.islice(csv_rows(self.path, self.what, _ROW), 1, None)
             return
         for line, text in self._numbered():
-            cells = _cells(text, self.separator)
+            cells = split_row(text, self.separator)
             if len(cells) != len(self.names) + self.trailing:
                 raise InputError(
                     f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
@@ -149,11 +150,13 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]]) -> StreamF
     """How the first row of numbers and the names above it are written; None for plain CSV, and where there are none."""
     for place, (line, text) in enumerate(lines):
         separator, comma = _separator(text)
-        cells = _cells(text, separator)
-        numbers = sum(is_number(cell.replace(",", ".") if comma else cell) for cell in cells)
-        if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * numbers <= len(cells):
+        cells = split_row(text, separator)
+        filled = [cell.replace(",", ".") if comma else cell for cell in cells if not _is_empty(cell)]
+        texts = sum(not is_number(cell) for cell in filled)
+        if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * texts >= len(cells) or texts == len(filled):
             continue
-        above = [(n, _cells(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
+        above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
+        above = [(n, row) for n, row in above if not any(math.isfinite(_seconds(cell)) for cell in row)]  # no names
         above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
         if not above:
             raise InputError(
@@ -179,12 +182,6 @@ def _separator(text: str) -> tuple[str, bool]:
     if len(blanks) > 1 and all(DECIMAL_COMMA.fullmatch(cell) or is_number(cell) for cell in blanks):
         return " ", True
     return ",", False
-
-
-def _cells(text: str, separator: str) -> list[str]:
-    if separator == " ":
-        return text.split()
-    return [cell.strip() for cell in next(csv.reader([text], delimiter=separator), [])]
 
 
 def read_stream_table(
@@ -217,14 +214,14 @@ def read_stream_table(
     except ValueError:
         table = None
     if table is None or not np.isfinite(table[:, numeric]).all():
-        blank, other = _cell_by_cell(file, names, numbers, required, (*words, *stamps))
+        blank, other = _cell_by_cell(file, names, numbers, required, words, stamps)
         try:
             table, codes = _load(file, names, [*words, *other], blank, stamps)
         except ValueError as error:
             raise InputError(f"{file.path}: not CSV: {error}; correct the file") from None
     columns = dict(zip(names, table.T, strict=True))
     found = {name: (*code,) for name, code in codes.items()}
-    return StreamTable(file.path, columns, found, np.arange(len(table)), file)
+    return StreamTable(file.path, columns, found, np.arange(len(table)), file, dated=bool(stamps))
 
 
 def _seconds(cell: str) -> float:
@@ -280,7 +277,12 @@ def is_number(cell: str) -> bool:
 
 
 def _cell_by_cell(
-    file: StreamFile, names: Sequence[str], numbers: Collection[str], required: Collection[str], words: Collection[str]
+    file: StreamFile,
+    names: Sequence[str],
+    numbers: Collection[str],
+    required: Collection[str],
+    words: Collection[str],
+    stamps: Collection[str],
 ) -> tuple[set[str], set[str]]:
     """Columns with empty cells, and unknown ones with texts. Raises ``InputError`` with the first wrong cell of each
     column of ``numbers``."""
@@ -294,11 +296,12 @@ def _cell_by_cell(
             cell = "" if _is_empty(row[place]) else row[place].strip()
             if not cell:
                 blank.add(name)
-            if cell and not is_number(cell) and name not in numbers:
+            right = math.isfinite(_seconds(cell)) if name in stamps else is_number(cell)
+            if cell and not right and name not in numbers:
                 texts.add(name)
-            elif name not in wrong and not (is_number(cell) if cell else name not in required):
+            elif name not in wrong and not (right if cell else name not in required):
                 wrong.add(name)
-                expected = f"expected a finite number such as 0.25, got '{short(cell)}'"
-                problems.add(line, name, expected if cell else "the value is missing")
+                what = "a date with its time, or a time of day," if name in stamps else "a finite number such as 0.25,"
+                problems.add(line, name, f"expected {what} got '{short(cell)}'" if cell else "the value is missing")
     problems.check()
     return blank - texts, texts

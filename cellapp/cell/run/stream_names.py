@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["joints", "points"]
@@ -58,20 +58,29 @@ class Understood:
     Attributes
     ----------
     names : tuple of str
-        As cellapp calls them; those that it does not know as they stand in the file.
+        As cellapp calls them, each once; those that it does not know as they stand in the file.
     factors : mapping
         Of those whose unit stands in their name: what turns their values to SI.
-    said : tuple of str
-        "q1 = actual_q_0", of each column under another name.
+    others : mapping
+        Name in the file of each column that cellapp calls otherwise.
+    commanded : bool
+        Positions are those that were commanded, as there are no measured ones.
     """
 
     names: tuple[str, ...]
-    factors: Mapping[str, float] = field(default_factory=dict)
-    said: tuple[str, ...] = ()
+    factors: Mapping[str, float]
+    others: Mapping[str, str]
+    commanded: bool = False
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """In words: "q1 = actual_q_0" of each column under another name."""
+        lag = ("positions that were commanded, as there are no measured ones: their lag is part of the delay",)
+        return (*(f"{name} = {other}" for name, other in self.others.items()), *(lag if self.commanded else ()))
 
     def unsaid(self, name: str) -> bool:
         """Whether the file has this column under another name, which says nothing of its unit."""
-        return name not in self.factors and any(one.startswith(f"{name} = ") for one in self.said)
+        return name in self.others and name not in self.factors
 
 
 @dataclass(frozen=True)
@@ -104,20 +113,21 @@ def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understo
     if len(turned) not in (0, 4) or (turned and any(_is_fifth_joint(name) for name in names)):
         chosen = {place: name for place, name in chosen.items() if place not in turned}  # q1, q2, q3 of joints
     shift = 0 if kind == "points" or "q0" not in chosen.values() else 1
-    result, factors, said = list(names), {}, []
+    owned = {name for place, name in chosen.items() if read[place].rank < 0}
+    called, factors = dict[int, str](), {}
     for place, name in chosen.items():
         one = read[place]
-        if one.rank < 0:
-            continue
         stem = name.rstrip("0123456789")
         new = f"{stem}{int(name[len(stem) :]) + shift}" if stem != name else name
-        result[place] = new
-        said.append(f"{new} = {names[place]}")
+        if one.rank < 0 or new in owned:
+            continue
+        called[place] = new
         if one.factor is not None:
             factors[new] = one.factor
-    if any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items()):
-        said.append("positions that were commanded, as there are no measured ones: their lag is part of the delay")
-    return Understood(tuple(result), factors, tuple(said))
+    commanded = any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items())
+    others = {new: names[place] for place, new in called.items()}
+    free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
+    return Understood(tuple(called.get(place, name) for place, name in enumerate(free)), factors, others, commanded)
 
 
 def _read(name: str, kind: Kind) -> _Read | None:

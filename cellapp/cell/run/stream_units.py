@@ -8,28 +8,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.stream_columns import QUATERNION
+from cellapp.cell.run.recorded_csv import SURELY_DEG, SURELY_MM
+from cellapp.cell.run.stream_columns import POINT, UNITS_OF_TIME, time_unit
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.run.stream_names import Kind, Understood
+from cellapp.cell.run.written_orientation import QUATERNION
 
-_UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_SLOWEST_S, _FASTEST_S = 0.05, 5e-4
-"""Steps of recordings [s], a hundredfold: at most one unit puts a step between them."""
-_SURELY_DEG = 4.0 * math.pi + 0.05
-"""No joint position is further from zero in radians."""
-_SURELY_MM = 100.0
-"""No tracker measures as far in metres."""
 _DEG = math.pi / 180.0
 
 
 def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
     """The table in SI units, and a sentence about columns that stand under other names."""
-    if not known.said:
+    if not known.others:
         return table, []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
+    if table.dated:
+        factors.pop("time_s", None)
     if known.unsaid("time_s"):
-        unit = time_unit(columns["time_s"])
-        factors["time_s"] = 1.0 if unit is None else _UNITS_OF_TIME[unit]
+        unit = "seconds" if table.dated else time_unit(columns["time_s"])
+        factors["time_s"] = 1.0 if unit is None else UNITS_OF_TIME[unit]
         guessed.append("stamps in seconds" if unit is None else f"stamps in {unit}, by the step between them")
     if kind == "joints":
         positions = [name for name in columns if _is_joint(name, "q")]
@@ -37,8 +34,8 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
         speeds = [name for name in columns if _is_joint(name, "qd") and known.unsaid(name)]
         guessed += _speeds(columns, factors, positions, speeds)
     else:
-        points = [name for name in ("x_m", "y_m", "z_m") if name in columns and known.unsaid(name)]
-        if points and max(_largest(columns[name]) for name in points) > _SURELY_MM:
+        points = [name for name in POINT if name in columns and known.unsaid(name)]
+        if points and max(_largest(columns[name]) for name in points) > SURELY_MM:
             factors |= dict.fromkeys(points, 1e-3)
             guessed.append("points in millimetres, by their size")
         if known.unsaid("sigma_m"):
@@ -62,18 +59,8 @@ def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[s
     return replace(table, columns=kept), [words]
 
 
-def time_unit(stamps: NDArray[np.float64]) -> str | None:
-    """The unit of stamps by the median step between them; None where none is usual for recordings."""
-    step = np.diff(stamps)
-    usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
-    for unit, factor in _UNITS_OF_TIME.items():
-        if _FASTEST_S <= usual * factor < _SLOWEST_S:
-            return unit
-    return None
-
-
 def _angles(columns: dict[str, NDArray[np.float64]], factors: dict[str, float], names: list[str]) -> list[str]:
-    if not names or max(_largest(columns[name]) for name in names) <= _SURELY_DEG:
+    if not names or max(_largest(columns[name]) for name in names) <= SURELY_DEG:
         return []
     factors |= dict.fromkeys(names, _DEG)
     return ["joint positions in degrees, by their size"]

@@ -6,6 +6,7 @@ angles by any other names may be anything: they are not used, and a note says ho
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import CsvTable
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, short
 from cellapp.ground.errors import InputError
 
 Array = NDArray[np.float64]
@@ -87,25 +88,40 @@ class Written:
         """How they are understood."""
         return f"taken as {self.form.said} of the probe's orientation in the tracker frame"
 
-    def quaternions(
-        self, cells: Mapping[str, Sequence[str]]
-    ) -> tuple[list[tuple[str, ...]], tuple[int, str, str] | None]:
-        """Cells of ``QUATERNION``, a row each, and the first fault: row, column, text. Empty rows stay empty."""
+    def quaternions(self, cells: Mapping[str, Sequence[str]], place: Callable[[int], str]) -> list[tuple[str, ...]]:
+        """Cells of ``QUATERNION``, a row each; empty rows stay empty.
+
+        Raises ``InputError`` with the ``place`` of the first row that is no rotation.
+        """
         texts = list(zip(*(cells[name] for name in self.columns), strict=True))
         if self.form.rotations is None:
-            return texts, None
-        found: list[tuple[str, ...]] = [("",) * 4] * len(texts)
+            return texts
+        values: dict[int, list[float]] = {}
         for row, one in enumerate(texts):
-            if not any(text.strip() for text in one):
-                continue
-            values, fault = _numbers(one)
-            if fault is not None:
-                return found, (row, self.columns[fault[0]], fault[1])
-            if (text := self._no_rotation(values)) is not None:
-                return found, (row, self.columns[0], text)
-            quaternion = self.form.rotations(values[None] * self.factor).as_quat(canonical=True, scalar_first=True)[0]
-            found[row] = tuple(repr(float(value)) for value in quaternion)
-        return found, None
+            if any(text.strip() for text in one):
+                try:
+                    values[row] = self._values(one)
+                except ValueError as fault:
+                    raise InputError(f"{place(row)}: {fault}") from None
+        found: list[tuple[str, ...]] = [("",) * 4] * len(texts)
+        if values:
+            turns = self.form.rotations(np.array([*values.values()]) * self.factor)
+            for row, turn in zip(values, turns.as_quat(canonical=True, scalar_first=True).tolist(), strict=True):
+                found[row] = tuple(map(repr, turn))
+        return found
+
+    def _values(self, texts: Sequence[str]) -> list[float]:
+        """The numbers of a row. Raises ``ValueError`` with column and fault if they are no rotation."""
+        values = []
+        for name, text in zip(self.columns, map(str.strip, texts), strict=True):
+            if not text:
+                raise ValueError(f"{name}: the value is missing; give all {len(texts)} of the orientation or none")
+            values.append(float(text) if NUMBER.fullmatch(text) else math.nan)
+            if not math.isfinite(values[-1]):
+                raise ValueError(f"{name}: expected a finite number such as 0.25, got '{short(text)}'")
+        if (fault := self._no_rotation(np.array(values))) is not None:
+            raise ValueError(f"{self.columns[0]}: {fault}")
+        return values
 
     def _no_rotation(self, values: Array) -> str | None:
         """Why values (k,) are no rotation; None if they are one."""
@@ -150,14 +166,18 @@ def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]
     return None, notes
 
 
+def names_with_quaternion(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the columns that ``with_quaternions`` gives."""
+    written, _ = written_orientation(names)
+    return tuple(names) if written is None else (*(name for name in names if name not in written.columns), *QUATERNION)
+
+
 def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
     """The table with the orientation of a probe as a quaternion, and notes. Raises ``InputError`` by row."""
     written, notes = written_orientation(table.names)
     if written is None:
         return table, notes
-    rows, fault = written.quaternions(table.cells)
-    if fault is not None:
-        raise InputError(f"{table.place(table.lines[fault[0]])}: {fault[1]}: {fault[2]}")
+    rows = written.quaternions(table.cells, lambda row: table.place(table.lines[row]))
     cells = {name: own for name, own in table.cells.items() if name not in written.columns}
     cells |= dict(zip(QUATERNION, zip(*rows, strict=True) if rows else [()] * 4, strict=True))
     return replace(table, names=tuple(cells), cells=cells), [f"{', '.join(written.columns)}: {written.said}"]
@@ -166,18 +186,3 @@ def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
 def _plain(name: str) -> str:
     """A column's name in small letters, its unit behind an underscore: ``Roll [deg]`` is ``roll_deg``."""
     return re.sub(r"[^0-9a-z]+", "_", name.strip().lower()).strip("_")
-
-
-def _numbers(texts: Sequence[str]) -> tuple[Array, tuple[int, str] | None]:
-    """Values (k,), and the first place that holds none with what is wrong."""
-    values = np.full(len(texts), np.nan)
-    for place, text in enumerate(texts):
-        if not text.strip():
-            return values, (place, f"the value is missing; give all {len(texts)} of the orientation or none")
-        try:
-            values[place] = float(text)
-        except ValueError:
-            return values, (place, f"expected a finite number such as 0.25, got '{text.strip():.40}'")
-        if not np.isfinite(values[place]):
-            return values, (place, f"expected a finite number such as 0.25, got '{text.strip():.40}'")
-    return values, None

@@ -17,10 +17,9 @@ from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.csv_text import table_text
 from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
-from cellapp.cell.run.stream_columns import POINT
+from cellapp.cell.run.stream_columns import POINT, time_unit
 from cellapp.cell.run.stream_csv import StreamFile, is_number, read_header
 from cellapp.cell.run.stream_names import understood
-from cellapp.cell.run.stream_units import time_unit
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -142,8 +141,8 @@ def _is_swift(file: StreamFile, column: int) -> bool:
     cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
     if len(cells) < _SWIFT_ROWS or not all(is_number(cell) and cell for cell in cells):
         return False
-    steps = np.diff([float(cell) for cell in cells])
-    return bool((steps >= 0.0).all() and time_unit(np.cumsum(steps)) is not None)
+    stamps = np.array([float(cell) for cell in cells])
+    return bool((np.diff(stamps) >= 0.0).all() and time_unit(stamps) is not None)
 
 
 def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:

@@ -42,7 +42,7 @@ class FlangeHand:
 
     def touch(self, socket: str) -> FlangeTouch:
         """Read both arms, which rest in a socket."""
-        return FlangeTouch(self.arm, socket, *self.read(socket, sum(one.socket == socket for one in self._own())))
+        return FlangeTouch(self.arm, socket, *self.read(socket, len(self._places(self._all(), socket))))
 
     def doubt(self, touch: FlangeTouch) -> str:
         """Why the name of a touch is doubted, by the published arms; empty where it is not."""
@@ -56,7 +56,7 @@ class FlangeHand:
         touches = [*self._all(), touch]
         self._write(touches, f"arm {self.arm}: touched '{touch.socket}' on arm {self.other}")
         self.recorded.append(RecordedTouch(configuration=len(touches), point=touch.socket))
-        number = sum(one.socket == touch.socket for one in self._own())
+        number = len(self._places(touches, touch.socket))
         return f"recorded: {counted(number, 'touch', 'touches')} of '{touch.socket}' on arm {self.other}"
 
     def undo(self) -> str:
@@ -71,10 +71,10 @@ class FlangeHand:
 
     def points(self) -> tuple[TouchedPoint, ...]:
         """The sockets with their touches."""
-        off, touches = self._off_m(self._all()), self._all()
-        found = []
-        for name in dict.fromkeys(one.socket for one in self._own()):
-            rows = [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, name)]
+        touches = self._all()
+        off, found = self._off_m(touches), []
+        for name in dict.fromkeys(one.socket for one in touches if one.arm == self.arm):
+            rows = self._places(touches, name)
             q = np.array([touches[k].q for k in rows])
             found.append(
                 TouchedPoint(
@@ -90,8 +90,9 @@ class FlangeHand:
         with RunFile.open(self.folder) as run:
             return flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT))
 
-    def _own(self) -> list[FlangeTouch]:
-        return [one for one in self._all() if one.arm == self.arm]
+    def _places(self, touches: list[FlangeTouch], socket: str) -> list[int]:
+        """Places of the touches of a socket with this arm's ball."""
+        return [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, socket)]
 
     def _off_m(self, touches: list[FlangeTouch]) -> Array:
         with RunFile.open(self.folder) as run:

@@ -64,6 +64,8 @@ class TouchRequest(Request):
             )
         if self.sure and self.point is None:
             raise ValueError("--sure belongs to --point; line by line you are asked")
+        if self.on_flange and self.distances is not None:
+            raise ValueError("--distances are between sockets that stand still; give them without --on-flange")
         return self
 
 

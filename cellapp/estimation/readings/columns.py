@@ -181,7 +181,7 @@ def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Faul
     return check
 
 
-def beyond_limits(q: NDArray[Any], limits: NDArray[Any]) -> list[Fault]:
+def beyond_limits(q: NDArray[Any], limits: NDArray[Any], guess: str = "degrees?") -> list[Fault]:
     """The first joint position of each joint that is beyond its limits by more than a revolution.
 
     Parameters
@@ -189,6 +189,8 @@ def beyond_limits(q: NDArray[Any], limits: NDArray[Any]) -> list[Fault]:
     q : array, shape (n, N) [rad]
     limits : array, shape (N, 2) [rad]
         Lower and upper one. A controller may count a revolution that the limits of the cell do not have.
+    guess : str
+        Said of a value that would be within the limits in degrees.
     """
     faults = []
     for joint, (low, high) in enumerate(limits.tolist()):
@@ -197,13 +199,13 @@ def beyond_limits(q: NDArray[Any], limits: NDArray[Any]) -> list[Fault]:
         if not len(wrong):
             continue
         value = float(values[wrong[0]])
-        guess = "; degrees?" if low <= math.radians(value) <= high else ""
+        meant = f"; {guess}" if low <= math.radians(value) <= high else ""
         faults.append(
             Fault(
                 int(wrong[0]),
                 joint,
                 f"expected {low:.4g} to {high:.4g} rad (limits of the joint) or one revolution more,"
-                f" got {value:g}{guess}",
+                f" got {value:g}{meant}",
             )
         )
     return faults

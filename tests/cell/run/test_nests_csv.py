@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,12 @@ from cellapp.cell.run import RunFile, import_csv, write_readings_csv
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
+from tests.cell.run.csv_rows import Rows, rows_of, written
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
 STOPS = 14
 OFFSETS = {"A": (0.045, 0.020, 0.060), "B": (-0.05, 0.03, 0.06), "C": (0.0, -0.08, 0.055)}
-Rows = list[dict[str, str]]
 
 
 def with_nests(**changes: Any) -> Profile:
@@ -61,14 +60,6 @@ def measured(profile: Profile) -> Rows:
     return sorted(rows, key=lambda row: int(row["configuration"]))
 
 
-def written(path: Path, rows: Rows) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
-
-
 def test_nests_are_one_reading_a_stop_and_are_exported_as_they_were(
     profile: Profile, measured: Rows, tmp_path: Path
 ) -> None:
@@ -89,8 +80,7 @@ def test_nests_are_one_reading_a_stop_and_are_exported_as_they_were(
     found = Rotation.from_quat(np.roll(one.quaternion_M, -1, axis=1))
     turned = (true.inv() * found).as_rotvec()  # of S in F, the same at all stops
     assert np.abs(turned - turned.mean(axis=0)).max() < 5.0 * float(one.sigma_rad.max())
-    with (tmp_path / "out.csv").open(newline="") as file:
-        out = list(csv.DictReader(file))
+    out = rows_of(tmp_path / "out.csv")
     assert [{name: row[name] for name in measured[0]} for row in out] == measured
 
 

@@ -104,6 +104,7 @@ def test_what_is_not_sure_is_said_so(tmp_path: Path, q: np.ndarray, p: np.ndarra
         (text_of("q1,q2,q3,x,px,z", Q, P), "two columns seem to be it"),
         (text_of("q1_deg,q2_rad,q3,x,y,z", Q, P), "different units"),
         (text_of("q1_mm,q2_mm,q3_mm,x,y,z", Q, P), "'mm' does not fit"),
+        (text_of("q1,q2,q3,x_um,y_um,z_um", Q, 1e6 * P), "x_um: 'um' does not fit; expected m or mm"),
         (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,3\n", "it has 3 cells, the header has 6"),
         (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,nan,4,5,6\n", "file.csv:6: q3: expected a number, got 'nan'"),
         (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,1e999,4,5,6\n", "expected a number"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from cellapp.cell.run import RunFile, import_csv, write_readings_csv
 from cellapp.estimation.readings import Distance
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from tests.cell.run.csv_rows import rows_of, written
 
 pytestmark = pytest.mark.fast
 TESTS = Path(__file__).parents[2]
@@ -23,19 +23,6 @@ PROFILE = TESTS.parent / "profiles" / "panda-sockets.yaml"
 @pytest.fixture(scope="module")
 def profile() -> Profile:
     return load_profile(PROFILE)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def written(path: Path, rows: list[dict[str, str]]) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
 
 
 def test_points_and_distances_are_stored_and_exported(profile: Profile, tmp_path: Path) -> None:

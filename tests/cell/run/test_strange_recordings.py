@@ -91,17 +91,29 @@ def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path
 
 
 @pytest.mark.fast
+@pytest.mark.parametrize(
+    ("head", "columns"),
+    [("t,actual_q0,actual_q1,q0,q1", (Q, Q + 1.0)), ("time_s,q1,q2,actual_q_0,actual_q_1", (Q, Q + 1.0))],
+)
+def test_no_name_of_a_joint_is_given_twice(head: str, columns: tuple[np.ndarray, ...], tmp_path: Path) -> None:
+    points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    one, _ = read(tmp_path, text_of(head, joints(STAMPS, *columns)), points)
+    assert np.column_stack([one.joints.columns["q1"], one.joints.columns["q2"]]) == pytest.approx(Q)
+    assert len(one.state.unknown) == 2
+
+
+@pytest.mark.fast
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     rows = joints(TIMES, POINTS).tolist()
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
     cells = [[stamp, *map(repr, row[1:])] for stamp, row in zip(clock, rows, strict=True)]
     cells = [[*row, "1", "0", "0", "0"] for row in cells]
-    cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["0.0"] * 7
+    cells[0][1:], cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["NaN"] * 7, ["0.0"] * 7
     text = "stamp;x;y;z;qw;qx;qy;qz\n" + "".join(";".join(row) + "\n" for row in cells)
     one, notes = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), text)
-    assert f"2 of {len(rows)} rows have no orientation" in notes[1]
-    assert one.state.points.lost == 2
-    kept = np.delete(TIMES, [7, 9])
+    assert f"3 of {len(rows)} rows have no orientation" in notes[1]
+    assert one.state.points.lost == 3
+    kept = np.delete(TIMES, [0, 7, 9])
     assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
 
 
@@ -112,6 +124,8 @@ def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
     one, notes = read(tmp_path, frame, points)
     assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
     assert any("'index' is unknown" in note for note in notes)
+    title = text_of("Leica AT960;;;\nt;X;Y;Z", joints(TIMES, POINTS), ";")  # as spreadsheets fill a line up
+    assert read(tmp_path, frame, title)[0].points.columns["z_m"] == pytest.approx(POINTS[:, 2])
     degrees = text_of("Zeit [s];A1 [°];A2 [°]", joints(STAMPS, np.degrees(Q)), ";", comma=True)
     for encoding in ("latin-1", "utf-16"):
         file = tmp_path / encoding
@@ -126,6 +140,17 @@ BAD = {
     "no names": (text_of("1;2;3", joints(STAMPS, Q), ";"), FILES["RTDE"][1], r"joints.txt:1: there is no row of names"),
     "two clocks": (text_of("time,stamp,q1,q2", joints(STAMPS, STAMPS, Q)), FILES["RTDE"][1], r"time_s: .* rename the"),
     "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"points.txt:11: the row has 3 cells"),
+    "no time": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + "error;2;3;4\n" + ";2;3;4\n",
+        r"points.txt:11: time_s: expected a date with its time, or a time of day, got 'error'",
+    ),
+    "empty time": (FILES["RTDE"][0], "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + ";2;3;4\n", r"txt:11: time_s: .* missing"),
+    "stops with dates": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "".join(f"10:{n // 6:02d}:{10 * (n % 6):02d};{n};2;3\n" for n in range(30)),
+        "time_s: the median step is 10; expected seconds",
+    ),
     "no number": (
         FILES["RTDE"][0],
         "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;a;4\n",

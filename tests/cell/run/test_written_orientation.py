@@ -67,6 +67,13 @@ def test_what_is_no_rotation_is_named_by_row(names: str, row: str, words: str, t
     assert words in str(refused.value)
 
 
+@pytest.mark.parametrize("names", ["qw,qx,qy,qz,qx", "qw,qx,qy,qz,sigma_m,sigma_m"])
+def test_columns_beside_an_orientation_that_are_there_twice_are_named(names: str, tmp_path: Path) -> None:
+    row = np.array([[1.0, 0.0, 0.0, 0.0, *[1e-5] * (names.count(",") - 3)]])
+    with pytest.raises(InputError, match=f"{names.rsplit(',', 1)[1]}: the column is there twice"):
+        read_readings_csv(table(tmp_path / "in.csv", names, row), {"left": 2})
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [
