@@ -28,13 +28,12 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from drivers.plant.mechanism import Posture
+from drivers.plant.mechanism import STANDARD_GRAVITY, Posture
 from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth
 
 app = typer.Typer(add_completion=False)
 
 MASSES, NOISE_NM = 0.3, 0.5
-GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Found:
 def held_torques(profile: Profile, q: Array, seed: int) -> Array:
     """Torques (n, N) [Nm] with which the drives of the true arm hold it, with noise."""
     plant = build_plant(profile)
-    gravity = plant.true_T_C_B("left")[:3, :3].T @ GRAVITY
+    gravity = plant.true_T_C_B("left")[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
     held = -Posture(plant.true_mechanism("left"), q, gravity).torques
     return np.asarray(held + NOISE_NM * np.random.default_rng([seed, 41]).standard_normal(q.shape))
 
