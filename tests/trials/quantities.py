@@ -10,18 +10,14 @@ a tracker. Errors are means at 300 configurations that no reading is of, of sock
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import RunFile
-from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_stages
@@ -29,7 +25,7 @@ from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from drivers.plant.mechanism import STANDARD_GRAVITY, Posture
-from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth
+from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth, run_of
 
 app = typer.Typer(add_completion=False)
 
@@ -62,10 +58,7 @@ def held_torques(profile: Profile, q: Array, seed: int) -> Array:
 
 def found_in(profile: Profile, measured: Readings, truth: Truth, *, lay: bool = False) -> Found:
     """What ``calibrate`` and ``discover`` make of readings."""
-    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
-        run.add_readings("left", measured)
-        if measured.distances:
-            run.write_result(DISTANCES_RESULT, distances_text({"left": measured}))
+    with run_of(profile, measured) as run:
         calibrate_run(run)
         its = discover_run(run).arms["left"]
         model = model_of(run, stage_in_force(run, read_stages(run))).arms["left"]
