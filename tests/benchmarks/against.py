@@ -26,26 +26,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cellapp.estimation.calibration.identification import identify, start_from_nominal
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
+from cellapp.estimation.calibration.identification import identify
+from cellapp.robot.kinematics.chain import smr_positions
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
+from tests.benchmarks.identification import NOISE_M, least_squares_of, problem
 from tests.benchmarks.reference_time import processor
+from tests.benchmarks.whole_twin import say
 
 HERE = Path(__file__).parents[2]
-NOISE_M = 15e-6
 _MAKES_A_RUN = ("plan", "run")
 _STARTS = ("doctor", "plan", "calibrate", "report", "show", "check")
 _READINGS = 12_000
 _HELD_OUT = 200
 _MANY = 400_000
 _IDENTIFIES = f"""
-import numpy as np
-from tests.benchmarks.against import NOISE_M, UR10, OFF_AXIS, at_station, identify, smr_positions, start_from_nominal
-rng = np.random.default_rng(0)
-q = rng.uniform(-3, 3, ({_MANY}, 6))
-nominal = at_station(UR10, OFF_AXIS)
-p_M = smr_positions(nominal, q) + rng.normal(0.0, NOISE_M, q[:, :3].shape)
-identify(start_from_nominal(nominal, q, p_M, tool_unknown=False), q, p_M)
+from cellapp.estimation.calibration.identification import identify
+from tests.benchmarks.identification import problem
+identify(*problem({_MANY}))
 """
 _ONCE = 1
 """Turns of a job of minutes."""
@@ -182,23 +179,16 @@ def compare(job: Job, earlier: Path, turns: int) -> str:
 
 def identification(configurations: int, rounds: int) -> tuple[float, float, int]:
     """Least time of one identification of 27 parameters, and of one ``lstsq`` of its size [s]; iterations."""
-    rng = np.random.default_rng(0)
-    nominal = at_station(UR10, OFF_AXIS)
-    q = rng.uniform(-3, 3, (configurations, 6))
-    p_M = smr_positions(true_geometry(nominal, rng), q) + rng.normal(0.0, NOISE_M, (configurations, 3))
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    found = identify(start, q, p_M)
-    columns = found.parameter_set.columns
-    J = jacobian(start, JointAngles.of(q), columns)[1]
-    A, b = np.ascontiguousarray(J.transpose(0, 2, 1).reshape(-1, len(columns))), np.ones(3 * configurations)
-    del J
+    start, q, p_M = problem(configurations)
+    iterations = identify(start, q, p_M).iterations
+    A, b = least_squares_of(start, q, p_M)
     times = np.empty((rounds, 2))
     for row in times:
         for k, function in enumerate((lambda: identify(start, q, p_M), lambda: np.linalg.lstsq(A, b, rcond=None))):
             began_s = time.process_time()
             function()
             row[k] = time.process_time() - began_s
-    return (*times.min(axis=0).tolist(), found.iterations)
+    return (*times.min(axis=0).tolist(), iterations)
 
 
 def _identification_rows() -> Iterator[str]:
@@ -211,11 +201,6 @@ def _identification_rows() -> Iterator[str]:
             f" {1e3 * own_s:.2f} ms, {1e3 * own_s / iterations:.2f} an iteration{memory} |"
             f" {own_s / lstsq_s:.2f} | {bar} |"
         )
-
-
-def say(line: str) -> None:
-    """Print a line as soon as it is known."""
-    print(line, flush=True)  # noqa: T201
 
 
 def main() -> None:
