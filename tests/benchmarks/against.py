@@ -193,13 +193,16 @@ def identification(configurations: int, rounds: int) -> tuple[float, float, int]
     return (*times.min(axis=0).tolist(), iterations)
 
 
-def _identification_rows() -> Iterator[str]:
-    peak_mb = measured(HERE, ["-c", _IDENTIFIES]).peak_mb  # before this process is large: a child begins with its size
+def _identification_rows(only: str) -> Iterator[str]:
     for configurations, rounds, bar in ((400, 300, "2.5"), (100, 300, ""), (_MANY, 2, "1 s an iteration, 400 MB")):
+        name = f"identification, {configurations} configurations"
+        if only not in name:
+            continue
+        # before this process is large: a child begins with its size
+        memory = f", {measured(HERE, ['-c', _IDENTIFIES]).peak_mb:.0f} MB" if configurations == _MANY else ""
         own_s, lstsq_s, iterations = identification(configurations, rounds)
-        memory = f", {peak_mb:.0f} MB" if configurations == _MANY else ""
         yield (
-            f"| identification, {configurations} configurations | {1e3 * lstsq_s:.2f} ms (one lstsq) |"
+            f"| {name} | {1e3 * lstsq_s:.2f} ms (one lstsq) |"
             f" {1e3 * own_s:.2f} ms, {1e3 * own_s / iterations:.2f} an iteration{memory} |"
             f" {own_s / lstsq_s:.2f} | {bar} |"
         )
@@ -221,8 +224,8 @@ def main() -> None:
     for job in rows:
         if asked.only in job.name:
             say(compare(job, asked.earlier.resolve(), asked.turns))
-    if not asked.arguments and asked.only in "identification":
-        for row in _identification_rows():
+    if not asked.arguments:
+        for row in _identification_rows(asked.only):
             say(row)
 
 
