@@ -15,26 +15,11 @@ import time
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.network_training import train_network
 from cellapp.estimation.calibration.perceptron import Perceptron
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
-from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
-
-
-def problem(n):
-    rng = np.random.default_rng(0)
-    nominal = at_station(UR10, OFF_AXIS)
-    truth = true_geometry(nominal, rng)
-    q = rng.uniform(-3, 3, (n, 6))
-    p_M = smr_positions(truth, q) + rng.normal(0.0, 15e-6, (n, 3))
-    return start_from_nominal(nominal, q, p_M, tool_unknown=False), q, p_M
-
-
-def least_squares_of(start, q):
-    columns = identify(start, q, smr_positions(start, q)).parameter_set.columns
-    _, J = jacobian(start, JointAngles.of(q), columns)
-    return np.ascontiguousarray(J.transpose(0, 2, 1).reshape(-1, len(columns))), np.ones(3 * len(q))
+from cellapp.robot.kinematics.chain import JointAngles, jacobian
+from tests.benchmarks.identification import NOISE_M, least_squares_of, problem
 
 
 def times_of(repeats, *functions):
@@ -58,7 +43,7 @@ def test_identification_of_27_parameters_at_400_configurations(benchmark):
     start, q, p_M = problem(400)
     found = benchmark(identify, start, q, p_M)
     assert (len(found.names), found.iterations) == (27, 3)
-    A, b = least_squares_of(start, q)
+    A, b = least_squares_of(start, q, p_M)
     columns = found.parameter_set.columns
 
     def floor():
@@ -80,14 +65,14 @@ def test_identification_of_27_parameters_at_400_configurations(benchmark):
 
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")
 def test_one_lstsq_of_the_same_size(benchmark):
-    A, b = least_squares_of(*problem(400)[:2])
+    A, b = least_squares_of(*problem(400))
     benchmark(np.linalg.lstsq, A, b, rcond=None)
 
 
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")
 def test_identification_with_full_covariances(benchmark):
     start, q, p_M = problem(400)
-    sigma = np.tile(np.eye(3) * 15e-6**2, (400, 1, 1))
+    sigma = np.tile(np.eye(3) * NOISE_M**2, (400, 1, 1))
     benchmark(identify, start, q, p_M, sigma=sigma)
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -192,13 +193,21 @@ def rows(q: Array, **quantities: Any) -> Readings:
     )
 
 
-def calibrated(profile: Profile, measured: Readings, *, discover: bool) -> ArmModel:
-    """The model of the arm that ``calibrate``, and ``discover`` if asked, make of readings."""
+@contextmanager
+def run_of(profile: Profile, measured: Readings) -> Iterator[RunFile]:
+    """A run, in a folder of its own, with the readings of the only arm and their known distances."""
     (name,) = profile.arms
     with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         run.add_readings(name, measured)
         if measured.distances:
             run.write_result(DISTANCES_RESULT, distances_text({name: measured}))
+        yield run
+
+
+def calibrated(profile: Profile, measured: Readings, *, discover: bool) -> ArmModel:
+    """The model of the arm that ``calibrate``, and ``discover`` if asked, make of readings."""
+    (name,) = profile.arms
+    with run_of(profile, measured) as run:
         return fitted(run, discover=discover).arms[name]
 
 

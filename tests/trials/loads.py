@@ -11,23 +11,20 @@ its bound if it is off by at most 1.96 of its standard uncertainty.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import RunFile
 from cellapp.cell.targets.prediction import spread_of
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
-from tests.trials.kinds import EFFECTS, Array, Bench, fitted, rows
+from tests.trials.kinds import EFFECTS, Array, Bench, fitted, rows, run_of
 
 app = typer.Typer(add_completion=False)
 
@@ -82,8 +79,7 @@ def predicted(bench: Bench, law: str, loads_kg: Sequence[float]) -> Found:
     profile, q = arm(bench, law), bench.q(_OTHER, 9)
     load_kg, center_F, at_rest = np.full(len(q), OTHER_KG), np.tile(CENTER_F, (len(q), 1)), np.zeros_like(q)
     true_M = build_plant(profile).smr_positions("left", q, approach=at_rest, payload=load_kg, payload_center=center_F)
-    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
-        run.add_readings("left", measured(bench, profile, loads_kg))
+    with run_of(profile, measured(bench, profile, loads_kg)) as run:
         model = fitted(run, discover=True).arms["left"]
         ranges = ConditionRanges.of(run.readings("left"), model)
     conditions = MeasurementConditions(approach=at_rest, payload_kg=load_kg, payload_center_F=center_F)

@@ -10,31 +10,26 @@ a tracker. Errors are means at 300 configurations that no reading is of, of sock
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import RunFile
-from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from drivers.plant.mechanism import Posture
-from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth
+from drivers.plant.mechanism import STANDARD_GRAVITY, Posture
+from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth, run_of
 
 app = typer.Typer(add_completion=False)
 
 MASSES, NOISE_NM = 0.3, 0.5
-GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 
 @dataclass(frozen=True)
@@ -56,17 +51,14 @@ class Found:
 def held_torques(profile: Profile, q: Array, seed: int) -> Array:
     """Torques (n, N) [Nm] with which the drives of the true arm hold it, with noise."""
     plant = build_plant(profile)
-    gravity = plant.true_T_C_B("left")[:3, :3].T @ GRAVITY
+    gravity = plant.true_T_C_B("left")[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
     held = -Posture(plant.true_mechanism("left"), q, gravity).torques
     return np.asarray(held + NOISE_NM * np.random.default_rng([seed, 41]).standard_normal(q.shape))
 
 
 def found_in(profile: Profile, measured: Readings, truth: Truth, *, lay: bool = False) -> Found:
     """What ``calibrate`` and ``discover`` make of readings."""
-    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
-        run.add_readings("left", measured)
-        if measured.distances:
-            run.write_result(DISTANCES_RESULT, distances_text({"left": measured}))
+    with run_of(profile, measured) as run:
         calibrate_run(run)
         its = discover_run(run).arms["left"]
         model = model_of(run, stage_in_force(run, read_stages(run))).arms["left"]

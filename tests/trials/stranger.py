@@ -4,8 +4,9 @@
 
 ``ur5``: a UR5 that goes between a few places of a small volume again and again and rests at each, joints 125 times a
 second with the names and blanks of RTDE's recorder, points 100 times a second. ``seven``: an arm of seven joints at
-130 mm/s, joints 100 to 150 times a second with stamps of milliseconds that are irregular and repeat, no speeds; a probe
-with an orientation, 60 or 250 times a second, 2 % lost. Tool and base are known in neither.
+0.18 rad/s at most, joints 125 times a second without speeds, 3 % lost and 7 % two or three times, with stamps of
+milliseconds that are up to 4 ms late; a probe with an orientation, 60 or 250 times a second, 2 % lost. Tool and base
+are known in neither.
 """
 
 from __future__ import annotations
@@ -25,20 +26,11 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
+from tests.arms import UR5
 from tests.estimation.motion.simulated import SEVEN, Arm, Corners, record, sweep, true_arm
 
 app = typer.Typer(add_completion=False)
 Kind = Literal["ur5", "seven"]
-UR5 = np.array(
-    [
-        [0.0, 0.089159, 0.0, np.pi / 2],
-        [0.0, 0.0, -0.425, 0.0],
-        [0.0, 0.0, -0.39225, 0.0],
-        [0.0, 0.10915, 0.0, np.pi / 2],
-        [0.0, 0.09465, 0.0, -np.pi / 2],
-        [0.0, 0.0823, 0.0, 0.0],
-    ]
-)
 OFFSET_S = {"ur5": 0.0178, "seven": 1.6e9}
 LATE_S = {"ur5": 0.0, "seven": 0.002}
 """How late the stamps of joints are in the mean."""

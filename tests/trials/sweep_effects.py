@@ -29,7 +29,9 @@ from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.records import ClockFit
 from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.terms import Law
+from drivers.plant import Plant
 from drivers.plant.effects.drive_lag import DriveLag
+from drivers.plant.mechanism import Mechanism
 from drivers.plant.sweep import Recorder, recorder_of
 from tests.twin import whole_twin
 
@@ -64,14 +66,14 @@ def hidden_effects(seed: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def late_s(hidden: Mapping[str, Any], effects: Sequence[MotionEffect]) -> float:
+def late_s(hidden: Mapping[str, Any], mechanism: Mechanism, effects: Sequence[MotionEffect]) -> float:
     """What the drives of an arm are late in the mean, beyond the time constants that were found [s]: nothing tells it
     from a delay between the clocks."""
     if "drive_lag" not in hidden:
         return 0.0
     effect = DriveLag(np.array(hidden["drive_lag"]["time_constant"]), np.zeros(6))
     time_s = np.arange(0.0, 1.0, 1e-3)
-    change = effect.response(time_s, np.tile(time_s[:, None], 6), None)  # type: ignore[arg-type]
+    change = effect.response(time_s, np.tile(time_s[:, None], 6), mechanism)
     assert change is not None
     found = [effect.values for effect in effects if effect.slug == Law.TIME_CONSTANT.value]
     return float(-np.mean(change[-1])) - (float(np.sum(found[0])) / 6 if found else 0.0)
@@ -98,11 +100,12 @@ def lines_against(found: Mapping[str, float], lines: Mapping[str, Any]) -> list[
     return errors
 
 
-def _shown(run: RunFile, seed: int, name: str, hidden: Mapping[str, Any], recorder: Recorder) -> None:
+def _shown(run: RunFile, seed: int, name: str, hidden: Mapping[str, Any], plant: Plant) -> None:
     arm = recorded_arm(run.profile, name, run.readings(name), read_recordings_of(run, name))
     discovery = effects_in_motion(arm)
+    recorder, late = recorder_of(plant), late_s(hidden, plant.true_mechanism(name), discovery.effects)
     for clock in discovery.fit.clocks.values():
-        delay, rate, delay_holds, rate_holds = clock_errors(clock, recorder, late_s(hidden, discovery.effects))
+        delay, rate, delay_holds, rate_holds = clock_errors(clock, recorder, late)
         typer.echo(
             f"{seed:3d} {name:5s} delay {delay:+.3f} +- {1e3 * clock.offset_standard_error_s:.3f} ms {delay_holds},"
             f" rate {rate:+.3f} +- {clock.rate_standard_error_ppm:.3f} ppm {rate_holds}"
@@ -130,12 +133,12 @@ def main(
     for seed in range(first, first + seeds):
         hidden = hidden_effects(seed)
         profile = with_hidden(whole_twin(), hidden, seed)
-        recorder = recorder_of(build_plant(profile))
+        plant = build_plant(profile)
         with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run", sweeps=sweeps) as run:
             collect_stops(run)
             calibrate_run(run)  # draws the splits
             for name in [arm] if arm else profile.arms:
-                _shown(run, seed, name, hidden[name], recorder)
+                _shown(run, seed, name, hidden[name], plant)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
     python -m tests.trials.turn_network --data READINGS.csv --profile profiles/ur10-6d.yaml
     python -m tests.trials.turn_network
 
-The second is of simulated arms of ``kinds``. 300 rows are learned from, at most
-three quarters of all.
+The second is of simulated arms of ``kinds``. 300 rows are learned from, at most three quarters of all.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import read_readings_csv
@@ -26,9 +24,8 @@ from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel
-from tests.trials.kinds import KINDS, Bench
+from tests.trials.kinds import KINDS, Array, Bench
 
-Array = NDArray[np.float64]
 LEARNED, SIMULATED = 300, 400
 app = typer.Typer(add_completion=False)
 
@@ -61,6 +58,20 @@ def trial(profile: Profile, readings: Readings, seed: int) -> tuple[float, float
     return before, after
 
 
+def simulated(seed: int) -> tuple[Profile, Readings]:
+    """A simulated arm with a probe, and its readings."""
+    bench = Bench(seed, SIMULATED)
+    profile = bench.profile(**KINDS["6-D probe"])
+    return profile, bench.measured(profile)
+
+
+def of_file(path: Path, data: Path) -> tuple[Profile, Readings]:
+    """A real arm and its readings."""
+    profile = load_profile(path)
+    (name,) = profile.arms
+    return profile, read_readings_csv(data, {name: len(profile.arms[name].type.joints)}, in_order=True)[0][name]
+
+
 @app.command()
 def main(
     data: Annotated[Path | None, typer.Option(help="readings of a real arm")] = None,
@@ -68,15 +79,9 @@ def main(
     seeds: Annotated[int, typer.Option(min=1)] = 3,
 ) -> None:
     """Print a line for each draw."""
+    real = None if data is None or profile is None else of_file(profile, data)
     for seed in range(1, seeds + 1):
-        if data is None or profile is None:
-            bench = Bench(seed, SIMULATED)
-            its = bench.profile(**KINDS["6-D probe"])
-            readings = bench.measured(its)
-        else:
-            its = load_profile(profile)
-            (name,) = its.arms
-            readings = read_readings_csv(data, {name: len(its.arms[name].type.joints)}, in_order=True)[0][name]
+        its, readings = real or simulated(seed)
         before, after = trial(its, readings, seed)
         typer.echo(f"draw {seed}: geometry {before:.3f} mrad, with a network of the rotation {after:.3f} mrad")
 

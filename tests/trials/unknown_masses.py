@@ -11,10 +11,8 @@ wrong ones (0.4 to 2 times the true ones), or the true ones. The tracker states 
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -24,14 +22,13 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.loader import arm_type_of_text
-from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType, GeometryErrors, Payload, Pose
 from cellapp.ground.profile.schema import Plant as PlantSettings
-from tests.trials.kinds import rows
+from tests.trials.kinds import rows, run_of
 from tests.twin import PROFILES
 
 app = typer.Typer(add_completion=False)
@@ -112,14 +109,9 @@ def _heavier(arm_type: ArmType, factors: NDArray[np.float64]) -> ArmType:
 def named(seed: int, case: str, which: str = "iiwa") -> Named:
     """What is found of an arm."""
     profile = arm_profile(seed, which)
-    its = measured(profile, seed)
     wrong = np.random.default_rng([seed, 79]).uniform(0.4, 2.0, 7)
     factors = {"none": np.zeros(7), "wrong": wrong, "stated": np.ones(7)}[case]
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        RunFile.create(Path(folder) / "run", with_masses(profile, factors)) as run,
-    ):
-        run.add_readings("left", its)
+    with run_of(with_masses(profile, factors), measured(profile, seed)) as run:
         calibrate_run(run)
         found = discover_run(run).arms["left"]
     names = tuple(f"{one.effect} {one.law.name}".strip() for one in found.accepted)
