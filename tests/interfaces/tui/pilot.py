@@ -27,11 +27,15 @@ SIZES = (SMALL, (120, 40), (200, 60))
 
 
 async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> None:
-    """Wait for a condition; fail with what the screen says if it never holds."""
+    """Wait for a condition on a painted screen; fail with what the screen says if it never holds.
+
+    A screen stands on top of the stack before its first layout: without the wait for its text a busy computer shows
+    the test a blank one.
+    """
     app = pilot.app
     try:
         async with asyncio.timeout(wait_s):
-            while not holds():
+            while not (holds() and (not app.is_running or shown_text(app).strip())):
                 await pilot.pause()
                 await asyncio.sleep(0.005)  # the job's thread needs the processor, too
     except TimeoutError:
