@@ -341,6 +341,11 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
     return ""
 
 
+def keeps_obstacles(cell: CellBodies, path: SampledPath) -> bool:
+    """Whether an arm keeps its distance from all obstacles on a path."""
+    return not _refuse_obstacles(cell, path)
+
+
 def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     i, k = path.arm.own_pairs
     if len(i) == 0:
