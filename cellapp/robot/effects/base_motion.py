@@ -14,13 +14,13 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.onset import OnsetEffect
 from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
     WARM_UP_FORM,
-    OnsetEffect,
     after_onset,
     run_fraction,
     run_span,

@@ -13,7 +13,8 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.time_functions import OnsetEffect, after_onset
+from cellapp.robot.effects.onset import OnsetEffect
+from cellapp.robot.effects.time_functions import after_onset
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""

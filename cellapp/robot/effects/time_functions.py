@@ -7,10 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cellapp.robot.effects.context import EffectContext
-from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, Law, LawForm, NeighbouringPauses
 from cellapp.robot.kinematics.transforms import Array
 
 TIME_CONSTANTS = (900.0, 1800.0, 3600.0, 7200.0, 14400.0)
@@ -78,24 +75,6 @@ def onset_laws(context: EffectContext) -> list[Law]:
     if len(onsets) > ONSETS_MOST:
         onsets = onsets[np.unique(np.rint(np.linspace(0, len(onsets) - 1, ONSETS_MOST)).astype(np.intp))]
     return [ONSET_FORM.law({ONSET.name: onset}, len(onsets)) for onset in onsets.tolist()]
-
-
-class OnsetEffect(Effect):
-    """An effect that is there from an onset on, which is searched between readings."""
-
-    variables = frozenset({DriverVariable.TIME})
-    forms = (ONSET_FORM,)
-    free_drivers = (FreeDriver(Quantity.TIME),)
-
-    def missing_data(self, context: EffectContext) -> str:
-        """Needs times."""
-        if not times_known(context):
-            return "no times"
-        return "" if onset_laws(context) else f"fewer than {2 * ONSET_MARGIN} readings"
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One for each onset."""
-        return onset_laws(context)
 
 
 def after_onset(context: EffectContext, law: Law) -> Array:
