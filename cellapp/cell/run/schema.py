@@ -7,12 +7,12 @@ from pathlib import Path
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.cell.run.rows import utc_now
-from cellapp.cell.run.sqlite_file import APPLICATION_ID
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.plugins import program_of
 
+APPLICATION_ID = 0x43656C6C
 SCHEMA_VERSION = 9
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
