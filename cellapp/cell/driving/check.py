@@ -32,8 +32,7 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""An SMR that is not found at so many stops one after the other is not looked for any more, before it was found for the
-first time and after it."""
+"""Consecutive stops without an SMR after which it is not searched for any more: before it was found once, and after."""
 
 
 class StopTest(Protocol):
