@@ -69,6 +69,8 @@ class JointPath:
         Output of a play operator of small gap, -1 to 1, at the samples: against it a joint with lost motion lags.
     inertia : callable, optional
         Mass matrices (n, N, N) [kg m^2] at joint positions (n, N), where masses are known.
+    beside : array, shape (m, K), optional
+        Joint positions of the other arm of the cell at the samples [rad].
     """
 
     stamps: Stamps
@@ -77,6 +79,7 @@ class JointPath:
     _position: scipy.interpolate.PPoly = field(repr=False)
     _speed: scipy.interpolate.PPoly = field(repr=False)
     inertia: Callable[[Array], Array] | None = field(default=None, repr=False)
+    beside: Array | None = field(default=None, repr=False)
 
     def known(self, time_s: Array) -> NDArray[np.bool_]:
         """Whether times (n,) [s] lie between samples, and not in a gap or beside a step of the clock."""
@@ -106,6 +109,12 @@ class JointPath:
         qdd = (bent[0] - 2.0 * bent[1] + bent[2]) / BEND_S**2
         inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
         return EvenPath(time_s, q, qdd, first, inertia)
+
+    def beside_at(self, time_s: Array) -> Array | None:
+        """Joint positions (n, K) [rad] of the other arm at times (n,) [s]; None where they were not recorded."""
+        if self.beside is None:
+            return None
+        return np.column_stack([np.interp(time_s, self.stamps.time_s, column) for column in self.beside.T])
 
     def direction_at(self, time_s: Array) -> Array:
         """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
@@ -173,7 +182,8 @@ def joint_path(joints: JointStream) -> JointPath:
     position = scipy.interpolate.CubicHermiteSpline(t, q, slopes)
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
-    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed)
+    beside = None if joints.other_q is None else stamps.averaged(joints.other_q)
+    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed, beside=beside)
 
 
 def play(q: Array, half_gap: Array) -> Array:
