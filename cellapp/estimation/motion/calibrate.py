@@ -169,6 +169,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     sides = [path.direction_at(time_s) for path, time_s in times]
+    travelled = [path.travel_at(time_s, path.at(time_s)[0]) for path, time_s in times]
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
@@ -176,6 +177,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=_stated_of(parts),
+        step=np.concatenate(travelled).reshape(n, joints),
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )

@@ -42,11 +42,13 @@ class Fading:
 
     What is kept is that of plays in parallel (Prandtl, Ishlinskii; Masing's rules follow): of half gaps w in such
     shares, ``w / reach^2 exp(-w / reach)``, that a joint at rest in the middle of all of them takes up
-    ``1 - exp(-x / reach)``.
+    ``1 - exp(-x / reach)``. ``bell``: ``exp(-(x / reach)^2)`` of it is left, anew at each turn: a gear under friction
+    that is larger while it still moves slowly (Stribeck).
     """
 
     reach: float
     kept: bool
+    bell: bool = False
 
     def shares(self) -> Array:
         """Shares (W,) of the plays of ``_WIDTHS``."""
@@ -132,9 +134,16 @@ class JointPath:
         number = turns.number[place]
         side = turns.side[number]
         if not fading.kept:
-            return np.asarray(side * np.exp(-np.abs(q - turns.q[number]) / fading.reach))
+            travel = np.abs(q - turns.q[number]) / fading.reach
+            return np.asarray(side * np.exp(-(travel**2 if fading.bell else travel)))
         plays = np.clip(turns.plays[number], q[:, None] - _WIDTHS, q[:, None] + _WIDTHS)
         return np.asarray(side - ((q[:, None] - plays) / _WIDTHS) @ fading.shares())
+
+    def travel_at(self, time_s: Array, q: Array) -> Array:
+        """Travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them turned round, or
+        began to move after a gap of the recording: what its last motion is to a joint at rest."""
+        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
+        return np.column_stack([q[:, joint] - turns.q[turns.number[place]] for joint, turns in enumerate(self._turns)])
 
     @cached_property
     def _turns(self) -> tuple[_Turns, ...]:

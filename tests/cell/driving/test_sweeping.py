@@ -164,12 +164,12 @@ def test_recordings_hold_the_other_arm_that_swings_also_as_csv(swinging: Path, t
                 motion = sweep.beside.motion(np.zeros(6))
                 np.testing.assert_allclose(away, np.ptp(motion.at(motion.times(0.02)), axis=0), atol=0.01)
         calibrate_run(run)
-        own, other = (known_readings(run, name) for name in run.profile.arms)
+        own, theirs = (known_readings(run, name) for name in run.profile.arms)
         assert own.other_q is not None
         moving = np.isfinite(own.other_q).all(axis=1)
         assert moving.sum() > 100
         models = read_stages(run).current[CALIBRATE]
-        conditions = conditions_of_arms(model_of(run, models).arms, {"left": own, "right": other})["left"]
+        conditions = conditions_of_arms(model_of(run, models).arms, {"left": own, "right": theirs})["left"]
         assert conditions.other_moment_M is not None
         assert np.ptp(conditions.other_moment_M[moving], axis=0).max() > 1.0, "the moment on the pedestal changes"
         files = {kind: tmp_path / f"{kind}.csv" for kind in ("joints", "points")}
