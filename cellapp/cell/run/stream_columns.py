@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.column_names import Kind
 from cellapp.cell.run.records import StreamState
-from cellapp.cell.run.stream_names import Kind
 from cellapp.cell.run.written_orientation import QUATERNION
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
@@ -90,11 +90,14 @@ def time_unit(stamps: NDArray[np.float64]) -> str | None:
     return next((unit for unit, factor in UNITS_OF_TIME.items() if least <= usual * factor <= most), None)
 
 
-def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
-    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad]."""
+def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool = False) -> Iterator[Implausible]:
+    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad].
+
+    ``dated``: the stamps are dates or times of day in the file, so that their unit is sure.
+    """
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
-    wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
+    wrong = [*_stamp_faults(columns["time_s"], dated), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
     beyond = beyond_limits(q, limits, _DEGREES)
     wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond]
     yield from wrong
@@ -130,9 +133,9 @@ def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Imp
         yield Implausible(one.row, names[one.place or 0], one.text)
 
 
-def point_faults(columns: Columns) -> Iterator[Implausible]:
-    """What is implausible in points."""
-    yield from _stamp_faults(columns["time_s"])
+def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausible]:
+    """What is implausible in points; ``dated`` as in ``joint_faults``."""
+    yield from _stamp_faults(columns["time_s"], dated)
     yield from _missing(columns, ("sigma_m", *QUATERNION))
     p = _matrix(columns, POINT)
     for stem, matrix in (("x_m", p), ("sigma_m", _matrix(columns, ("sigma_m",)))):
@@ -210,7 +213,7 @@ def _missing(columns: Columns, names: tuple[str, ...]) -> Iterator[Implausible]:
             yield Implausible(int(rows[0]), name, "the value is missing; give it in every row, or leave the column out")
 
 
-def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
+def _stamp_faults(time_s: NDArray[np.float64], dated: bool) -> Iterator[Implausible]:
     if len(time_s) < _LEAST_ROWS:
         yield Implausible(None, "time_s", f"{len(time_s)} rows are no recording of a motion; expected {_LEAST_ROWS}")
         return
@@ -222,7 +225,7 @@ def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
     rate = 1.0 / float(np.median(forward))
     if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
-        unit = time_unit(time_s)
+        unit = None if dated else time_unit(time_s)
         hint = "" if unit is None else f"; are these {unit}? Then name the column {_COLUMNS_OF_TIME[unit]}"
         yield Implausible(None, "time_s", text + hint)
 

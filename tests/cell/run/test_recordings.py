@@ -48,12 +48,12 @@ def test_a_million_points_are_small_and_soon_read() -> None:
     columns = [time_s, *(np.sin(0.3 * time_s + np.arange(3)[:, None]) + noise)]
     stored = [packed(one) for one in columns]
     assert sum(map(len, stored)) < 25e6
-    began = time.perf_counter()
+    began = time.thread_time()
     back = [unpacked(one, len(time_s)) for one in stored]
-    unpacking = time.perf_counter() - began
-    began = time.perf_counter()
+    unpacking = time.thread_time() - began
+    began = time.thread_time()
     raw = [np.array(one.tolist()) for one in columns]
-    assert unpacking < 2.0 * (time.perf_counter() - began), "reading must not be slower than numbers as objects"
+    assert unpacking < 2.0 * (time.thread_time() - began), "reading must not be slower than numbers as objects"
     assert all(np.array_equal(*pair) for pair in zip(back, columns, strict=True))
     assert len(raw) == len(back)
 

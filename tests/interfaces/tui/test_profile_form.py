@@ -22,7 +22,7 @@ from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 from cellapp.interfaces.tui.widgets.stop import StopButton
 from cellapp.robot.kinematics.transforms import apply, invert
 from cellapp.robot.model.nominal import pose_matrix
-from tests.interfaces.tui.pilot import SIZES, SMALL, shown_text, until
+from tests.interfaces.tui.pilot import SIZES, SMALL, shown_text, shows, until
 
 TWIN = Path("profiles/twin.yaml")
 
@@ -106,7 +106,7 @@ async def test_enter_in_an_empty_folder_opens_the_twin(app: CellApp) -> None:
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
         await pilot.pause()
         for answer in ("Try the simulated twin (t)", "Write a profile for my cell (w)", "Open a profile elsewhere (o)"):
-            assert answer in shown_text(app)
+            await shows(pilot, answer)
         await pilot.press("enter")
         await until(pilot, lambda: app.workspace.profile is not None, "the twin")
         assert app.workspace.kind == "simulated"
@@ -188,7 +188,7 @@ async def test_undo_steps_by_field_and_a_problem_stands_beside_its_field(with_tw
         await shown(pilot, app, "1 field to correct")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.km"
         assert "'km' is not a unit of length; use one of m," in problem(app, "arms.0.position")
-        assert "left (1)" in shown_text(app)
+        await shows(pilot, "left (1)")
         await pilot.press("ctrl+z")
         await shown(pilot, app, "unchanged · every field holds")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.0"
@@ -316,9 +316,9 @@ async def test_stop_and_map_at_every_size(with_twin: CellApp) -> None:
             assert form(app).query_one(StopButton).region == Region(size[0] - 11, 0, 11, 1)
             assert ("From above" in shown_text(app)) == (size != SMALL)
             for label in ("Name", "Arm type", "Base position", "SMR offset", "Home", "Speed"):
-                assert label in shown_text(app)
+                await shows(pilot, label)
             await pilot.press("f3")
             await pilot.pause()
-            assert "From above: left at 0.00, 0.85 m" in shown_text(app)
+            await shows(pilot, "From above: left at 0.00, 0.85 m")
             await pilot.press("f3")
             await pilot.pause()
