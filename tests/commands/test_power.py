@@ -18,7 +18,7 @@ from cellapp.commands.power.run import run as run_power
 from cellapp.commands.power.run import stored_power
 from cellapp.commands.report.sections import power_section
 from cellapp.commands.trials.power.result import NamingTrial, PowerResult
-from cellapp.commands.trials.power.rounds import TimeLimit, power_of
+from cellapp.commands.trials.power.rounds import power_of
 from cellapp.commands.trials.power.tables import power_chart, power_sentence, power_table
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
 from cellapp.commands.trials.skeleton import Work
@@ -27,6 +27,7 @@ from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.scale.gather import Gathered
+from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.commands.quiet_work import quiet_work

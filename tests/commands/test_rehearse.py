@@ -13,7 +13,7 @@ from cellapp.cell.driving.rungs import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import note_profile, rehearsals_path
-from cellapp.commands.rehearse.record_file import arms_hash, keep_log, kept_log, missing_sentence, read_log, write_log
+from cellapp.commands.rehearse.record_file import arms_hash, keep_log, kept_log, read_log, write_log
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearsalLog, RehearsedMotionRecord, RehearseResult
 from cellapp.commands.rehearse.run import run as rehearse
@@ -93,14 +93,13 @@ def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
     profile = load_profile(path)
     with RunFile.create(tmp_path / "emulated", profile) as run:
         note_profile(run, path)
-        assert missing_sentence(run) == ""
-        keep_log(run)
+        assert keep_log(run) == ""
         assert kept_log(run) is None, "nothing was rehearsed"
     with RunFile.create(tmp_path / "real", on_real_arms(profile)) as run:
-        assert missing_sentence(run).startswith(f"not rehearsed with these arms: {', '.join(RUNGS)}; ")
+        assert keep_log(run).startswith(f"not rehearsed with these arms: {', '.join(RUNGS)}; ")
         note_profile(run, path)
         rehearsals_path(path).write_text("{}")
-        assert "rehearsals.json" in missing_sentence(run)
+        assert "rehearsals.json" in keep_log(run)
 
 
 def test_a_run_keeps_what_was_rehearsed_before_it_was_collected(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from cellapp.cell.driving.motion import Mover, Vector
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile.collection import Repeat
+from cellapp.robot.kinematics.transforms import mean_rotation, quaternions_of, rotations_of
 from drivers.trackers.protocol import (
     NotReady,
     Point,
@@ -104,13 +105,11 @@ def mean_point(points: list[Point]) -> Point:
 
 
 def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
-    """Return the mean of orientations that differ by little; None where one was not measured."""
+    """Return the mean orientation; None where one was not measured."""
     quaternions = [one for one in measured if one is not None]
     if len(quaternions) < len(measured):
         return None
-    first = quaternions[0]
-    total: Vector = np.sum([one if one @ first >= 0.0 else -one for one in quaternions], axis=0)
-    return np.asarray(total / np.linalg.norm(total))
+    return quaternions_of(mean_rotation(rotations_of(quaternions)))
 
 
 def _deviation_of_mean(points: list[Point]) -> float:

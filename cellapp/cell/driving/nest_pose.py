@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from cellapp.cell.driving.motion import Mover, Vector
 from cellapp.cell.driving.nests import Nests
@@ -16,7 +15,7 @@ from cellapp.cell.run.nests import has_nests, nest_offsets, nest_stops
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.nests import NestShape, poses
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import rotation_from_vector
+from cellapp.robot.kinematics.transforms import quaternions_of, rotation_from_vector
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 
@@ -57,7 +56,10 @@ class NestPoses:
 
     def measure(self, mover: Mover, name: str, q: Vector) -> Point:
         """Measure the SMR of an arm at rest at ``q`` (N,) [rad], then its nests. Raises like ``Mover.measure``."""
-        point = mover.measure(name, q)
+        return self.turned(mover, name, q, mover.measure(name, q))
+
+    def turned(self, mover: Mover, name: str, q: Vector, point: Point) -> Point:
+        """The measured ``point`` of an arm at rest at ``q`` (N,) [rad] with the orientation that its nests show."""
         shape = self.shapes.get(name)
         if shape is None or point.quaternion_M is not None:
             return point
@@ -98,8 +100,6 @@ def turned_by(shape: NestShape, measured: Mapping[str, Point]) -> Point:
             return replace(point, quality=(*point.quality, "the nests do not stand as at the calibration"))
     return replace(
         point,
-        quaternion_M=scipy.spatial.transform.Rotation.from_matrix(rotation[0]).as_quat(
-            canonical=True, scalar_first=True
-        ),
+        quaternion_M=quaternions_of(rotation[0]),
         sigma_rad=float(np.sqrt(np.linalg.eigvalsh(covariance[0, 3:, 3:])[-1])),
     )

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.targets.command import Command
@@ -22,7 +21,7 @@ from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
-from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_vectors, xyz_of
+from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_vectors, rotations_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point
@@ -275,8 +274,7 @@ def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array 
     """
     if point.quaternion_M is None or wanted_M is None or arm.geometry.probe is None or np.isnan(wanted_M).any():
         return None
-    R_M_S = scipy.spatial.transform.Rotation.from_quat(np.roll(point.quaternion_M, -1)).as_matrix()
-    R_M_F = R_M_S @ rotation_from_vector(arm.geometry.probe).T
+    R_M_F = rotations_of(point.quaternion_M) @ rotation_from_vector(arm.geometry.probe).T
     return np.asarray(rotation_vectors((R_M_F @ wanted_M.T)[None])[0])
 
 

@@ -13,7 +13,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import TransitPlanner
-from cellapp.cell.planning.within_reach import within_reach
+from cellapp.cell.planning.within_reach import hubs_of, within_reach
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, sample_spacing
 from cellapp.ground.counting import counted
@@ -136,11 +136,11 @@ def _pool(
     are hard to reach where the first ones show no more of them."""
     pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
-    home = home_positions(profile).get(name)
+    hubs = hubs_of(cell, name, q, home_positions(profile).get(name))
     reached = np.ones(len(q), dtype=np.bool_)
-    reached[:_SAMPLE] = within_reach(cell, name, q[:_SAMPLE], home)
+    reached[:_SAMPLE] = within_reach(cell, name, q[:_SAMPLE], hubs)
     if np.mean(reached[:_SAMPLE]) < 1.0 - _FEW_HARD:
-        reached = within_reach(cell, name, q, home)
+        reached[_SAMPLE:] = within_reach(cell, name, q[_SAMPLE:], hubs)
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}

@@ -23,12 +23,8 @@ _AT_ONCE = 250
 """Configurations that are placed at once; they fit in the cache."""
 
 
-def within_reach(cell: CellBodies, name: str, q: Array, home: Array | None) -> NDArray[np.bool_]:
-    """Whether configurations ``q`` (n, N) [rad] of an arm can be reached with ease, shape (n,).
-
-    ``home`` (N,) [rad] is where the arm comes from; None: from anywhere. ``q`` stands in random order.
-    """
-    hubs = _hubs(cell, name, q, home)
+def within_reach(cell: CellBodies, name: str, q: Array, hubs: Array) -> NDArray[np.bool_]:
+    """Whether configurations ``q`` (n, N) [rad] of an arm can be reached with ease from its ``hubs``, shape (n,)."""
     least = min(_LEAST_WAYS, len(hubs))
     ways = np.zeros(len(q), dtype=np.intp)
     for hub in hubs:
@@ -37,8 +33,9 @@ def within_reach(cell: CellBodies, name: str, q: Array, home: Array | None) -> N
     return np.asarray(ways >= least)
 
 
-def _hubs(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
-    """Home, and the first configurations that can be reached from there; without home the first ones."""
+def hubs_of(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
+    """Where ways begin (k, N) [rad]: ``home`` (N,), and the first of the configurations ``q`` (n, N), which stand in
+    random order, that can be reached from there; without home the first ones."""
     if home is None:
         return q[: _HUBS + 1]
     nearby = q[: 16 * _HUBS]

@@ -18,6 +18,8 @@ WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 """A whole number; ``int`` would accept more (1_000, digits of other scripts)."""
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 """A decimal number; ``float`` would accept more (nan, 1_000)."""
+COMMENTS = ("#", "%", "//")
+"""What a line that is no row begins with."""
 _SHOWN = 5
 """Problems per message: enough to see a pattern, few enough to read."""
 _LONGEST_SHOWN = 40
@@ -205,6 +207,8 @@ def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int
                     raise InputError(
                         f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
                     )
+            elif len(row) != len(names) and row[0].lstrip().startswith(COMMENTS):
+                continue
             elif len(row) != len(names):
                 column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
                 hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""

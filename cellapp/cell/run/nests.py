@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 
 import numpy as np
-import scipy
 
 from cellapp.estimation.nests import NestShape, NestStops, StopGroups, by_stop, fit_shape
 from cellapp.estimation.nests.shape import UnseenPair, better_names, outlying
@@ -15,7 +14,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
-from cellapp.robot.kinematics.transforms import Array, register
+from cellapp.robot.kinematics.transforms import Array, mean_rotation, register, rotation_vectors, rotations_of
 from cellapp.robot.model.nominal import nominal_arm
 
 _SAME_STOP_RAD = 1e-3
@@ -131,8 +130,8 @@ def _mirrored(profile: Profile, arm: str, one: Readings) -> Iterator[str]:
     T_M_B = register(one.p_M, smr_positions(nominal, one.q))
     rotations, _ = flange_poses(nominal.with_T_M_B(T_M_B), one.q)
     measured = np.isfinite(one.quaternion_M[:, 0])
-    R_M_S = scipy.spatial.transform.Rotation.from_quat(np.roll(one.quaternion_M[measured], -1, axis=1))
-    turned = float((scipy.spatial.transform.Rotation.from_matrix(rotations[measured]).inv() * R_M_S).mean().magnitude())
+    R_F_S = mean_rotation(rotations[measured].swapaxes(1, 2) @ rotations_of(one.quaternion_M[measured]))
+    turned = float(np.linalg.norm(rotation_vectors(R_F_S[None])))
     if turned > _TURNED_RAD:
         yield (
             f"by the published arm the nests are turned by {np.degrees(turned):.0f} degrees on the flange of arm {arm};"

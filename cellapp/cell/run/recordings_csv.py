@@ -11,28 +11,32 @@ from __future__ import annotations
 import difflib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from cellapp.cell.run.column_names import EXAMPLES, Kind, Understood, understood
+from cellapp.cell.run.column_units import in_si, without_part_of_orientation
+from cellapp.cell.run.csv_header import CsvFile, read_header
 from cellapp.cell.run.csv_import import joint_limits
 from cellapp.cell.run.csv_text import Problems, short
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_columns import (
+    BESIDE,
     OPTIONAL_OF_JOINTS,
     POINT,
     TEXTS,
     TRIGGER,
     Implausible,
+    beside_faults,
     joint_faults,
     point_faults,
     state_of,
     stems,
 )
-from cellapp.cell.run.stream_csv import StreamFile, StreamTable, read_header, read_stream_table
-from cellapp.cell.run.stream_names import Kind, understood
-from cellapp.cell.run.stream_units import in_si, without_part_of_orientation
+from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
+from cellapp.cell.run.written_orientation import QUATERNION, Written, written_orientation
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -134,22 +138,33 @@ def _name_of_files(joints: Path, points: Path, number: int) -> str:
 def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTable, list[str]]:
     """The columns of a file in SI units, and how names and units of others were understood."""
     what = "joint positions" if kind == "joints" else "points"
-    file, quantities = read_header(path, what), stems(kind, max(joints))
+    file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
     numbers = {name for its in quantities.values() for name in its}
-    known = understood(file.names, kind, (*numbers, *TEXTS))
-    _check_columns(file, kind, known.names, quantities)
+    written, notes = written_orientation(file.names) if kind == "points" else (None, [])
+    turned = () if written is None else written.columns
+    known = understood(file.names, kind, (*numbers, *TEXTS), turned)
+    _check_columns(file, kind, known, quantities)
     required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
-    table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
+    table = read_stream_table(file, known.names, numbers={*numbers, *turned}, required=required, texts=TEXTS)
+    if written is not None:
+        table, notes = _with_quaternions(table, written), [f"{path}: {written.said}"]
     in_units, said = in_si(table, kind, known)
     whole, left_out = without_part_of_orientation(in_units)
-    return whole, said + left_out
+    return whole, said + left_out + notes
 
 
-def _check_columns(
-    file: StreamFile, kind: Kind, names: Sequence[str], quantities: Mapping[str, tuple[str, ...]]
-) -> None:
+def _with_quaternions(table: StreamTable, written: Written) -> StreamTable:
+    """The table with the orientation of a probe as a quaternion. Raises ``InputError`` by row."""
+    found, fault = written.quaternions(np.column_stack([table.columns[name] for name in written.columns]))
+    if fault is not None:
+        _refuse(table, [Implausible(fault.row, written.columns[fault.place or 0], fault.text)])
+    columns = {name: its for name, its in table.columns.items() if name not in written.columns}
+    return replace(table, columns=columns | dict(zip(QUATERNION, found.T, strict=True)))
+
+
+def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Mapping[str, tuple[str, ...]]) -> None:
     """Refuse a file that lacks what every row needs, and quantities of which only some columns are there."""
-    path, main = file.path, quantities["q" if kind == "joints" else "p_M"]
+    path, names, main = file.path, known.names, quantities["q" if kind == "joints" else "p_M"]
     needed = ("time_s", *(main if kind == "points" else main[:1]))
     other: Kind = "points" if kind == "joints" else "joints"
     there = understood(file.names, other, ()).names
@@ -160,7 +175,11 @@ def _check_columns(
         )
     problems = Problems(lambda line: f"{path}:{line}")
     for name in needed:
-        if name not in names:
+        if name not in names and name in known.doubled:
+            problems.add(
+                file.head, name, f"two columns may be it ({', '.join(known.doubled[name])}); rename the one that is not"
+            )
+        elif name not in names:
             close = difflib.get_close_matches(name, file.names, n=1, cutoff=0.5)
             meant = f" is '{close[0]}' meant?" if close else ""
             there_are = short(", ".join(file.names), _LONGEST_HEADER)
@@ -206,10 +225,13 @@ def checked_recording(
 
     Raises ``InputError`` with what is not.
     """
-    limits = joint_limits(profile)[key[0]]
-    quantities = stems("joints", len(limits))
-    _check_joints(joints, key[0], quantities, len(limits))
-    _refuse(joints, joint_faults(joints.columns, limits))
+    known_limits = joint_limits(profile)
+    limits, others = known_limits[key[0]], [name for name in known_limits if name != key[0]]
+    beside = known_limits[others[0]] if len(others) == 1 else limits[:0]
+    quantities = stems("joints", len(limits), len(beside))
+    _check_joints(joints, dict.fromkeys(quantities, key[0]) | {BESIDE: "".join(others)}, quantities)
+    _refuse(joints, joint_faults(joints.columns, limits, dated=joints.dated))
+    _refuse(joints, beside_faults(joints.columns, beside))
     p_M = np.column_stack([points.columns[name] for name in POINT])
     blank = np.isnan(p_M)
     lost = blank.all(axis=1) | (p_M == 0.0).all(axis=1)  # programs write zeros, too
@@ -219,7 +241,7 @@ def checked_recording(
         )
         _refuse(points, [where])
     seen = points.take(np.flatnonzero(~lost)) if lost.any() else points
-    _refuse(seen, point_faults(seen.columns))
+    _refuse(seen, point_faults(seen.columns, dated=seen.dated))
     known = {"time_s", *TEXTS, *(name for its in quantities.values() for name in its)}
     known |= {name for its in stems("points", 0).values() for name in its}
     columns = dict.fromkeys([*joints.columns, *seen.columns])
@@ -229,23 +251,25 @@ def checked_recording(
         session=session,
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
-        optional=tuple(stem for stem in OPTIONAL_OF_JOINTS if quantities[stem][0] in joints.columns)
+        optional=tuple(stem for stem in (*OPTIONAL_OF_JOINTS, BESIDE) if f"{stem}1" in joints.columns)
         + tuple(name for name in ("sigma_m", "quat_w", "split", TRIGGER) if name in seen.columns),
         unknown=tuple(name for name in columns if name not in known),
     )
     return RecordedStreams(state, joints, seen)
 
 
-def _check_joints(table: StreamTable, arm: str, quantities: Mapping[str, tuple[str, ...]], joints: int) -> None:
-    """A quantity has a column for each joint of the arm, or none."""
+def _check_joints(table: StreamTable, arms: Mapping[str, str], quantities: Mapping[str, tuple[str, ...]]) -> None:
+    """A quantity has a column for each joint of its arm, or none."""
     line, problems = 1 if table.file is None else table.file.head, Problems(lambda line: f"{table.path}:{line}")
     for stem, names in quantities.items():
         if stem == "q" or any(name in table.columns for name in names):
             for name in names:
                 if name not in table.columns:
-                    problems.add(line, name, f"the column is missing; arm {arm} has {joints} joints")
-    if (more := f"q{joints + 1}") in table.columns and np.isfinite(table.columns[more]).any():
-        problems.add(line, more, f"there are values, but arm {arm} has {joints} joints in the profile")
+                    problems.add(line, name, f"the column is missing; arm {arms[stem]} has {len(names)} joints")
+    for stem in ("q", BESIDE):
+        joints = len(quantities[stem])
+        if (more := f"{stem}{joints + 1}") in table.columns and joints and np.isfinite(table.columns[more]).any():
+            problems.add(line, more, f"there are values, but arm {arms[stem]} has {joints} joints in the profile")
     problems.check()
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from cellapp.cell.run.column_names import Kind
 from cellapp.cell.run.csv_text import quoted_text, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import RecordingState
-from cellapp.cell.run.stream_names import Kind
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.cell.run.rows import select_document
@@ -18,7 +17,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.stations import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, rotations_of
 
 STATIONS_RESULT = "stations"
 """Name of the document in which a run keeps the poses of its stations; it is part of the file format."""
@@ -117,12 +116,7 @@ def in_one_frame(readings: Readings, poses: Poses) -> Readings:
     turn, shift = T[:, :3, :3], T[:, :3, 3]
     covariance, quaternion = readings.covariance_M, readings.quaternion_M
     if quaternion is not None:
-        own = np.isfinite(quaternion[:, 0])
-        found = scipy.spatial.transform.Rotation.from_matrix(turn[own]) * scipy.spatial.transform.Rotation.from_quat(
-            np.roll(quaternion[own], -1, axis=1)
-        )
-        quaternion = quaternion.copy()
-        quaternion[own] = np.roll(found.as_quat(canonical=True), 1, axis=1)
+        quaternion = quaternions_of(turn @ rotations_of(quaternion))
     return replace(
         readings,
         p_M=np.einsum("nab,nb->na", turn, readings.p_M) + shift,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.column_names import Kind
 from cellapp.cell.run.records import StreamState
-from cellapp.cell.run.stream_names import Kind
 from cellapp.cell.run.written_orientation import QUATERNION
 from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
@@ -23,6 +23,8 @@ POINT = ("x_m", "y_m", "z_m")
 TRIGGER = "trigger_s"
 """Stamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
+BESIDE = "other_q"
+"""Joint positions of the other arm of the cell, where it moved meanwhile."""
 
 _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
 _LEAST_ROWS = 20
@@ -52,13 +54,14 @@ class Implausible:
     text: str
 
 
-def stems(kind: Kind, joints: int) -> dict[str, tuple[str, ...]]:
-    """Quantity -> its columns; the first two of a kind are required."""
+def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]]:
+    """Quantity -> its columns; the first two of a kind are required. ``others`` are the joints of the other arm."""
     if kind == "points":
         points = {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
         return {**points, "trigger": (TRIGGER,)}
     per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
-    return {"time_s": ("time_s",), **per_joint, "trigger": (TRIGGER,)}
+    beside = tuple(f"{BESIDE}{j}" for j in range(1, others + 1))
+    return {"time_s": ("time_s",), **per_joint, BESIDE: beside, "trigger": (TRIGGER,)}
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
@@ -87,11 +90,14 @@ def time_unit(stamps: NDArray[np.float64]) -> str | None:
     return next((unit for unit, factor in UNITS_OF_TIME.items() if least <= usual * factor <= most), None)
 
 
-def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
-    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad]."""
+def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool = False) -> Iterator[Implausible]:
+    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad].
+
+    ``dated``: the stamps are dates or times of day in the file, so that their unit is sure.
+    """
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
-    wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
+    wrong = [*_stamp_faults(columns["time_s"], dated), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
     beyond = beyond_limits(q, limits, _DEGREES)
     wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond]
     yield from wrong
@@ -111,9 +117,25 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Impl
         yield from _speed_unit(columns, names["qd"], q)
 
 
-def point_faults(columns: Columns) -> Iterator[Implausible]:
-    """What is implausible in points."""
-    yield from _stamp_faults(columns["time_s"])
+def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
+    """What is implausible in joint positions of the other arm, whose joints have these ``limits`` (K, 2) [rad]; rows
+    without any are allowed: it was not recorded then."""
+    names = tuple(f"{BESIDE}{joint}" for joint in range(1, len(limits) + 1))
+    if not names or not all(name in columns for name in names):
+        return
+    q = _matrix(columns, names)
+    unknown = np.isnan(q)
+    partly = np.flatnonzero(unknown.any(axis=1) & ~unknown.all(axis=1))
+    if len(partly):
+        text = "the value is missing; give all joints of the other arm in a row, or none"
+        yield Implausible(int(partly[0]), names[int(np.argmax(unknown[partly[0]]))], text)
+    for one in beyond_limits(q, limits):
+        yield Implausible(one.row, names[one.place or 0], one.text)
+
+
+def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausible]:
+    """What is implausible in points; ``dated`` as in ``joint_faults``."""
+    yield from _stamp_faults(columns["time_s"], dated)
     yield from _missing(columns, ("sigma_m", *QUATERNION))
     p = _matrix(columns, POINT)
     for stem, matrix in (("x_m", p), ("sigma_m", _matrix(columns, ("sigma_m",)))):
@@ -139,8 +161,13 @@ def joint_stream(columns: Columns, joints: int) -> JointStream:
     optional = {
         stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
     }  # each has all joints or none: the door sees to that
+    beside = [name for name in columns if name.startswith(BESIDE)]
     return JointStream(
-        time_s=columns["time_s"], q=_matrix(columns, names["q"]), triggers_s=_pulses(columns), **optional
+        time_s=columns["time_s"],
+        q=_matrix(columns, names["q"]),
+        triggers_s=_pulses(columns),
+        other_q=_matrix(columns, tuple(beside)) if beside else None,
+        **optional,
     )
 
 
@@ -186,7 +213,7 @@ def _missing(columns: Columns, names: tuple[str, ...]) -> Iterator[Implausible]:
             yield Implausible(int(rows[0]), name, "the value is missing; give it in every row, or leave the column out")
 
 
-def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
+def _stamp_faults(time_s: NDArray[np.float64], dated: bool) -> Iterator[Implausible]:
     if len(time_s) < _LEAST_ROWS:
         yield Implausible(None, "time_s", f"{len(time_s)} rows are no recording of a motion; expected {_LEAST_ROWS}")
         return
@@ -198,7 +225,7 @@ def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
     rate = 1.0 / float(np.median(forward))
     if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
-        unit = time_unit(time_s)
+        unit = None if dated else time_unit(time_s)
         hint = "" if unit is None else f"; are these {unit}? Then name the column {_COLUMNS_OF_TIME[unit]}"
         yield Implausible(None, "time_s", text + hint)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, short
+from cellapp.estimation.readings.columns import Fault
 from cellapp.ground.errors import InputError
 
 Array = NDArray[np.float64]
@@ -42,28 +43,45 @@ class Form:
     needs_unit: bool = False
 
 
+_OF = r"(?P<of>(?:.*_)?)"
+_NUMBERED = Form(
+    re.compile(_OF + r"(?:quaternion|quat|q|orientation|rotation|o)_?(?P<part>[0-3])(?P<unit>)"),
+    ("0", "1", "2", "3"),
+    "a quaternion",
+    None,
+)
 _FORMS = (
-    Form(re.compile(r"(?:quaternion|quat|q|orientation|o)_?([wxyz])()"), ("w", "x", "y", "z"), "a quaternion", None),
     Form(
-        re.compile(r"(?:rotvec|rot_vec|rotation_vector|rv)_?([xyz])(?:_(rad|deg))?"),
+        re.compile(_OF + r"(?:quaternion|quat|q|orientation|rotation|o)_?(?P<part>[wxyz])(?P<unit>)"),
+        ("w", "x", "y", "z"),
+        "a quaternion",
+        None,
+    ),
+    _NUMBERED,
+    Form(
+        re.compile(_OF + r"(?:rotvec|rot_vec|rotation_vector|rv)_?(?P<part>[xyz])(?:_(?P<unit>rad|deg))?"),
         ("x", "y", "z"),
         "a rotation vector",
         lambda vectors: scipy.spatial.transform.Rotation.from_rotvec(vectors),
     ),
     Form(
-        re.compile(r"(roll|pitch|yaw)(?:_(rad|deg))?"),
+        re.compile(_OF + r"(?P<part>roll|pitch|yaw)(?:_(?P<unit>rad|deg))?"),
         ("roll", "pitch", "yaw"),
         "rot_z(yaw) rot_y(pitch) rot_x(roll)",
         lambda rpy: scipy.spatial.transform.Rotation.from_euler("xyz", rpy),
         needs_unit=True,
     ),
     Form(
-        re.compile(r"(?:r|rot|rotation|m)_?([123][123])()"),
+        re.compile(_OF + r"(?:r|rot|rotation|m)_?(?P<part>[123][123])(?P<unit>)"),
         tuple(f"{row}{column}" for row in "123" for column in "123"),
         "a matrix, its rows one after another",
         lambda entries: scipy.spatial.transform.Rotation.from_matrix(entries.reshape(-1, 3, 3)),
     ),
 )
+_OF_FIFTH_JOINT = re.compile(r"(?:.*_)?q_?[45]")
+"""Beside such a column q0 to q3 are joints."""
+_OTHERS = {"tcp", "robot", "flange", "tool", "target", "commanded", "command", "desired"}
+"""Orientations of these are the controller's, not the tracker's."""
 _AMBIGUOUS = tuple(
     re.compile(rf"({'|'.join(names)})(?:_(?:rad|deg))?")
     for names in (("rx", "ry", "rz"), ("a", "b", "c"), ("alpha", "beta", "gamma"), ("phi", "theta", "psi"))
@@ -86,53 +104,41 @@ class Written:
     @property
     def said(self) -> str:
         """How they are understood."""
-        return f"taken as {self.form.said} of the probe's orientation in the tracker frame"
+        return f"{', '.join(self.columns)}: taken as {self.form.said} of the probe's orientation in the tracker frame"
 
-    def quaternions(self, cells: Mapping[str, Sequence[str]], place: Callable[[int], str]) -> list[tuple[str, ...]]:
-        """Cells of ``QUATERNION``, a row each; empty rows stay empty.
-
-        Raises ``InputError`` with the ``place`` of the first row that is no rotation.
-        """
-        texts = list(zip(*(cells[name] for name in self.columns), strict=True))
+    def quaternions(self, values: Array) -> tuple[Array, Fault | None]:
+        """Quaternions (n, 4), scalar first, of the values (n, k) in these columns, and what is wrong with the first
+        row that is no rotation. Rows without values, which are NaN, stay so."""
         if self.form.rotations is None:
-            return texts
-        values: dict[int, list[float]] = {}
-        for row, one in enumerate(texts):
-            if any(text.strip() for text in one):
-                try:
-                    values[row] = self._values(one)
-                except ValueError as fault:
-                    raise InputError(f"{place(row)}: {fault}") from None
-        found: list[tuple[str, ...]] = [("",) * 4] * len(texts)
-        if values:
-            turns = self.form.rotations(np.array([*values.values()]) * self.factor)
-            for row, turn in zip(values, turns.as_quat(canonical=True, scalar_first=True).tolist(), strict=True):
-                found[row] = tuple(map(repr, turn))
-        return found
+            return values, None
+        found = np.full((len(values), 4), np.nan)
+        blank = np.isnan(values).all(axis=1)
+        if values.shape[1] == 9:
+            blank |= (values == 0.0).all(axis=1)  # programs write zeros where nothing was measured
+        given = np.flatnonzero(~blank)
+        if (fault := self._fault(values, given)) is None and len(given):
+            turns = self.form.rotations(values[given] * self.factor)
+            found[given] = turns.as_quat(canonical=True, scalar_first=True)
+        return found, fault
 
-    def _values(self, texts: Sequence[str]) -> list[float]:
-        """The numbers of a row. Raises ``ValueError`` with column and fault if they are no rotation."""
-        values = []
-        for name, text in zip(self.columns, map(str.strip, texts), strict=True):
-            if not text:
-                raise ValueError(f"{name}: the value is missing; give all {len(texts)} of the orientation or none")
-            values.append(float(text) if NUMBER.fullmatch(text) else math.nan)
-            if not math.isfinite(values[-1]):
-                raise ValueError(f"{name}: expected a finite number such as 0.25, got '{short(text)}'")
-        if (fault := self._no_rotation(np.array(values))) is not None:
-            raise ValueError(f"{self.columns[0]}: {fault}")
-        return values
-
-    def _no_rotation(self, values: Array) -> str | None:
-        """Why values (k,) are no rotation; None if they are one."""
-        if len(values) < 9:
-            largest = float(np.abs(values).max()) * self.factor
-            return None if largest <= _MOST_RAD else f"{largest:.4g} rad; are these angles in degrees?"
-        matrix = values.reshape(3, 3)
-        off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-        if off > _OFF:
-            return f"rows {self.columns[0]} to {self.columns[-1]} are off unit length and right angles by {off:.2g}"
-        return None if np.linalg.det(matrix) > 0.0 else "the matrix is a reflection: a frame is left-handed"
+    def _fault(self, values: Array, given: NDArray[np.intp]) -> Fault | None:
+        """What is wrong with the first of the ``given`` rows that is no rotation."""
+        own, columns = values[given], len(self.columns)
+        if (part := np.isnan(own)).any():
+            row, place = map(int, np.argwhere(part)[0])
+            return Fault(int(given[row]), place, f"the value is missing; give all {columns} of the orientation or none")
+        if columns < 9:
+            largest = np.abs(own).max(axis=1, initial=0.0) * self.factor
+            off, text = largest - _MOST_RAD, "{:.4g} rad; are these angles in degrees?"
+        else:
+            matrices = own.reshape(-1, 3, 3)
+            largest = np.abs(matrices @ matrices.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+            off = largest - _OFF
+            text = f"rows {self.columns[0]} to {self.columns[-1]} are off unit length and right angles by {{:.2g}}"
+            if not (off > 0.0).any() and (mirrored := np.flatnonzero(np.linalg.det(matrices) < 0.0)).size:
+                return Fault(int(given[mirrored[0]]), 0, "the matrix is a reflection: a frame is left-handed")
+        wrong = np.flatnonzero(off > 0.0)
+        return Fault(int(given[wrong[0]]), 0, text.format(largest[wrong[0]])) if len(wrong) else None
 
 
 def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]]:
@@ -143,21 +149,24 @@ def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]
     if any(name in QUATERNION for name in names):
         return None, []
     plain = {_plain(name): name for name in names}
+    if any(map(_OF_FIFTH_JOINT.fullmatch, plain)):
+        plain = {key: name for key, name in plain.items() if not _NUMBERED.pattern.fullmatch(key)}
     for form in _FORMS:
-        matches = ((form.pattern.fullmatch(key), name) for key, name in plain.items())
-        found = [(match[1], match[2] or "", name) for match, name in matches if match]
-        own, units = {part: name for part, _, name in found}, {unit for _, unit, _ in found}
-        lacking = [part for part in form.parts if part not in own]
-        if len(lacking) == 1:
-            missing = f"not used as an orientation: a column for {lacking[0]} is missing"
-            return None, [f"{', '.join(own.values())}: {missing}"]
-        if lacking or len(found) != len(form.parts) or len(units) != 1:
-            continue
-        (unit,) = units
-        columns = tuple(own[part] for part in form.parts)
-        if form.needs_unit and not unit:
-            return None, [f"{', '.join(columns)}: no orientation, as no unit is in the names: write _deg or _rad"]
-        return Written(form, columns, _UNITS[unit]), []
+        sets: dict[str, dict[str, tuple[str, str]]] = {}
+        for key, name in plain.items():
+            if match := form.pattern.fullmatch(key):
+                sets.setdefault(match["of"], {})[match["part"]] = (name, match["unit"] or "")
+        sets = {of: own for of, own in sets.items() if not _OTHERS & set(of.split("_"))}
+        whole = [own for own in sets.values() if len(own) == len(form.parts)]
+        if len(whole) == 1 and len({unit for _, unit in whole[0].values()}) == 1:
+            columns, units = zip(*(whole[0][part] for part in form.parts), strict=True)
+            if form.needs_unit and not units[0]:
+                return None, [f"{', '.join(columns)}: no orientation, as no unit is in the names: write _deg or _rad"]
+            return Written(form, columns, _UNITS[units[0]]), []
+        if not whole and len(own := sets.get("", {})) == len(form.parts) - 1 and form is not _NUMBERED:
+            lacking = next(part for part in form.parts if part not in own)
+            missing = f"not used as an orientation: a column for {lacking} is missing"
+            return None, [f"{', '.join(name for name, _ in own.values())}: {missing}"]
     notes = []
     for pattern in _AMBIGUOUS:
         angles = {match[1]: name for key, name in plain.items() if (match := pattern.fullmatch(key))}
@@ -177,10 +186,29 @@ def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
     written, notes = written_orientation(table.names)
     if written is None:
         return table, notes
-    rows = written.quaternions(table.cells, lambda row: table.place(table.lines[row]))
-    cells = {name: own for name, own in table.cells.items() if name not in written.columns}
-    cells |= dict(zip(QUATERNION, zip(*rows, strict=True) if rows else [()] * 4, strict=True))
-    return replace(table, names=tuple(cells), cells=cells), [f"{', '.join(written.columns)}: {written.said}"]
+    own = [table.cells[name] for name in written.columns]
+    if written.form.rotations is not None:
+        values = np.column_stack([_numbers(table, name) for name in written.columns])
+        found, fault = written.quaternions(values)
+        if fault is not None:
+            where = f"{table.place(table.lines[fault.row])}: {written.columns[fault.place or 0]}"
+            raise InputError(f"{where}: {fault.text}")
+        own = [tuple("" if math.isnan(value) else repr(value) for value in column) for column in found.T.tolist()]
+    cells = {name: its for name, its in table.cells.items() if name not in written.columns}
+    cells |= dict(zip(QUATERNION, own, strict=True))
+    return replace(table, names=tuple(cells), cells=cells), [written.said]
+
+
+def _numbers(table: CsvTable, name: str) -> Array:
+    """The numbers (n,) of a column, NaN for an empty cell. Raises ``InputError`` with the first that is none."""
+    values = np.full(len(table.lines), np.nan)
+    for row, text in enumerate(map(str.strip, table.cells[name])):
+        if text:
+            values[row] = float(text) if NUMBER.fullmatch(text) else math.nan
+            if not math.isfinite(values[row]):
+                where = f"{table.place(table.lines[row])}: {name}"
+                raise InputError(f"{where}: expected a finite number such as 0.25, got '{short(text)}'")
+    return values
 
 
 def _plain(name: str) -> str:

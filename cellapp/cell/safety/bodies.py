@@ -203,16 +203,19 @@ def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | floa
     """
     start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
     size, extent = placed.radius, placed.arm.extents
+
+    def exact(a: np.ndarray, b: np.ndarray, row: np.ndarray | slice) -> Array:
+        ends = (whole[:, one, row].T for one in (a, b) for whole in (start, end))
+        return np.asarray(segment_distance(*ends) - size[a] - size[b])
+
     if start.shape[2] * len(i) < _WORTH_A_BOUND:
-        return np.asarray(segment_distance(start[:, i].T, end[:, i].T, start[:, k].T, end[:, k].T) - size[i] - size[k])
+        return exact(i, k, slice(None))
     middle = 0.5 * (start + end)
     between = middle[:, i] - middle[:, k]
     gaps = np.sqrt(np.einsum("apn,apn->pn", between, between)) - (extent[i] + extent[k])[:, None]
     near = ~(gaps > np.broadcast_to(within, gaps.T.shape).T)  # also for NaN
     pair, row = np.nonzero(near)
-    a, b = i[pair], k[pair]
-    exact = segment_distance(start[:, a, row].T, end[:, a, row].T, start[:, b, row].T, end[:, b, row].T)
-    gaps[near] = exact - size[a] - size[b]
+    gaps[near] = exact(i[pair], k[pair], row)
     return np.asarray(gaps.T)
 
 

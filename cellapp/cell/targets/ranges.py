@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,8 @@ class ConditionRanges:
     step : array, shape (N,), or None
         Median size of each joint's last motion [rad].
     payload_kg, dwell_s, time_s, air_c : pair or None
+    payload_centers_F : array, shape (2, 3)
+        Centres of mass of the lightest and of the heaviest payload [m]; NaN for the nominal one.
     joints_c : array, shape (2, N), or None
         Lowest and highest temperature of each joint [degC].
     stops : int
@@ -47,6 +49,7 @@ class ConditionRanges:
     q: Array | None = None
     step: Array | None = None
     payload_kg: Range | None = None
+    payload_centers_F: Array = field(default_factory=lambda: np.full((2, 3), np.nan))
     dwell_s: Range | None = None
     time_s: Range | None = None
     air_c: Range | None = None
@@ -67,6 +70,7 @@ class ConditionRanges:
             q=np.stack([readings.q.min(axis=0), readings.q.max(axis=0)]),
             step=None if known.step is None else np.nan_to_num(np.nanmedian(np.abs(known.step), axis=0)),
             payload_kg=_range(known.payload_kg),
+            payload_centers_F=_centers_of_ends(known),
             dwell_s=_range(known.dwell_s),
             time_s=_range(known.time_s),
             air_c=_range(known.air_c),
@@ -80,7 +84,7 @@ class ConditionRanges:
         )
 
     def nearest_loaded(self, arm: ArmModel, q: Array, conditions: MeasurementConditions) -> MeasurementConditions:
-        """The ``conditions`` at ``q`` (n, N) [rad] with the nearest payload that was measured.
+        """The ``conditions`` at ``q`` (n, N) [rad] with the nearest payload that was measured, and its centre of mass.
 
         Readings without payloads had the arm's usual one. Where nothing is known of elasticity, any is.
         """
@@ -90,13 +94,25 @@ class ConditionRanges:
         asked_kg = conditions_payload(conditions, arm.bodies.payload_mass, len(q))
         if bool(np.all((low <= asked_kg) & (asked_kg <= high))):
             return conditions
-        return replace(conditions, payload_kg=np.clip(asked_kg, low, high))
+        center_F = np.tile(np.full(3, np.nan), (len(q), 1))
+        if conditions.payload_center_F is not None:
+            center_F = conditions.payload_center_F.copy()
+        for beyond, its in zip((asked_kg < low, asked_kg > high), self.payload_centers_F, strict=True):
+            center_F[beyond] = its
+        return replace(conditions, payload_kg=np.clip(asked_kg, low, high), payload_center_F=center_F)
 
     def nearest_measured(self, q: Array) -> Array:
         """The configurations nearest to ``q`` (n, N) within the joint ranges of the readings and 2 degrees beside."""
         if self.q is None:
             return q
         return np.clip(q, self.q[0] - _MARGIN, self.q[1] + _MARGIN)
+
+
+def _centers_of_ends(known: MeasurementConditions) -> Array:
+    """Centres (2, 3) of the lightest and of the heaviest payload."""
+    if known.payload_kg is None or known.payload_center_F is None or not np.isfinite(known.payload_kg).any():
+        return np.full((2, 3), np.nan)
+    return known.payload_center_F[[np.nanargmin(known.payload_kg), np.nanargmax(known.payload_kg)]]
 
 
 def _range(values: Array | None) -> Range | None:

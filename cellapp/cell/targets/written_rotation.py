@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import numpy as np
-import scipy
 from pydantic import AllowInfNan, Strict, TypeAdapter
 
 from cellapp.cell.targets.target_source import checked, placed_error
-from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotations_of, zyx_angles
 from drivers.quantities import Turn
 
 _LARGEST = 1e-3
@@ -60,7 +59,7 @@ def _of_quaternion(value: object) -> Array:
             f"its norm is {norm:.6g}, {abs(norm - 1.0):.2g} from one (at most {_LARGEST:g}), so it is no rotation; give"
             " w, x, y, z of unit norm",
         )
-    return np.asarray(scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix())
+    return rotations_of((w, x, y, z))
 
 
 def _of_vector(value: object) -> Array:

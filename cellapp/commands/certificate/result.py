@@ -36,6 +36,16 @@ class CertifiedErrors(Record):
     predicted_left_mrad: ErrorSummary | None = None
     omitted_when_none = frozenset({"found_mrad", "left_mrad", "predicted_found_mrad", "predicted_left_mrad"})
 
+    @property
+    def positions(self) -> tuple[tuple[ErrorSummary | None, ErrorSummary | None], ...]:
+        """As found and as left [mm]: measured, then predicted."""
+        return (self.found, self.left), (self.predicted_found, self.predicted_left)
+
+    @property
+    def orientations(self) -> tuple[tuple[ErrorSummary | None, ErrorSummary | None], ...]:
+        """The same [mrad]."""
+        return (self.found_mrad, self.left_mrad), (self.predicted_found_mrad, self.predicted_left_mrad)
+
 
 class CertifiedArm(Record):
     """One arm: what identifies it, what it was measured under, its errors.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import (
     CertificateResult,
     CertifiedArm,
     CertifiedCharacteristic,
-    CertifiedErrors,
     CertifiedTests,
     Range,
 )
@@ -185,8 +183,8 @@ def errors_table(result: CertificateResult) -> Table:
     """Errors as found and as left [mm]: measured at targets, where they were, else predicted at held-out stops."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
-        rows += _error_rows(f"Arm {name}, position", arm.errors)
-    rows += _error_rows("Both arms, distance between them", result.pair)
+        rows += _error_rows(f"Arm {name}, position", arm.errors.positions)
+    rows += _error_rows("Both arms, distance between them", result.pair.positions)
     return Table("Errors as found (published geometry) and as left (compensated) [mm]", _ERROR_COLUMNS, tuple(rows))
 
 
@@ -194,7 +192,7 @@ def turn_tables(result: CertificateResult) -> list[Table]:
     """The same of the flange's rotation [mrad], where a probe measured it."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
-        rows += _error_rows(f"Arm {name}, orientation", arm.errors, "_mrad")
+        rows += _error_rows(f"Arm {name}, orientation", arm.errors.orientations)
     return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
 
 
@@ -277,22 +275,14 @@ def instruments_table(result: CertificateResult) -> Table:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _error_rows(what: str, errors: CertifiedErrors, unit: Literal["", "_mrad"] = "") -> list[tuple[Cell, ...]]:
-    """What was measured and what is predicted: of positions, or of the flange's rotation."""
-    rows = (
-        _error_row(what, source, getattr(errors, f"{kind}found{unit}"), getattr(errors, f"{kind}left{unit}"))
-        for source, kind in (("verified targets", ""), ("predicted, held out", "predicted_"))
-    )
-    return [row for row in rows if row is not None]
-
-
-def _error_row(
-    what: str, source: str, found: ErrorSummary | None, left: ErrorSummary | None
-) -> tuple[Cell, ...] | None:
-    if left is None:
-        return None
-    before = (None, None) if found is None else (found.mean, found.max)
-    return (what, source, *before, left.mean, left.p95, left.max, left.n)
+def _error_rows(what: str, errors: Sequence[tuple[ErrorSummary | None, ErrorSummary | None]]) -> list[tuple[Cell, ...]]:
+    """What was measured and what is predicted, each as found and as left."""
+    rows: list[tuple[Cell, ...]] = []
+    for source, (found, left) in zip(("verified targets", "predicted, held out"), errors, strict=True):
+        if left is not None:
+            before = (None, None) if found is None else (found.mean, found.max)
+            rows.append((what, source, *before, left.mean, left.p95, left.max, left.n))
+    return rows
 
 
 def _budget_row(source: str, by_arm: Mapping[str, Sequence[UncertaintyContribution]]) -> tuple[Cell, ...]:

@@ -13,7 +13,7 @@ from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import keep_log, missing_sentence
+from cellapp.commands.rehearse.record_file import keep_log
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.progress import Listener, ignore, with_eta
@@ -83,8 +83,7 @@ def collect_planned(
 ) -> CollectResult:
     """As ``collect_stops``, within a job that has the folder already."""
     refuse_second_station(run)
-    missing = missing_sentence(run)
-    keep_log(run)
+    missing = keep_log(run)
     confirm = confirmation(run.profile, ask if ask is None or not missing else lambda words: ask(f"{words}\n{missing}"))
     report = with_eta(listener)
     with one_blas_thread():

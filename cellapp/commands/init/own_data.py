@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import yaml
@@ -15,11 +15,13 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
+from cellapp.cell.run.column_names import EXAMPLES, understood
+from cellapp.cell.run.column_units import AngleUnit, LengthUnit
+from cellapp.cell.run.csv_header import CsvFile, is_number, read_header, stamp_seconds
 from cellapp.cell.run.csv_text import table_text
-from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
-from cellapp.cell.run.stream_columns import POINT, time_unit
-from cellapp.cell.run.stream_csv import StreamFile, is_number, read_header
-from cellapp.cell.run.stream_names import understood
+from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
+from cellapp.cell.run.stream_columns import POINT, UNITS_OF_TIME, time_unit
+from cellapp.cell.run.written_orientation import written_orientation
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -36,7 +38,7 @@ _IDENTIFY_SHARE = 0.75
 _PREVIEWED = 3
 _SWIFT_ROWS = 50
 """Rows that tell a motion from stops."""
-_UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres"}
+_UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
 
 Choose = Callable[[str, tuple[str, ...]], str]
 """Asks a person a question with some answers; returns one of them, or "" where nobody can be asked."""
@@ -96,9 +98,9 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     if (motion := _motion_of(own.readings)) is not None:
         return _for_recordings(own, motion, folder, outputs)
     recorded = read_recorded(own.readings)
-    types = _types(own, recorded.joints)
+    types = _types(own, len(recorded.joints))
     angles, lengths = _decided_units(own, recorded, types, choose)
-    q, p_M = _in_si(recorded, angles, lengths)
+    q, p_M = recorded.in_si(angles, lengths)
     arm_type = _decided_type(own, types, q, p_M, choose)
     name = own.name or own.readings.stem.lower().replace(" ", "-")
     arms = recorded.arms or (ARM,)
@@ -107,10 +109,10 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     files = {
         folder / FOLDER / arm_type.file: arm_type.text,
         readings: table_text(header, rows),
-        profile: _profile_text(name, arms, arm_type.file, len(recorded.rows), readings, profile),
+        profile: _profile_text(name, arms, arm_type.file, len(rows), readings, profile),
     }
     write_new(files, outputs)
-    notes = (*_preview(recorded, angles, lengths), _judged(arm_type, q, p_M))
+    notes = (*_preview(recorded, angles, lengths), *recorded.notes, _judged(arm_type, q, p_M))
     return OwnDataWritten(profile, readings, notes)
 
 
@@ -125,9 +127,11 @@ class _Motion:
 def _motion_of(path: Path) -> _Motion | None:
     """What a recording of joint positions has (time_s, q1, q2, ...); None for other files, as readings at rest."""
     try:
-        file = read_header(path, "joint positions")
+        file = read_header(path, "joint positions", EXAMPLES["joints"])
         names = understood(file.names, "joints", ()).names
-        points = set(POINT) <= set(understood(file.names, "points", ()).names)
+        written, _ = written_orientation(file.names)
+        turned = () if written is None else written.columns
+        points = set(POINT) <= set(understood(file.names, "points", (), turned).names)
         if "time_s" not in names or (points and not _is_swift(file, names.index("time_s"))):
             return None
     except InputError:
@@ -136,13 +140,14 @@ def _motion_of(path: Path) -> _Motion | None:
     return _Motion(joints, points) if joints else None
 
 
-def _is_swift(file: StreamFile, column: int) -> bool:
+def _is_swift(file: CsvFile, column: int) -> bool:
     """Whether rows follow one another as samples of a motion do, in whatever unit, and not as stops."""
     cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
-    if len(cells) < _SWIFT_ROWS or not all(is_number(cell) and cell for cell in cells):
+    dated = not all(map(is_number, cells))  # dates and times of day are in seconds
+    stamps = np.array([stamp_seconds(cell) if dated else float(cell or "nan") for cell in cells])
+    if len(cells) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
         return False
-    stamps = np.array([float(cell) for cell in cells])
-    return bool((np.diff(stamps) >= 0.0).all() and time_unit(stamps) is not None)
+    return time_unit(stamps) in ({"seconds"} if dated else UNITS_OF_TIME)
 
 
 def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:
@@ -277,20 +282,13 @@ def _decided_units(
     return ways[0]
 
 
-def _explains(recorded: Recorded, types: list[_Type], angles: str, lengths: str) -> bool:
-    q, p_M = _in_si(recorded, cast(AngleUnit, angles), cast(LengthUnit, lengths))
+def _explains(recorded: Recorded, types: list[_Type], angles: AngleUnit, lengths: LengthUnit) -> bool:
+    q, p_M = recorded.in_si(angles, lengths)
     return any(one.explained(q, p_M).holds for one in types)
 
 
-def _in_si(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[Array, Array]:
-    q = recorded.values([f"q{number}" for number in range(1, recorded.joints + 1)])
-    p_M = recorded.values(["x", "y", "z"])
-    return np.radians(q) if angles == "deg" else q, 1e-3 * p_M if lengths == "mm" else p_M
-
-
 def _extremes(recorded: Recorded, what: str) -> str:
-    joints = [f"q{number}" for number in range(1, recorded.joints + 1)]
-    values = recorded.values(joints if what == "joint positions" else ["x", "y", "z"])
+    values = recorded.in_si("rad", "m")[what == "points"]
     return f"they lie between {values.min():g} and {values.max():g}"
 
 
@@ -323,15 +321,15 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
 def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[str, ...]:
     """How the file was understood."""
     decimals = ", decimal commas" if recorded.decimal_comma else ""
-    known = [f"{one.name} = {one.quantity}" for one in recorded.columns if one.quantity and one.name != one.quantity]
-    others = [one.name for one in recorded.columns if not one.quantity]
-    first = "; ".join(" ".join(row[: len(recorded.columns)]) for row in recorded.rows[:_PREVIEWED])
+    known = [f"{other} = {name}" for name, other in recorded.known.others.items() if name != other]
+    rows = list(zip(*recorded.table.cells.values(), strict=True))
+    first = "; ".join(" ".join(row) for row in rows[:_PREVIEWED])
     return (
-        f"{recorded.path}: {counted(len(recorded.rows), 'row')}, {recorded.joints} joints, separated by"
+        f"{recorded.path}: {counted(len(rows), 'row')}, {len(recorded.joints)} joints, separated by"
         f" {recorded.separator}{decimals}; joint positions in {_UNITS[angles]}, points in {_UNITS[lengths]}",
         f"first rows: {first}",
         *([f"columns: {', '.join(known)}"] if known else []),
-        *([f"not used: {', '.join(others)}"] if others else []),
+        *([f"not used: {', '.join(recorded.unknown)}"] if recorded.unknown else []),
     )
 
 

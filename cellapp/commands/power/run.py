@@ -9,9 +9,10 @@ from cellapp.commands.power.request import PowerRequest
 from cellapp.commands.record import Work
 from cellapp.commands.trials import skeleton
 from cellapp.commands.trials.power.result import PowerResult
-from cellapp.commands.trials.power.rounds import TimeLimit, power_of
+from cellapp.commands.trials.power.rounds import power_of
 from cellapp.commands.trials.power.trial import PlannedCell
 from cellapp.ground.scale.executor import Resources
+from cellapp.ground.time_limit import TimeLimit
 
 POWER_RESULT = "plan-power"
 """Name of the document in which a run keeps the result."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import suppress
 from pathlib import Path
 
 from cellapp.cell.driving.rungs import RUNGS, RungName
@@ -47,31 +46,25 @@ def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
     return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
 
 
-def keep_log(run: RunFile) -> None:
-    """Store in a run which rungs are on record as it is collected: the file beside the profile changes later."""
+def keep_log(run: RunFile) -> str:
+    """Store in a run which rungs are on record as it is collected: the file beside the profile changes later.
+
+    Returns which rungs a run of real arms lacks, as a sentence; empty where none is missing, and for other runs.
+    """
     path = noted_profile(run)
-    if path is None:
-        return
-    with suppress(InputError):  # named by ``missing_sentence``
-        if (log := read_log(path, run.profile)).rungs:
-            run.write_result(_STORED, log.to_json())
+    try:
+        log = None if path is None else read_log(path, run.profile)
+    except InputError as error:
+        return str(error) if run.profile.moves_hardware else ""
+    if log is not None and log.rungs:
+        run.write_result(_STORED, log.to_json())
+    missing = tuple(RUNGS) if log is None else missing_rungs(log)
+    if not missing or not run.profile.moves_hardware:
+        return ""
+    return f"not rehearsed with these arms: {', '.join(missing)}; 'cellapp rehearse PROFILE' does the next one"
 
 
 def kept_log(run: RunFile) -> RehearsalLog | None:
     """The rungs that were on record when the run was collected; None without one."""
     text = run.read_result(_STORED)
     return None if text is None else RehearsalLog.from_json(text, "the run's rehearsals")
-
-
-def missing_sentence(run: RunFile) -> str:
-    """Which rungs a run of real arms has not behind it, as a sentence; empty where none is missing or arms are none."""
-    if not run.profile.moves_hardware:
-        return ""
-    path = noted_profile(run)
-    try:
-        missing = tuple(RUNGS) if path is None else missing_rungs(read_log(path, run.profile))
-    except InputError as error:
-        return str(error)
-    if not missing:
-        return ""
-    return f"not rehearsed with these arms: {', '.join(missing)}; 'cellapp rehearse PROFILE' does the next one"

@@ -42,37 +42,44 @@ class FlangeHand:
 
     def touch(self, socket: str) -> FlangeTouch:
         """Read both arms, which rest in a socket."""
-        return FlangeTouch(self.arm, socket, *self.read(socket, len(self._places(self._all(), socket))))
+        with RunFile.open(self.folder) as run:
+            touches = _all(run)
+        return FlangeTouch(self.arm, socket, *self.read(socket, len(self._places(touches, socket))))
 
     def doubt(self, touch: FlangeTouch) -> str:
         """Why the name of a touch is doubted, by the published arms; empty where it is not."""
-        off = float(self._off_m([*self._all(), touch])[-1])
+        with RunFile.open(self.folder) as run:
+            off = float(self._off_m(run, [*_all(run), touch])[-1])
         if not off > OFF_M:
             return ""
         return f"this touch lies {off * 1e3:.0f} mm from the others of '{touch.socket}' by the published arms"
 
     def store(self, touch: FlangeTouch) -> str:
         """Store a touch, and say how many its socket has."""
-        touches = [*self._all(), touch]
-        self._write(touches, f"arm {self.arm}: touched '{touch.socket}' on arm {self.other}")
+        with RunFile.open(self.folder, write=True) as run:
+            touches = [*_all(run), touch]
+            _write(run, touches, f"arm {self.arm}: touched '{touch.socket}' on arm {self.other}")
         self.recorded.append(RecordedTouch(configuration=len(touches), point=touch.socket))
         number = len(self._places(touches, touch.socket))
         return f"recorded: {counted(number, 'touch', 'touches')} of '{touch.socket}' on arm {self.other}"
 
     def undo(self) -> str:
         """Take the last touch back. Raises ``InputError`` if there is none."""
-        touches = self._all()
-        own = [k for k, one in enumerate(touches) if one.arm == self.arm]
-        if not own:
-            raise InputError(f"{self.folder}: there is no touch on arm {self.other} to take back")
-        last = touches.pop(own[-1])
-        self._write(touches, f"arm {self.arm}: a touch of '{last.socket}' on arm {self.other} was taken back")
+        with RunFile.open(self.folder, write=True) as run:
+            touches = _all(run)
+            own = [k for k, one in enumerate(touches) if one.arm == self.arm]
+            if not own:
+                raise InputError(f"{self.folder}: there is no touch on arm {self.other} to take back")
+            last = touches.pop(own[-1])
+            _write(run, touches, f"arm {self.arm}: a touch of '{last.socket}' on arm {self.other} was taken back")
         return f"the touch of '{last.socket}' on arm {self.other} was taken back"
 
     def points(self) -> tuple[TouchedPoint, ...]:
         """The sockets with their touches."""
-        touches = self._all()
-        off, found = self._off_m(touches), []
+        with RunFile.open(self.folder) as run:
+            touches = _all(run)
+            off = self._off_m(run, touches)
+        found = []
         for name in dict.fromkeys(one.socket for one in touches if one.arm == self.arm):
             rows = self._places(touches, name)
             q = np.array([touches[k].q for k in rows])
@@ -86,22 +93,12 @@ class FlangeHand:
             )
         return tuple(found)
 
-    def _all(self) -> list[FlangeTouch]:
-        with RunFile.open(self.folder) as run:
-            return flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT))
-
     def _places(self, touches: list[FlangeTouch], socket: str) -> list[int]:
         """Places of the touches of a socket with this arm's ball."""
         return [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, socket)]
 
-    def _off_m(self, touches: list[FlangeTouch]) -> Array:
-        with RunFile.open(self.folder) as run:
-            return off_m(self.profile, {name: run.rows(name) for name in self.profile.arms}, touches)
-
-    def _write(self, touches: list[FlangeTouch], words: str) -> None:
-        with RunFile.open(self.folder, write=True) as run:
-            run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(touches))
-            run.log("info", words)
+    def _off_m(self, run: RunFile, touches: list[FlangeTouch]) -> Array:
+        return off_m(self.profile, {name: run.rows(name) for name in self.profile.arms}, touches)
 
 
 def require_both_in_sockets(folder: Path, profile: Profile) -> None:
@@ -113,3 +110,12 @@ def require_both_in_sockets(folder: Path, profile: Profile) -> None:
             f"{folder}: arm {missing[0]} has not touched sockets that stand still, from which it is calibrated; record"
             " these first, without --on-flange"
         )
+
+
+def _all(run: RunFile) -> list[FlangeTouch]:
+    return flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT))
+
+
+def _write(run: RunFile, touches: list[FlangeTouch], words: str) -> None:
+    run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(touches))
+    run.log("info", words)

@@ -17,7 +17,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import profile_splits
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Profile
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
 from drivers.plant.conditions import Conditions
 
@@ -147,10 +147,9 @@ def _measured_orientation(
     probe = profile.arms[name].smr.probe
     if probe is None:
         return {}
-    exact = Rotation.from_matrix(plant.probe_rotations(name, q, **conditions))
     error = Rotation.from_rotvec(probe.sigma * np.random.default_rng(seed).standard_normal((len(q), 3)))
     return {
-        "quaternion_M": np.roll((error * exact).as_quat(), 1, axis=1),
+        "quaternion_M": quaternions_of(error.as_matrix() @ plant.probe_rotations(name, q, **conditions)),
         "sigma_rad": np.full(len(q), probe.sigma),
     }
 

@@ -6,8 +6,7 @@ that is stopped, or that has a time to keep, states all sets from what it has; t
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +27,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import Record, Result
+from cellapp.ground.time_limit import UNLIMITED, TimeLimit
 from cellapp.ground.version import __version__
 
 BLOCK = 25
@@ -139,9 +139,7 @@ def truth_trials(
     sizes: Mapping[str, int],
     seed: int,
     work: Work = IN_PLACE,
-    *,
-    minutes: float | None = None,
-    now: Callable[[], float] = time.monotonic,
+    limit: TimeLimit = UNLIMITED,
 ) -> TruthResult:
     """Seal and judge the blocks of all sets in turn, and score what was judged.
 
@@ -151,8 +149,8 @@ def truth_trials(
         Set -> runs.
     seed : int
         Draws everything.
-    minutes : float, optional
-        No block begins after that time; what is left is judged by the next call.
+    limit : TimeLimit
+        No block begins after it; what is left is judged by the next call.
 
     Raises
     ------
@@ -163,12 +161,11 @@ def truth_trials(
     Cancelled
         On request; runs that were judged stay so.
     """
-    began_s = now()
     scored: dict[str, list[ScoredRun]] = {name: [] for name, size in sizes.items() if size}
     failed: list[str] = []
     blocks = _blocks(sizes, seed)
     for place, block in enumerate(blocks):
-        if minutes is not None and now() - began_s > 60.0 * minutes:
+        if limit.left_s < 0.0:
             break
         work.cancel.check()
         work.listener(Progress("truth", place, len(blocks), block.name))

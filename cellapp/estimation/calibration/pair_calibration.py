@@ -185,7 +185,7 @@ def _by_touching(
         return fixed, of_fixed
     carried, of_carried = _by_carried_sockets((left, right), arms, start)
     if carried is None or fixed is None:
-        return carried or fixed, of_carried if fixed is None else [*of_fixed, *of_carried]
+        return carried or fixed, of_carried if carried is not None else [*of_fixed, *of_carried]
     both = [one.best.identification for one in (fixed, carried)]
     apart_mm = 1e3 * float(np.linalg.norm(both[0].values[:3] - both[1].values[:3]))
     sizes = [float(np.linalg.norm(one.standard_errors[:3])) for one in both]
@@ -251,7 +251,7 @@ def _by_carried_sockets(
                 f"pair: {counted(len(rows.socket), 'touch', 'touches')} of sockets on a flange leave a direction open;"
                 " turn all joints of both arms, and touch each socket ten times at least"
             ]
-        moved = None if name == "nominal" else moved_by_parameters(rows, both, models, start, found.sockets_F)
+        moved = None if name == "nominal" else moved_by_parameters(rows, both, models, found)
         tied = tie_on_flange(rows, found, moved)
         methods[name] = _without_tracker(tied, "flange", {})
     least = "each error is at a touch that the tie never had" if tied.held_out else "errors are what the tie leaves"

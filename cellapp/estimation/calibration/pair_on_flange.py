@@ -13,7 +13,6 @@ has directions of millimetres that no touch of an arm shows, and they are known 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,14 +28,13 @@ from cellapp.estimation.calibration.pair_by_touching import (
     identification_of,
     identified_columns,
 )
+from cellapp.estimation.calibration.weights import added_variance
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
 from cellapp.robot.model import ArmModel
 
 _FOLDS = 5
-_HALVINGS = 40
-"""Of the logarithm of a variance: from a metre to a micrometre they leave nothing."""
 _ROBUST_ROUNDS = 20
 _LEAST_OFF_M = 1e-3
 
@@ -84,7 +82,7 @@ class FlangeRows:
         by_socket = np.where(self.on_right[:, None, None], -self.rotation, T[:3, :3] @ self.rotation)
         for axis in range(3):
             A[np.arange(n), :, 6 + 3 * self.socket + axis] = by_socket[:, :, axis]
-        return (right - rotated - T[:3, 3]).ravel(), A.reshape(3 * n, -1)
+        return (right - rotated - T[:3, 3]).ravel(), A.reshape(3 * n, A.shape[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,23 +112,20 @@ def flange_rows(both: Sequence[Readings], models: Sequence[ArmModel]) -> FlangeR
 
 
 def moved_by_parameters(
-    rows: FlangeRows, both: Sequence[Readings], models: Sequence[ArmModel], start: Array, sockets_F: Array
+    rows: FlangeRows, both: Sequence[Readings], models: Sequence[ArmModel], tie: FlangeFit
 ) -> Array:
-    """How the residuals move by each of m standard deviations of both arms' parameters (3 n, m) [m].
-
-    ``start`` (4, 4) is T_R_L from the profile, ``sockets_F`` (P, 3) [m] as the touches have them.
-    """
+    """How the residuals of a ``tie`` move by each of m standard deviations of both arms' parameters (3 n, m) [m]."""
     found, first = [], 0
     for mine, its in enumerate(both):
         touches = its.on_flange
         if touches is None:
             continue
-        tool = sockets_F[rows.socket[first : first + len(touches)]].mean(axis=0)
+        tool = tie.sockets_F[rows.socket[first : first + len(touches)]].mean(axis=0)
         first += len(touches)
         of_arm = [np.zeros(0), np.zeros(0)]
         of_arm[mine] = _of_parameters(models[mine], touches.q, None)
         of_arm[1 - mine] = _of_parameters(models[1 - mine], touches.other_q, tool)
-        whole = np.concatenate([start[:3, :3] @ of_arm[0], -of_arm[1]], axis=2)
+        whole = np.concatenate([tie.T_R_L[:3, :3] @ of_arm[0], -of_arm[1]], axis=2)
         found.append(whole.reshape(3 * len(touches), -1))
     return np.concatenate(found)
 
@@ -255,8 +250,4 @@ def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:
         moved = behind.T @ of_parameters
         values, vectors = np.linalg.eigh(moved @ moved.T)
         along = (vectors.T @ left) ** 2
-    low, high = LEAST_NOISE_M**2, max(float(np.mean(along)), LEAST_NOISE_M**2)
-    for _ in range(_HALVINGS):  # the sum falls as the variance grows
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if np.sum(along / (middle + np.maximum(values, 0.0))) > len(along) else (low, middle)
-    return high
+    return added_variance(along, np.maximum(values, 0.0), len(along), LEAST_NOISE_M**2)

@@ -12,14 +12,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.transforms import Array, mean_rotation, rotation_vectors, turned_rows
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    mean_rotation,
+    quaternions_of,
+    rotation_vectors,
+    rotations_of,
+    turned_rows,
+)
 
 NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of what states none, where the other kind does: all of its scatter is estimated."""
@@ -75,10 +81,7 @@ def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
     if readings.quaternion_M is None:
         return np.zeros(0, dtype=np.intp), np.zeros((0, 3, 3))
     rows = np.flatnonzero(np.isfinite(readings.quaternion_M).all(axis=1)).astype(np.intp)
-    if not len(rows):
-        return rows, np.zeros((0, 3, 3))
-    w, x, y, z = readings.quaternion_M[rows].T
-    return rows, np.asarray(scipy.spatial.transform.Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix())
+    return rows, rotations_of(readings.quaternion_M[rows])
 
 
 def measured_quantities(readings: Readings, conditions: MeasurementConditions | None = None) -> Quantities:
@@ -160,13 +163,8 @@ def _scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
 
 
 def _of_quaternions(order: tuple[int, ...], signs: tuple[float, ...]) -> Callable[[Array], Array]:
-    """Rotations whose quaternions (x, y, z, w) have their components taken in another order, and with signs."""
-
-    def changed(rotations: Array) -> Array:
-        quaternions = scipy.spatial.transform.Rotation.from_matrix(rotations).as_quat()[:, order] * np.array(signs)
-        return np.asarray(scipy.spatial.transform.Rotation.from_quat(quaternions).as_matrix())
-
-    return changed
+    """Rotations whose quaternions (w, x, y, z) have their components taken in another order, and with signs."""
+    return lambda rotations: rotations_of(quaternions_of(rotations)[:, order] * np.array(signs))
 
 
 _FRAMES: dict[str, Callable[[Array], Array]] = {
@@ -174,12 +172,12 @@ _FRAMES: dict[str, Callable[[Array], Array]] = {
     " opposite sign": lambda rotations: np.swapaxes(rotations, 1, 2),
     "they fit with the scalar last: the first column must be quat_w": _of_quaternions((3, 0, 1, 2), (1.0,) * 4),
     "they fit in a mirrored frame (x against y and z): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (1.0, -1.0, -1.0, 1.0))
+        _of_quaternions((0, 1, 2, 3), (1.0, 1.0, -1.0, -1.0))
     ),
     "they fit in a mirrored frame (y against x and z): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (-1.0, 1.0, -1.0, 1.0))
+        _of_quaternions((0, 1, 2, 3), (1.0, -1.0, 1.0, -1.0))
     ),
     "they fit in a mirrored frame (z against x and y): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (-1.0, -1.0, 1.0, 1.0))
+        _of_quaternions((0, 1, 2, 3), (1.0, -1.0, -1.0, 1.0))
     ),
 }

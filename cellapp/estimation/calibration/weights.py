@@ -63,12 +63,24 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -
         variance, axes = np.linalg.eigh(sigma)
         squares = np.einsum("nab,na->nb", axes, residuals) ** 2
 
-    def surplus(tau_squared: float) -> float:
-        return float(np.sum(squares / (variance + tau_squared))) - degrees_of_freedom
-
-    if surplus(0.0) <= _CHANCE * math.sqrt(2.0 * degrees_of_freedom):  # chi-square has variance 2 f
+    chance = _CHANCE * math.sqrt(2.0 * degrees_of_freedom)  # chi-square has variance 2 f
+    if float(np.sum(squares / variance)) - degrees_of_freedom <= chance:
         return 0.0
-    return float(scipy.optimize.brentq(surplus, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
+    return added_variance(squares, variance, degrees_of_freedom)
+
+
+def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, least: float = 0.0) -> float:
+    """The v [m^2] with which ``sum(squares / (variance + v))`` is the degrees of freedom; at least ``least``."""
+
+    def surplus(v: float) -> float:
+        return float(np.sum(squares / (variance + v))) - degrees_of_freedom
+
+    most = float(squares.sum()) / degrees_of_freedom
+    if surplus(least) <= 0.0:
+        return least
+    if surplus(most) >= 0.0:  # by rounding, where nothing else varies
+        return most
+    return float(scipy.optimize.brentq(surplus, least, most, xtol=1e-18, rtol=1e-6))
 
 
 def excess_of_kinds(

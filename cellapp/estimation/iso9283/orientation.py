@@ -11,11 +11,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, coverage_of_mean
 from cellapp.estimation.iso9283.records import OrientationCharacteristics
-from cellapp.robot.kinematics.transforms import Array, xyz_of
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors, rotations_of, xyz_of
 
 COVERAGE = 2.0
 """Coverage factor of expanded uncertainties."""
@@ -41,8 +40,7 @@ def orientation_characteristics(
     n = len(attained)
     if n < FEWEST_CYCLES:
         return None
-    found = Rotation.from_quat(np.roll(np.array(attained), -1, axis=1))
-    off = (found * Rotation.from_matrix(commanded_M).inv()).as_rotvec() @ base_M
+    off = rotation_vectors(rotations_of(attained) @ commanded_M.T) @ base_M
     scatter = off.std(axis=0, ddof=1)
     largest = float(scatter.max())
     accuracy = math.hypot(coverage_of_mean(n) * largest, COVERAGE * float(np.mean(sigma_rad)))

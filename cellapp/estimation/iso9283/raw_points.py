@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from cellapp.estimation.iso9283.evaluate import Measurements
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
 from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, quaternions_of
 
 HEADER = (
     "row",
@@ -128,7 +125,7 @@ def _commanded_turn(arm: ArmProgramme, pose: str) -> Row:
     """The commanded orientation of a probe, as a quaternion; empty where there is none."""
     if pose not in arm.rotation_M:
         return _NOT_TURNED
-    return _numbers(np.roll(Rotation.from_matrix(arm.rotation_M[pose]).as_quat(canonical=True), 1))
+    return _numbers(quaternions_of(arm.rotation_M[pose]))
 
 
 def _numbers(vector: Array) -> Row:

@@ -113,6 +113,13 @@ class _Search:
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of speeds of plug-ins."""
+    to_its_end: bool = False
+    """Whether fits go on until weights and parameters are those of one another, as in ``solve``."""
+
+    @property
+    def _patient(self) -> _Search:
+        """The same search with fits to their end."""
+        return replace(self, to_its_end=True)
 
     @property
     def alternatives(self) -> int:
@@ -138,7 +145,7 @@ class _Search:
                 state, steps = self._with_time_constants(state, steps)
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
         state, steps = self._simpler(*self._without_chance(state, steps))
-        final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
+        final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
@@ -192,8 +199,9 @@ class _Search:
         rest = tuple(term for term in state.problem.layout.terms if term not in fading)
         values = np.delete(state.solution.values, places_of(state, fading))
         self.told(f"reach of {law.value.replace('_', ' ')}")
-        problem = state.problem.without_terms().with_terms(rest)
-        better = fading_terms(problem, replace(state.solution, values=values), law)
+        even = self._plain(state)
+        problem = even.problem.without_terms().with_terms(rest)
+        better = fading_terms(problem, replace(even.solution, values=values), law)
         if set(better) == set(fading):
             return state, steps
         terms = tuple(term for term in known if not term.fading) + better
@@ -323,11 +331,11 @@ class _Search:
         )
         return self._state(problem, values)
 
-    def _plain(self, state: State, *, to_its_end: bool = True) -> State:
+    def _plain(self, state: State) -> State:
         """All points as they are."""
-        return self._state(replace(state.problem, whitening=None), state.solution.values, to_its_end=to_its_end)
+        return self._state(replace(state.problem, whitening=None), state.solution.values)
 
-    def _unwhitened(self, state: State, plain: State, *, to_its_end: bool = True) -> State:
+    def _unwhitened(self, state: State, plain: State) -> State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
         determine them, where these tell more of them than ``plain`` ones."""
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
@@ -341,30 +349,30 @@ class _Search:
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):
             return plain
-        return self._state(replace(problem, mean=mean, precision=precision), solution.values, to_its_end=to_its_end)
+        return self._state(replace(problem, mean=mean, precision=precision), solution.values)
 
-    def _judged(self, trial: State, *, to_its_end: bool = False) -> State:
+    def _judged(self, trial: State) -> State:
         """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
         the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
-        plain = self._plain(trial, to_its_end=to_its_end)
-        filtered = self._state(_whitened(plain).problem, plain.solution.values, to_its_end=to_its_end)
-        return replace(filtered, heldout_mm=self._unwhitened(filtered, plain, to_its_end=to_its_end).heldout_mm)
+        plain = self._plain(trial)
+        filtered = self._state(_whitened(plain).problem, plain.solution.values)
+        return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
     def _judged_to_its_end(self, state: State) -> State:
         """The same with filters of its own residuals, again as long as that predicts better: what that gains is no gain
         of the next law."""
         for _ in range(_JUDGED_ROUNDS):
-            again = self._judged(state, to_its_end=True)
+            again = self._patient._judged(state)
             if again.heldout_mm >= state.heldout_mm:
                 break
             state = again
         return state
 
-    def _state(self, problem: Problem, start: Array | None, *, to_its_end: bool = False) -> State:
+    def _state(self, problem: Problem, start: Array | None) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
         solution = solve(
-            problem, self.stop_rows, start, lambda words: self.told(beginning + words), to_its_end=to_its_end
+            problem, self.stop_rows, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end
         )
         return State(problem, solution, held_out_rms_mm(problem, solution))
 
@@ -402,7 +410,8 @@ class _Search:
         fades = any(term.fading for term in terms_of(law, steps))
         if not fades and (law is Law.PLAY or (law is Law.WINDUP and not plain)):
             self.told(f"reach of {law.value.replace('_', ' ')}")
-            fading = fading_terms(state.problem, state.solution, law)
+            even = self._plain(state)  # weighed by what points are worth as they are
+            fading = fading_terms(even.problem, even.solution, law)
             yield (*plain, *fading), self.alternatives * ALTERNATIVES
 
     def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:

@@ -65,18 +65,18 @@ def strongest_vibration(
 ) -> tuple[float, tuple[JointTerm, ...]]:
     """The vibration that is least likely to be chance, of a joint that is not ``taken``: half of its chi-square, and
     its terms."""
-    product, square = _matched(problem, solution)
+    free = sorted(set(range(problem.layout.parameters.joints)) - set(taken))
+    product, square = _matched(problem, solution, free)
     product, square = np.maximum(product, 0.0), np.maximum(square, 1e-300)  # springs give way, never the other way
     power = 0.5 * product**2 / square
-    power[list(taken)] = 0.0
     joint, place = np.unravel_index(int(np.argmax(power)), power.shape)
     gain = float(product[joint, place] / square[joint, place])
     return float(power[joint, place]), vibration(int(joint), (gain, float(FREQUENCIES[place]), _DAMPING))
 
 
-def _matched(problem: Problem, solution: Solution) -> tuple[Array, Array]:
+def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
     """Products of residuals and unit answers by joint and frequency (N, F), and of the answers with themselves, in
-    units of the noise."""
+    units of the noise; zero for joints that are not ``free``."""
     from scipy.signal import freqz, lfilter  # it loads scipy.stats: not for commands without recordings
 
     joints, model = problem.layout.parameters.joints, problem.model(solution.values)
@@ -90,7 +90,7 @@ def _matched(problem: Problem, solution: Solution) -> tuple[Array, Array]:
         u = track.controller_times(source.rows, *model.clock(number))
         turned, weight = _turned(model.geometry, track.path.at(u)[0], left)
         even = track.path.even
-        for joint in range(joints):
+        for joint in free:
             for place, frequency in enumerate(FREQUENCIES.tolist()):
                 answer = even.at(even.vibrating(joint, frequency, _DAMPING), u)
                 product[joint, place] += scale * float(turned[:, joint] @ answer)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
 from cellapp.estimation.nests.stop_groups import StopGroups, covariances
 from cellapp.estimation.readings import Readings
-from cellapp.robot.kinematics.transforms import Array, twist_columns
+from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +94,7 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
     sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
     points[turned] = origin
-    quaternion[turned] = np.roll(
-        scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1
-    )
+    quaternion[turned] = quaternions_of(rotation)
     turning[turned] = covariance[:, 3:, 3:]
     sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the axis that is known least
     stated: dict[str, Any] = {"turning_covariance_M": turning}

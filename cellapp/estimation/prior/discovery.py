@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from cellapp.estimation.calibration.quantities import measured_orientations
 from cellapp.estimation.discovery.discover import discover_arm
@@ -23,6 +22,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.effects import EFFECTS, MeasurementConditions, place_in_words
+from cellapp.robot.kinematics.transforms import quaternions_of
 from cellapp.robot.model import ArmModel
 
 _SEARCHES = 2
@@ -106,5 +106,5 @@ def without_effects(model: ArmModel, readings: Readings, conditions: Measurement
     rows, R_M_S = measured_orientations(readings)
     quaternion = readings.quaternion_M.copy()
     turned = model.turns(readings.q, conditions)[rows].swapaxes(1, 2) @ R_M_S
-    quaternion[rows] = scipy.spatial.transform.Rotation.from_matrix(turned).as_quat(scalar_first=True)
+    quaternion[rows] = quaternions_of(turned)
     return replace(plain, quaternion_M=quaternion)

@@ -11,6 +11,7 @@ from cellapp.commands.power.request import FEWEST_TRIALS, MINUTES
 from cellapp.commands.power.request import TRIALS as TRIALS_OF_EACH
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import Writes
+from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.options import ProfilePath
 from cellapp.interfaces.cli.top import TRIALS
@@ -241,7 +242,7 @@ def truth(
     from cellapp.commands.trials.skeleton import Stated, not_computed
     from cellapp.commands.trials.truth import sizes_of, truth_sentence, truth_table, truth_trials
 
-    result = truth_trials(load_profile(profile), out, sizes_of(runs), seed, work, minutes=minutes)
+    result = truth_trials(load_profile(profile), out, sizes_of(runs), seed, work, TimeLimit.from_now(minutes))
     return Stated(result, (truth_table(result),), (truth_sentence(result),), not_computed(result.failed))
 
 
@@ -409,7 +410,7 @@ def power(
 ) -> Stated:
     """Before measuring: which effects of which size this cell, plan and tracker would have named."""
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.power.rounds import TimeLimit, power_of_profile
+    from cellapp.commands.trials.power.rounds import power_of_profile
     from cellapp.commands.trials.power.tables import power_sentence, power_table
     from cellapp.commands.trials.skeleton import Stated, not_computed
 

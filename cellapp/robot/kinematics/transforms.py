@@ -88,6 +88,27 @@ def rotation_vectors(rotations: Array) -> Array:
     return np.asarray(scipy.spatial.transform.Rotation.from_matrix(rotations).as_rotvec())
 
 
+def rotations_of(quaternions: ArrayLike) -> Array:
+    """Rotations (..., 3, 3) of quaternions (..., 4), scalar first; NaN where a quaternion has NaN."""
+    quaternions = np.asarray(quaternions, dtype=np.float64)
+    known = np.isfinite(quaternions).all(axis=-1)
+    rotations = np.full((*known.shape, 3, 3), np.nan)
+    if known.any():  # some versions of scipy refuse an empty batch
+        turns = scipy.spatial.transform.Rotation.from_quat(quaternions[known], scalar_first=True)
+        rotations[known] = turns.as_matrix()
+    return rotations
+
+
+def quaternions_of(rotations: Array) -> Array:
+    """Unit quaternions (..., 4), scalar first and not negative, of rotations (..., 3, 3); NaN where one has NaN."""
+    known = np.isfinite(rotations).all(axis=(-2, -1))
+    quaternions = np.full((*known.shape, 4), np.nan)
+    if known.any():
+        turns = scipy.spatial.transform.Rotation.from_matrix(rotations[known])
+        quaternions[known] = turns.as_quat(canonical=True, scalar_first=True)
+    return quaternions
+
+
 def left_jacobian(vector: Array) -> Array:
     """Rotation (3, 3) [rad/rad] in the outer frame by each component of a rotation vector (3,) [rad].
 

@@ -237,20 +237,20 @@ def test_what_is_live_comes_with_the_heartbeat(folder: Path) -> None:
 
 @pytest.mark.fast
 def test_a_watcher_that_reads_nothing_does_not_delay_the_job(folder: Path) -> None:
-    job = Job(folder)
     text = LogReport("info", "x" * 2000)
-    with job.running() as listener:
-        address = json.loads((folder / JOB_FILE).read_text())
-        with socket.create_connection(("127.0.0.1", address["port"])) as mute:
-            mute.sendall(f"{address['token']} {WATCH}\n".encode())
-            assert mute.recv(1)
-            began_s = time.monotonic()
-            for number in range(20_000):  # 40 MB: far more than any buffer of the system takes
-                listener(Progress("collect", number, 30_000, detail=text))
-            assert time.monotonic() - began_s < 2.0
-            assert "stopped" in ask_running_job(folder, "stop")
-            began_s = time.monotonic()
-    assert time.monotonic() - began_s < 1.0, "nor does it delay the end"
+    for took in attempts(events=2.0, end=1.0):
+        with Job(folder).running() as listener:
+            address = json.loads((folder / JOB_FILE).read_text())
+            with socket.create_connection(("127.0.0.1", address["port"])) as mute:
+                mute.sendall(f"{address['token']} {WATCH}\n".encode())
+                assert mute.recv(1)
+                began_s = time.monotonic()
+                for number in range(20_000):  # 40 MB: far more than any buffer of the system takes
+                    listener(Progress("collect", number, 30_000, detail=text))
+                took["events"] = time.monotonic() - began_s
+                assert "stopped" in ask_running_job(folder, "stop")
+                began_s = time.monotonic()
+        took["end"] = time.monotonic() - began_s
 
 
 @pytest.mark.fast

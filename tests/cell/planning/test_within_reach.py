@@ -8,7 +8,7 @@ import numpy as np
 
 from cellapp.cell.planning.candidates import draw_pool
 from cellapp.cell.planning.designed import design_stops
-from cellapp.cell.planning.within_reach import free_ways, within_reach
+from cellapp.cell.planning.within_reach import free_ways, hubs_of, within_reach
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -32,7 +32,7 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
     profile = load_profile(PROFILES / "ur10-ur5.yaml")
     cell, homes = cell_bodies(profile), home_positions(profile)
     q = draw_pool(cell, profile, "right", 300, np.random.default_rng(2)).q
-    reached = within_reach(cell, "right", q, homes["right"])
+    reached = within_reach(cell, "right", q, hubs_of(cell, "right", q, homes["right"]))
     assert 0.5 < reached.mean() < 0.98
     alone = replace(cell, arms={"right": cell.arms["right"]})
 

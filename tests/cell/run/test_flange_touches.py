@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +17,13 @@ from cellapp.cell.run import RunFile, import_csv
 from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, FlangeTouch, flange_touches_of, read_flange_touches
 from cellapp.cell.run.touches import store_touch
 from cellapp.commands.basis import basis_of, counted_basis
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.readings import FlangeTouches, Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.cli.app import app
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.cell.run.csv_rows import Rows, written
 from tests.twin import PROFILES
 
@@ -124,6 +129,26 @@ def test_only_two_arms_in_sockets_are_tied(
     for its in (both, {"left": readings["left"]}):  # the other one may be recorded in motion
         with pytest.raises(InputError, match="no reading names a point"):
             read_flange_touches(path, profile, its)
+
+
+def test_both_reasons_are_said_where_neither_tie_can_be_made(
+    touches: list[FlangeTouch], readings: dict[str, Readings], profile: Profile
+) -> None:
+    cup = [one for one in touches if one.socket == "cup"][:2]
+    few = FlangeTouches(("cup",) * 2, np.array([one.q for one in cup]), np.array([one.other_q for one in cup]))
+    apart = {"left": replace(readings["left"], on_flange=few), "right": replace(readings["right"], point=("ceiling",))}
+    chains = {name: nominal_arm(arm) for name, arm in profile.arms.items()}
+    arms = {
+        name: SimpleNamespace(
+            model=ArmModel(chain, chain, bodies_of(profile.arms[name]), np.array([0.0, 0.0, 1.0])),
+            tracker_frame_network=None,
+        )
+        for name, chain in chains.items()
+    }
+    tied, notes = calibrate_pair(profile, apart, arms)
+    assert tied is None
+    assert notes[0].startswith("pair: skipped, 0 sockets were touched by both arms")
+    assert notes[1].startswith("pair: 2 touches of sockets on a flange leave a direction open")
 
 
 def test_touches_are_recorded_by_the_command_and_change_what_a_calibration_rests_on(

@@ -44,8 +44,8 @@ def written(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
 )
 def test_names_and_separators_of_other_programs(tmp_path: Path, names: str, separator: str) -> None:
     found = read_recorded(written(tmp_path, text_of(names, Q, P, separator)))
-    assert [one.quantity for one in found.columns] == ["q1", "q2", "q3", "x", "y", "z"]
-    assert (found.joints, found.angles, found.lengths) == (3, "rad", "m")
+    assert found.table.names == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
+    assert (found.joints, found.angles, found.lengths) == (("q1", "q2", "q3"), "rad", "m")
     header, rows = converted(found, "rad", "m", "robot")
     assert header == ("configuration", "arm", "q1", "q2", "q3", "x_m", "y_m", "z_m")
     assert rows[1][:2] == ("1", "robot")
@@ -62,7 +62,7 @@ def test_degrees_millimetres_and_decimal_commas(
     text = "# by hand\n\n" + text_of(names, np.degrees(Q), 1e3 * P, separator, comma)
     found = read_recorded(written(tmp_path_factory.mktemp("recorded"), text, "utf-8-sig"))
     assert (found.angles, found.lengths, found.decimal_comma) == ("deg", "mm", comma == ",")
-    assert found.lines[0] == 4
+    assert found.table.lines[0] == 4
     rows = np.array([row[2:] for row in converted(found, "deg", "mm", "robot")[1]], dtype=float)
     np.testing.assert_allclose(rows, np.hstack([Q, P]), atol=2e-11)
 
@@ -81,13 +81,15 @@ def test_the_columns_of_cellapp_and_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("q", "p", "angles", "lengths"),
     [
-        (0.01 * Q, P, "", "m"),  # degrees, if the arm hardly moved
-        (4.0 * Q, P, "", "m"),  # beyond a revolution, as some controllers count
-        (Q, 1e-4 * P, "rad", ""),
-        (Q, 10.0 * P, "rad", ""),
+        (0.01 * Q, P, None, "m"),  # degrees, if the arm hardly moved
+        (4.0 * Q, P, None, "m"),  # beyond a revolution, as some controllers count
+        (Q, 1e-4 * P, "rad", None),
+        (Q, 10.0 * P, "rad", None),
     ],
 )
-def test_what_is_not_sure_is_said_so(tmp_path: Path, q: np.ndarray, p: np.ndarray, angles: str, lengths: str) -> None:
+def test_what_is_not_sure_is_said_so(
+    tmp_path: Path, q: np.ndarray, p: np.ndarray, angles: str | None, lengths: str | None
+) -> None:
     found = read_recorded(written(tmp_path, text_of("q1,q2,q3,x,y,z", q, p)))
     assert (found.angles, found.lengths) == (angles, lengths)
 
@@ -95,17 +97,18 @@ def test_what_is_not_sure_is_said_so(tmp_path: Path, q: np.ndarray, p: np.ndarra
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "at least 3 rows"),
+        ("", "is empty; expected a header row"),
         ("q1,x,y,z\n1,2,3,4\n", "at least 3 rows"),
-        (text_of("1,2,3,4,5,6", Q, P), "the first row has numbers"),
+        (text_of("1,2,3,4,5,6", Q, P), "there is no row of names above the first row of 6 numbers"),
         (text_of("q1,q2,q4,x,y,z", Q, P), "without a gap"),
         (text_of("a,b,c,x,y,z", Q, P), "expected columns such as q1"),
         (text_of("q1,q2,q3,x,y,w", Q, P), "z: expected a column such as z_mm"),
-        (text_of("q1,q2,q3,x,px,z", Q, P), "two columns seem to be it"),
+        (text_of("q1,q2,q3,x,px,z", Q, P), r"x_m: two columns seem to be it \(x, px\)"),
+        (text_of("q1,q2,q3,x,y,z,qw,qx,qy,qz,qx", Q, np.hstack([P, P, P[:, :2]])), "qx: the column is there twice"),
         (text_of("q1_deg,q2_rad,q3,x,y,z", Q, P), "different units"),
-        (text_of("q1_mm,q2_mm,q3_mm,x,y,z", Q, P), "'mm' does not fit"),
-        (text_of("q1,q2,q3,x_um,y_um,z_um", Q, 1e6 * P), "x_um: 'um' does not fit; expected m or mm"),
-        (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,3\n", "it has 3 cells, the header has 6"),
+        (text_of("q1_mm,q2_mm,q3_mm,x,y,z", Q, P), "expected columns such as q1, .* the file has q1_mm"),
+        (text_of("q1,q2,q3,x_m,y_mm,z_m", Q, P), "columns x_m, y_mm, z_m have different units"),
+        (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,3\n", "the row has 3 cells, the header has 6"),
         (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,nan,4,5,6\n", "file.csv:6: q3: expected a number, got 'nan'"),
         (text_of("q1,q2,q3,x,y,z", Q, P) + "1,2,1e999,4,5,6\n", "expected a number"),
         ("PK\x03\x04\x00\x00" * 9 + "\n1\n2\n3\n4", "not a text file"),
@@ -114,6 +117,16 @@ def test_what_is_not_sure_is_said_so(tmp_path: Path, q: np.ndarray, p: np.ndarra
 def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(InputError, match=words.replace("[", r"\[")):
         read_recorded(written(tmp_path, text))
+
+
+def test_measured_columns_are_preferred_and_torques_kept(tmp_path: Path) -> None:
+    text = text_of("target_q_0,target_q_1,target_q_2,actual_q_0,actual_q_1,actual_q_2", Q + 1.0, Q)
+    lines = text.replace("actual_q_2", "actual_q_2,x_um,y_um,z_um,tau_0,tau_1,tau_2").splitlines()
+    rows = [f"{line},{','.join(map(repr, (1e6 * p).tolist()))},1,2,3" for line, p in zip(lines[1:], P, strict=True)]
+    found = read_recorded(written(tmp_path, "\n".join([lines[0], *rows, "# end of the table"])))
+    header, cells = converted(found, "rad", "um", "robot")
+    assert header[2:] == ("q1", "q2", "q3", "x_m", "y_m", "z_m", "tau1", "tau2", "tau3")
+    np.testing.assert_allclose(np.array([row[2:8] for row in cells], dtype=float), np.hstack([Q, P]), atol=1e-9)
 
 
 def test_no_file(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.ground.errors import InputError
@@ -134,6 +135,38 @@ def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
         assert one.joints.columns["q2"] == pytest.approx(Q[:, 1])
 
 
+TURNS = Rotation.from_rotvec(np.outer(np.linspace(0.1, 1.0, len(TIMES)), [1.0, -0.5, 0.2]))
+ORIENTATIONS = {
+    "q0,q1,q2,q3": TURNS.as_quat(scalar_first=True),
+    "field.orientation.x,field.orientation.y,field.orientation.z,field.orientation.w": TURNS.as_quat(),
+    "rotvec_x_deg,rotvec_y_deg,rotvec_z_deg": np.degrees(TURNS.as_rotvec()),
+    "Roll [deg],Pitch [deg],Yaw [deg]": TURNS.as_euler("xyz", degrees=True),
+    "tool_qw,tool_qx,tool_qy,tool_qz,smr_qw,smr_qx,smr_qy,smr_qz": np.hstack(
+        [np.tile([1.0, 0.0, 0.0, 0.0], (len(TIMES), 1)), TURNS.as_quat(scalar_first=True)]
+    ),
+}
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("names", ORIENTATIONS)
+def test_orientations_are_read_as_those_of_readings(names: str, tmp_path: Path) -> None:
+    points = text_of(f"time_s,x_m,y_m,z_m,{names}", joints(TIMES, POINTS, ORIENTATIONS[names]))
+    one, notes = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)), points)
+    found = np.column_stack([one.points.columns[f"quat_{axis}"] for axis in "xyzw"])
+    assert (Rotation.from_quat(found) * TURNS.inv()).magnitude().max() < 1e-7
+    assert any("of the probe's orientation in the tracker frame" in note for note in notes)
+
+
+@pytest.mark.fast
+def test_comments_between_and_below_the_rows_of_plain_files_are_no_rows(tmp_path: Path) -> None:
+    lines = text_of("time_s,x_m,y_m,z_m,remark", joints(TIMES, POINTS)).splitlines()
+    lines = [lines[0], *(f"{line},fine" for line in lines[1:])]
+    text = "\n".join([*lines[:9], "# paused", *lines[9:], "# end, of the, recording, of the, tracker", "# Leica"])
+    one, _ = read(tmp_path, text_of("time_s,q1,q2", joints(STAMPS, Q)) + "# end\n", text)
+    assert one.points.columns["x_m"] == pytest.approx(POINTS[:, 0])
+    assert one.points.words["remark"] == ("fine",)
+
+
 SHORT = "t;x;y;z\n" + "1;2;3;4\n" * 9
 BAD = {
     "swapped": (FILES["RTDE"][1], FILES["RTDE"][0], r"joints.txt:4: q1: .*this file has points: are .* swapped"),
@@ -149,7 +182,7 @@ BAD = {
     "stops with dates": (
         FILES["RTDE"][0],
         "t;x;y;z\n" + "".join(f"10:{n // 6:02d}:{10 * (n % 6):02d};{n};2;3\n" for n in range(30)),
-        "time_s: the median step is 10; expected seconds",
+        "time_s: the median step is 10; expected seconds, 2 to 20000 samples each$",
     ),
     "no number": (
         FILES["RTDE"][0],

@@ -43,6 +43,12 @@ def test_names_that_say_what_they_are_are_understood(names: str, tmp_path: Path)
     assert not readings["left"].extras
 
 
+def test_a_line_of_comment_is_no_row(tmp_path: Path) -> None:
+    path = table(tmp_path / "in.csv", "rotvec_x,rotvec_y,rotvec_z", TURNS.as_rotvec())
+    path.write_text(path.read_text("utf-8") + "# measured by hand\n", "utf-8")
+    assert len(read_readings_csv(path, {"left": 2})[0]["left"]) == 3
+
+
 def test_empty_rows_have_no_orientation(tmp_path: Path) -> None:
     names = "rotvec_x,rotvec_y,rotvec_z"
     readings, _ = read_readings_csv(table(tmp_path / "in.csv", names, TURNS.as_rotvec(), row1=",,"), {"left": 2})

@@ -99,11 +99,14 @@ def test_a_law_that_only_the_measured_load_makes_true_is_doubted_under_another_o
         modulations=(),
     )
     q, load_kg = readings.q[:20], np.full(20, 5.0)
-    asked = MeasurementConditions(payload_kg=load_kg)
+    far_F = np.tile([0.0, 0.0, 0.4], (20, 1))
+    asked = MeasurementConditions(payload_kg=load_kg, payload_center_F=far_F)
     sizes = {}
     for name, its in {"right": arm, "wrong": replace(arm, effects=(*rest, wrong))}.items():
         ranges = ConditionRanges.of(readings, its)
         near = ranges.nearest_loaded(its, q, asked)
+        assert near.payload_center_F is not None
+        assert not (near.payload_center_F == far_F).any(), "the centre of what was measured, not of what is asked"
         found = payload_covariance(its, q, asked, near, ranges.elasticity)
         assert not payload_covariance(its, q, near, near, ranges.elasticity).any()
         sizes[name] = np.sqrt(np.trace(found, axis1=1, axis2=2))

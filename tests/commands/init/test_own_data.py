@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -161,11 +162,18 @@ def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Pat
 
 def test_joints_and_points_of_a_motion_in_one_file_are_no_stops(tmp_path: Path) -> None:
     """Rows that follow one another in milliseconds are samples of a motion; minutes apart they are stops."""
-    for step, motion in ((8.0, True), (60_000.0, False)):
-        rows = [f"{step * n:g};0.{n:02d};1.2;0.4;2;1;0.{n:02d};1.{n:02d};2.5;0.1" for n in range(60)]
-        file = tmp_path / f"both-{step:g}.csv"
+    day = datetime(2026, 5, 3, 10)
+    stamps = {
+        "ms": (lambda n: f"{8.0 * n:g}", True),
+        "minutes in ms": (lambda n: f"{60_000.0 * n:g}", False),
+        "dates": (lambda n: (day + timedelta(milliseconds=8 * n)).isoformat(), True),
+        "dates of stops": (lambda n: (day + timedelta(seconds=8 * n)).isoformat(), False),
+    }
+    for name, (stamp, motion) in stamps.items():
+        rows = [f"{stamp(n)};0.{n:02d};1.2;0.4;2;1;0.{n:02d};1.{n:02d};2.5;0.1" for n in range(60)]
+        file = tmp_path / f"both {name}.csv"
         file.write_text("\n".join(["t;J1;J2;J3;J4;J5;J6;X;Y;Z", *rows]) + "\n")
         own = OwnData(file, arm="ur5", angles="rad", lengths="m")
-        written = write_own_data(own, tmp_path / f"{step:g}")
+        written = write_own_data(own, tmp_path / name)
         assert written.points_beside is motion
         assert (written.readings is None) is motion

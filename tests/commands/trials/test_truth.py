@@ -11,6 +11,7 @@ from scipy.stats import binom
 
 from cellapp.commands.trials.truth import SETS, Share, sizes_of, truth_table, truth_trials
 from cellapp.ground.errors import InputError
+from cellapp.ground.time_limit import TimeLimit
 from tests.commands.trials.test_sealed import small
 
 NONE_OF_THEM = dict.fromkeys(SETS, 0)
@@ -43,8 +44,8 @@ def test_sizes_are_read_by_set() -> None:
 
 def test_blocks_take_turns_and_are_gone_on_with(tmp_path: Path) -> None:
     sizes = {**NONE_OF_THEM, "clean": 1, "few": 1}
-    ticks = count(0.0, 50.0)
-    first = truth_trials(small(), tmp_path, sizes, 3, minutes=1.0, now=lambda: next(ticks))
+    ticks = count(50.0, 50.0)
+    first = truth_trials(small(), tmp_path, sizes, 3, limit=TimeLimit(1.0, 0.0, lambda: next(ticks)))
     assert (first.total.runs, first.total.wanted) == (1, 2)
     whole = truth_trials(small(), tmp_path, sizes, 3)
     assert {name: score.runs for name, score in whole.sets.items()} == {"clean": 1, "few": 1}

@@ -19,10 +19,13 @@ from drivers.trackers.bridge_wire import Line
 from drivers.trackers.bridge_worker import Reply
 from drivers.trackers.protocol import Point, Preparation, Tracker, TrackerLinkLost, TrackerTimeout
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
+from tests.latency import attempts
 
 WITHIN_S = 0.3
 LATEST_S = 0.8
-"""A bound for ``WITHIN_S`` on a busy machine."""
+"""A bound for ``WITHIN_S``, with the time that a machine needs."""
+PATIENT_S = 20.0
+"""Where an answer comes: a busy machine may be late."""
 NEST = np.array([1.5, 2.0, -0.3])
 
 
@@ -113,11 +116,16 @@ def bridged(kind: str = "tcp") -> Iterator[tuple[Behind, Service, BridgeTracker]
                 tracker.disconnect()
 
 
-def lost(tracker: BridgeTracker, words: str) -> float:
+def lost(tracker: BridgeTracker, words: str, within_s: float = WITHIN_S) -> float:
     began_s = time.monotonic()
     with pytest.raises(TrackerLinkLost, match=words):
-        tracker.confirm(WITHIN_S)
+        tracker.confirm(within_s)
     return time.monotonic() - began_s
+
+
+def assert_at_once(tracker: BridgeTracker, words: str) -> None:
+    """Assert that the loss is reported long before patience ends."""
+    assert lost(tracker, words, PATIENT_S) < 0.5 * PATIENT_S
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
@@ -125,48 +133,61 @@ def test_the_tracker_is_asked_each_time(kind: str) -> None:
     with bridged(kind) as (behind, _, tracker):
         assert tracker.data_age_s() == math.inf  # the bridge has answered, the tracker has not
         for n in range(1, 21):
-            tracker.confirm(WITHIN_S)
+            asked_s = time.monotonic()
+            tracker.confirm(PATIENT_S)
             assert behind.asked == n
-            assert tracker.data_age_s() < WITHIN_S
+            assert tracker.data_age_s() <= time.monotonic() - asked_s
 
 
 @pytest.mark.parametrize("kind", ["tcp", "serial"])
 def test_a_tracker_that_hangs_behind_a_living_bridge_is_dead_and_may_come_back(kind: str) -> None:
     with bridged(kind) as (behind, _, tracker):
-        tracker.confirm(WITHIN_S)
+        for took in attempts(known=LATEST_S):
+            recovered(tracker)
+            behind.goes_on.clear()
+            took["known"] = lost(tracker, "no answer from the tracker within 0.3 s")
+            assert took["known"] >= WITHIN_S
+            behind.goes_on.set()
+        recovered(tracker)
         behind.goes_on.clear()
-        assert WITHIN_S <= lost(tracker, "no answer from the tracker within 0.3 s") < LATEST_S
+        lost(tracker, "no answer from the tracker within 0.3 s")
         with pytest.raises(TrackerTimeout, match="the tracker is at work on a 'confirm'"):
             tracker.confirm(WITHIN_S)
         assert tracker.data_age_s() > WITHIN_S
         behind.goes_on.set()
-        until_s = time.monotonic() + 10.0
-        while tracker.data_age_s() > WITHIN_S:
+        recovered(tracker)
+
+
+def recovered(tracker: BridgeTracker) -> None:
+    """Ask until the tracker has done with an earlier question."""
+    until_s = time.monotonic() + PATIENT_S
+    while True:
+        try:
+            tracker.confirm(PATIENT_S)
+            return
+        except TrackerTimeout:
             assert time.monotonic() < until_s
-            try:
-                tracker.confirm(WITHIN_S)
-            except TrackerTimeout:
-                threading.Event().wait(0.01)
+            threading.Event().wait(0.01)
 
 
 def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the_next_question() -> None:
     with bridged() as (behind, _, tracker):
-        tracker.confirm(WITHIN_S)
+        tracker.confirm(PATIENT_S)
         behind.lost = True
-        assert lost(tracker, "^tracker: unplugged$") < WITHIN_S
+        assert_at_once(tracker, "^tracker: unplugged$")
         behind.lost = False
-        tracker.confirm(WITHIN_S)
+        tracker.confirm(PATIENT_S)
         assert behind.connected == 2
 
 
 def test_a_refused_connection_is_reported_at_once_and_repeated_commands_still_recover() -> None:
     with bridged() as (behind, service, tracker):
-        tracker.confirm(WITHIN_S)
+        tracker.confirm(PATIENT_S)
         service.close()
-        assert lost(tracker, "see that the tracker's computer runs 'cellapp tracker-bridge'") < WITHIN_S
-        assert lost(tracker, "[Rr]efused") < WITHIN_S
+        assert_at_once(tracker, "see that the tracker's computer runs 'cellapp tracker-bridge'")
+        assert_at_once(tracker, "[Rr]efused")
         with Service(cast(Tracker, behind), port=service.port):
-            tracker.confirm(WITHIN_S)
+            tracker.confirm(PATIENT_S)
             assert tracker.unmet() == ["its laser is off"]
 
 
@@ -178,7 +199,7 @@ def test_a_link_that_is_back_at_once_is_no_death(kind: str, spoil: Callable[[Ser
     with bridged(kind) as (behind, service, tracker):
         for n in range(1, 6):
             service.spoil = spoil
-            tracker.confirm(1.0)
+            tracker.confirm(PATIENT_S)
             assert behind.asked == 2 * n
 
 
@@ -190,34 +211,38 @@ def test_a_link_that_ends_again_and_again_is_one() -> None:
     with bridged() as (behind, service, tracker):
         service.close()
         with Closing(cast(Tracker, behind), port=service.port):
-            assert lost(tracker, "the link broke") < WITHIN_S
+            assert_at_once(tracker, "the link broke")
 
 
 def test_a_bridge_of_before_is_asked_what_measuring_lacks() -> None:
     with bridged() as (behind, service, tracker):
         service.old = True
         for n in range(1, 4):
-            tracker.confirm(WITHIN_S)
+            tracker.confirm(PATIENT_S)
             assert behind.asked == n
         behind.goes_on.clear()
-        assert lost(tracker, "no answer from the tracker") < LATEST_S
+        assert WITHIN_S <= lost(tracker, "no answer from the tracker") < 0.5 * PATIENT_S
 
 
 def test_while_it_measures_the_age_is_the_trackers_and_not_the_bridges() -> None:
     with bridged() as (behind, _, tracker):
-        behind.sign_s = time.monotonic()
-        tracker.prepare(Preparation())
-        measuring = threading.Thread(target=lambda: tracker.measure(NEST, 1.0), daemon=True)
-        measuring.start()
-        assert behind.measures.wait(10.0)
-        alive_until_s = time.monotonic() + 0.8
-        while time.monotonic() < alive_until_s:
+        for took in attempts(age=LATEST_S, end=LATEST_S):
+            behind.measures.clear()
+            behind.may_end.clear()
             behind.sign_s = time.monotonic()
-            assert tracker.data_age_s() < LATEST_S
-            threading.Event().wait(0.01)
-        began_s = time.monotonic()  # from now on it hangs, and the bridge goes on to send its lines
-        threading.Event().wait(0.8)
-        assert tracker.data_age_s() > 0.75 * (time.monotonic() - began_s)
-        behind.may_end.set()
-        measuring.join(10.0)
-        assert tracker.data_age_s() < LATEST_S
+            tracker.prepare(Preparation())
+            measuring = threading.Thread(target=lambda: tracker.measure(NEST, 1.0), daemon=True)
+            measuring.start()
+            assert behind.measures.wait(PATIENT_S)
+            alive_until_s = time.monotonic() + LATEST_S
+            took["age"] = 0.0
+            while time.monotonic() < alive_until_s:
+                behind.sign_s = time.monotonic()
+                took["age"] = max(took["age"], tracker.data_age_s())
+                threading.Event().wait(0.01)
+            began_s = time.monotonic()  # from now on it hangs, and the bridge goes on to send its lines
+            threading.Event().wait(0.8)
+            assert tracker.data_age_s() > 0.75 * (time.monotonic() - began_s)
+            behind.may_end.set()
+            measuring.join(PATIENT_S)
+            took["end"] = tracker.data_age_s()

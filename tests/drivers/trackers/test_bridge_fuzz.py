@@ -6,6 +6,7 @@ import math
 import random
 import socket
 import struct
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -97,8 +98,9 @@ def test_no_conversation_ends_the_bridge(seed: int, bridge: TrackerBridgeEmulato
     assert len(bridge._faults) <= 1000
     tracker.connect()
     try:
-        tracker.confirm(1.0)
-        assert tracker.data_age_s() < 1.0
+        asked_s = time.monotonic()
+        tracker.confirm(20.0)
+        assert tracker.data_age_s() <= time.monotonic() - asked_s, "it answered this question"
         assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST, abs=1e-3)
     finally:
         tracker.disconnect()

@@ -590,7 +590,7 @@ def test_an_lmf_that_hangs_does_not_answer(tracker: Callable[..., LmfTracker], s
     began_s = time.monotonic()
     with pytest.raises(TrackerLinkLost, match="has not returned from confirming"):
         driver.confirm(LONG_S)
-    assert time.monotonic() - began_s < 1.0
+    assert time.monotonic() - began_s < 0.5 * LONG_S, "it waits for nothing"
     assert driver.data_age_s() > SHORT_S
     scene.hanging = set()
     scene.release.set()
@@ -615,7 +615,7 @@ def test_a_measurement_that_was_given_up_is_still_at_work(tracker: Callable[...,
     began_s = time.monotonic()
     with pytest.raises(TrackerTimeout, match="still at work on measuring, which was given up"):
         driver.confirm(LONG_S)
-    assert time.monotonic() - began_s < 1.0
+    assert time.monotonic() - began_s < 0.5 * LONG_S, "it waits for nothing"
     scene.hanging = set()
     scene.release.set()
 

@@ -84,6 +84,16 @@ def test_too_few_touches_or_flanges_that_never_turn_leave_the_tie_open() -> None
     assert fit_on_flange(touches(4, turn_rad=0.0), START) is None
 
 
+def test_a_fit_to_four_touches_is_tied_though_a_fold_is_empty() -> None:
+    rows = touches(6, count=4, scatter_m=0.0)
+    rows = with_exact_balls(replace(rows, socket=np.zeros(4, dtype=np.intp)))
+    fit = fit_on_flange(rows, START)
+    assert fit is not None
+    found = tie_on_flange(rows, fit)
+    assert not found.held_out
+    np.testing.assert_allclose(found.identification.T_R_L, TRUE, atol=1e-9)
+
+
 def test_touches_with_another_name_lie_far_off() -> None:
     rows = touches(5)
     wrong = rows.socket.copy()

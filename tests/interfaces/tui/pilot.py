@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from textual.app import App
+from textual.css.query import NoMatches
 from textual.pilot import Pilot
 
 from cellapp.ground.control import JobControl
@@ -18,25 +21,71 @@ from cellapp.ground.progress import Listener, Progress, ReferenceReport, StateCh
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
+from tests.interfaces.tui.idle import wait_for_idle
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 WAIT_S = 60.0
+_LOOK_S = 0.5
+"""A condition is looked at again at least so often, while threads compute."""
+_DRAWN_S = 0.2
+"""What follows from a condition is drawn within this time, or while nothing else is done."""
 SMALL = (80, 24)
 SIZES = (SMALL, (120, 40), (200, 60))
 """Terminals: the smallest that is supported, a usual one, a large one."""
 
 
 async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> None:
-    """Wait for a condition; fail with what the screen says if it never holds."""
+    """Wait for a condition, then for what follows from it on the screen; fail with what the screen says if it never
+    holds.
+
+    A condition holds before the screen is drawn that goes with it: a busy computer shows the test a blank or half made
+    one. What the test asserts next of the screen, it rather waits for, too (``shows``, ``tells``).
+    """
     app = pilot.app
+
+    def is_so() -> bool:
+        with suppress(NoMatches):  # a part of the screen that is not made yet
+            return bool(holds())
+        return False
+
     try:
         async with asyncio.timeout(wait_s):
-            while not holds():
-                await pilot.pause()
-                await asyncio.sleep(0.005)  # the job's thread needs the processor, too
+            while not is_so():
+                await _rest(pilot, _LOOK_S)
+            while app.return_code is None:
+                await _rest(pilot, _DRAWN_S)
+                if not app.is_running or shown_text(app).strip():
+                    break
     except TimeoutError:
         assert isinstance(app, CellApp)
         pytest.fail(f"never came: {what}; the message is: {app.message}; the screen:\n{shown_text(app)}")
+
+
+async def _rest(pilot: Pilot[None], at_most_s: float) -> None:
+    """Let the application draw what it knows by now; no longer than that where its threads compute all the time."""
+    await asyncio.sleep(0.005)  # the job's thread needs the processor, too
+    await pilot._wait_for_screen()
+    await wait_for_idle(max_sleep=at_most_s)
+    if pilot.app.is_running and pilot.app.return_code is None:
+        pilot.app.screen._on_timer_update()
+
+
+async def shows(pilot: Pilot[None], *words: str, wait_s: float = WAIT_S) -> None:
+    """Wait until the screen says all ``words``, as they stand or wherever its lines break."""
+
+    def said() -> bool:
+        shown = shown_text(pilot.app)
+        flat = " ".join(shown.split())
+        return all(text in shown or text in flat for text in words)
+
+    await until(pilot, said, f"the words {words}", wait_s)
+
+
+async def tells(pilot: Pilot[None], words: str) -> None:
+    """Wait until the message of the application has the words in it."""
+    app = pilot.app
+    assert isinstance(app, CellApp)
+    await until(pilot, lambda: words in app.message, f"the message {words!r}")
 
 
 async def opened(pilot: Pilot[None], app: CellApp) -> None:
@@ -57,7 +106,7 @@ async def exit_code(pilot: Pilot[None], app: CellApp) -> int | None:
     return app.return_code
 
 
-def shown_text(app: CellApp) -> str:
+def shown_text(app: App[Any]) -> str:
     """The text of the whole screen, a line for each of its lines."""
     rows = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in row).rstrip() for row in rows)

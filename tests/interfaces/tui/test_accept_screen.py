@@ -34,7 +34,18 @@ from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, exit_code, log_text, opened, shown_text, until
+from tests.interfaces.tui.pilot import (
+    PROFILES,
+    SMALL,
+    ended,
+    exit_code,
+    log_text,
+    opened,
+    shown_text,
+    shows,
+    tells,
+    until,
+)
 
 TWIN = PROFILES / "twin.yaml"
 VALID = CheckResult(
@@ -166,11 +177,11 @@ async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> 
         assert "OUT OF DATE: report.html" in outdated(app)
         assert "calibrate" in outdated(app)
         for _ in range(4):
-            assert "! OUT OF DATE" in shown_text(app)
+            await shows(pilot, "! OUT OF DATE")
             await pilot.press("t")
         await ask(pilot, app, "m", VerbQuestion)
-        assert "The model is not up to date" in shown_text(app)
-        assert "Use this model all the same (u)" in shown_text(app)
+        await shows(pilot, "The model is not up to date")
+        await shows(pilot, "Use this model all the same (u)")
 
 
 async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
@@ -182,13 +193,13 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
         for key in ("k", "e", "b"):
             app.say("")
             await pilot.press(key)
-            assert app.message.startswith("No run is open")
+            await until(pilot, lambda: app.message.startswith("No run is open"), "the message")
         app.open_run(tmp_path / "run", TWIN)
         await until(pilot, lambda: decision(app).startswith("Not calibrated yet"), "the verdict")
         for key in ("k", "b"):
             app.say("")
             await pilot.press(key)
-            assert app.message.startswith("Not calibrated yet")
+            await until(pilot, lambda: app.message.startswith("Not calibrated yet"), "the message")
         await ask(pilot, app, "m", VerbQuestion)
         kinds = [box.id for box in app.screen.query(Checkbox) if str(box.id).startswith("commands")]
         assert kinds == ["commands-nominal"], "without a calibration only the nominal commands are possible"
@@ -205,12 +216,12 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
         await ask(pilot, app, "k", VerbQuestion)
-        assert "the arms are simulated" in shown_text(app)
-        assert app.screen.query_one("#stops", Input).value == str(STOPS)
+        await shows(pilot, "the arms are simulated")
+        await until(pilot, lambda: app.screen.query_one("#stops", Input).value == str(STOPS), "the text of the field")
         for wrong, says in (("", "a whole number"), ("3", f"at least {FEWEST_STOPS}, got 3"), ("many", "got 'many'")):
             fill(app, stops=wrong)
             await pilot.press("b")
-            assert says in shown_text(app)
+            await shows(pilot, says)
         fill(app, stops="12")
         await pilot.press("b")
         await until(pilot, lambda: "still valid, p = 0.4" in shown_text(app), "the evidence so far")
@@ -219,7 +230,7 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
         assert driving.asked["stops"] == 12
         await pilot.press("escape")
         assert driving.brakes, "the key calls the brakes"
-        assert "STOP" in app.message
+        await tells(pilot, "STOP")
         await pilot.press("x")
         await ended(pilot, app)
         assert app.message.startswith("Aborted")
@@ -259,16 +270,16 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
         await ask(pilot, app, "m", VerbQuestion)
         marked = {str(box.id) for box in app.screen.query(Checkbox) if box.value}
         assert marked == {"tests-pose", "commands-nominal", "commands-calibrated"}
-        assert "X▌ pose" in shown_text(app)
-        assert " ▌ distance" in shown_text(app), "an empty box differs without colours, too"
+        await shows(pilot, "X▌ pose")
+        await shows(pilot, " ▌ distance")  # an empty box differs without colours, too
         app.screen.query_one("#tests-pose", Checkbox).value = False
         await pilot.press("b")
-        assert "tests: at least one is needed" in shown_text(app)
+        await shows(pilot, "tests: at least one is needed")
         app.screen.query_one("#tests-distance", Checkbox).value = True
         for kind in ("nominal", "calibrated"):
             app.screen.query_one(f"#commands-{kind}", Checkbox).value = False
         await pilot.press("b")
-        assert "commanded by the model: at least one is needed" in shown_text(app)
+        await shows(pilot, "commanded by the model: at least one is needed")
         app.screen.query_one("#commands-calibrated", Checkbox).value = True
         wrong = {
             "cycles": ("a whole number", ("2.5", "nan", "")),
@@ -283,7 +294,7 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             for text in texts:
                 fill(app, **{name: text})
                 await pilot.press("b")
-                assert says in shown_text(app)
+                await shows(pilot, says)
             fill(app, **{name: right})
         fill(app, cycles="4", speed="50", forces="20, 40", **{"also-speeds": "50, 10"})
         app.screen.query_one("#arms-left", Checkbox).value = True
@@ -314,7 +325,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         fill(app, path="mine.pem", passphrase=PASSPHRASE)
         app.screen.query_one("#passphrase-again", Input).value = "another one"
         await pilot.press("enter")
-        assert "passphrase differ: type the same one twice" in shown_text(app)
+        await shows(pilot, "passphrase differ: type the same one twice")
         app.screen.query_one("#passphrase-again", Input).value = PASSPHRASE
         assert PASSPHRASE not in shown_text(app)
         await pilot.press("enter")
@@ -323,7 +334,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         await pilot.press("q")
         for passphrase, says in (("wrong", "wrong passphrase"), (PASSPHRASE, "was written")):
             await ask(pilot, app, "e", VerbQuestion)
-            assert app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made"
+            await until(pilot, lambda: app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made")
             fill(app, number="K-1", passphrase=passphrase)
             await pilot.press("enter")
             await ended(pilot, app)

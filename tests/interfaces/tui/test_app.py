@@ -31,6 +31,8 @@ from tests.interfaces.tui.pilot import (
     log_text,
     opened,
     shown_text,
+    shows,
+    tells,
     until,
 )
 
@@ -70,7 +72,7 @@ async def test_a_theme_that_was_chosen_on_one_screen_colours_those_seen_before()
         await pilot.press("5")
         await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen again")
         await pilot.pause()
-        assert app.screen.styles.background.brightness > 0.5
+        await until(pilot, lambda: app.screen.styles.background.brightness > 0.5, "what is shown")
 
 
 async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
@@ -140,7 +142,7 @@ async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None
             app.start_job(held.job(folder=Path("my run")))
             await until(pilot, held.reached.is_set, "the job")
             await pilot.press("escape")
-            assert app.message == "Stopping at the next step."
+            await until(pilot, lambda: app.message == "Stopping at the next step.", "the message")
             held.go_on.set()
             await ended(pilot, app)
             assert app.message.startswith("Stopped; ")
@@ -195,7 +197,7 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         await until(pilot, lambda: "sede" in app.message, "the sentence")
         assert "bad.yaml" in app.message
         await pilot.press("f5")
-        assert "sede" in app.message, "what is wrong with it, not that none is open"
+        await tells(pilot, "sede")  # what is wrong with it, not that none is open
         assert not app.jobs.running
         assert not Path("logs").exists()
 
@@ -206,8 +208,8 @@ async def test_the_whole_day_asks_before_it_begins() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         await pilot.press("f5")
-        assert isinstance(app.screen, Choice)
-        assert "simulated" in shown_text(app)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await shows(pilot, "simulated")
         await pilot.press("n")
         await pilot.pause()
         assert not app.jobs.running
@@ -221,7 +223,7 @@ async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
         await opened(pilot, app)
         app.start_job(held.job(folder=Path("here")))
         app.open_profile(PROFILES / "ur10-ur5.yaml")
-        assert "moves arms" in app.message
+        await tells(pilot, "moves arms")
         held.go_on.set()
         await ended(pilot, app)
         assert app.workspace.kind == "simulated"
@@ -249,16 +251,16 @@ async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
         app.start_job(held.job())
         await until(pilot, held.reached.is_set, "the job")
         await pilot.press("q")
-        assert isinstance(app.screen, Choice)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("n")
         await until(pilot, lambda: not isinstance(app.screen, Choice), "the end of the question")
         await pilot.press("ctrl+q")
         await pilot.pause()
-        assert isinstance(app.screen, Choice)
-        assert app.focused is app.screen.query_one("#stay")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await until(pilot, lambda: app.focused is app.screen.query_one("#stay"), "the focus")
         await pilot.press("y")
         assert app.jobs.running
-        assert "then quitting" in app.message
+        await tells(pilot, "then quitting")
         held.go_on.set()
         await until(pilot, lambda: app.return_code is not None, "the end of the application")
     assert app.return_code == 4
@@ -335,11 +337,15 @@ async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path:
         app.push_screen(picker, chosen.append)
         await pilot.pause()
         await pilot.press(*"cell-", "tab", *"o", "tab")
-        assert picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml")
+        await until(
+            pilot,
+            lambda: picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml"),
+            "the text of the field",
+        )
         await pilot.press("backspace", "enter")
         await pilot.pause()
         assert not chosen, "there is no such file"
-        assert "no such file" in shown_text(app)
+        await shows(pilot, "no such file")
         await pilot.press("l", "enter")
         await until(pilot, lambda: chosen, "the choice")
     assert chosen == [tmp_path / "cell-one.yaml"]

@@ -228,12 +228,16 @@ def test_stop_in_a_second_window_stops_the_arms_of_the_first(
         terminal.send("\x1b")
         assert collecting.wait(WAIT_S) == 4
         assert cell.wait_at_rest(0.0), "the program waits for the arms"
-        shows(terminal, "Stopped; keys 3, b go on", f"READY, {STOPS} stops")
+        with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:
+            (session,) = run.sessions()
+            assert [kind for _, kind, _ in session.requests] == ["stop"]
+            done = len(run.stops_done())
+        assert done < STOPS
+        shows(
+            terminal, "Stopped; keys 3, b go on", f"INTERRUPTED, {done} of {STOPS} stops" if done else f"READY, {STOPS}"
+        )
         terminal.send("q")
         terminal.process.wait(WAIT_S)
-    with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:
-        (session,) = run.sessions()
-        assert [kind for _, kind, _ in session.requests] == ["stop"]
 
 
 @pytest.mark.parametrize("way", ["quit", "close", "terminate"])

@@ -17,7 +17,7 @@ from cellapp.cell.run.sqlite_file import connect
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.app import CellApp
-from tests.interfaces.tui.pilot import SMALL, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import SMALL, ended, opened, shows, until
 from tests.twin import write_profile
 
 DAY = Path("logs") / "day"
@@ -42,10 +42,6 @@ def app(folder: Path, tmp_path: Path) -> CellApp:
     return CellApp(Path("profiles"))
 
 
-async def says(pilot: Pilot[None], app: CellApp, *texts: str) -> None:
-    await until(pilot, lambda: all(text in " ".join(shown_text(app).split()) for text in texts), f"{texts}")
-
-
 async def open_day(pilot: Pilot[None], app: CellApp) -> None:
     await opened(pilot, app)
     app.open_run(DAY, Path("profiles") / "twin.yaml")
@@ -55,9 +51,9 @@ async def open_day(pilot: Pilot[None], app: CellApp) -> None:
 async def collect(pilot: Pilot[None], app: CellApp) -> None:
     """Begin to collect by keys."""
     await pilot.press("3")
-    await says(pilot, app, "READY, 30 stops")
+    await shows(pilot, "READY, 30 stops")
     await pilot.press("b")
-    await says(pilot, app, "Begin to collect?")
+    await shows(pilot, "Begin to collect?")
     await pilot.press("b")
 
 
@@ -68,12 +64,12 @@ async def test_a_broken_run_among_others_is_named_and_the_others_can_be_opened(a
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         await pilot.press("8")
-        await says(pilot, app, "broken", "empty", "day", "0/30")
+        await shows(pilot, "broken", "empty", "day", "0/30")
         app.open_run(Path("logs") / "broken", app.workspace.profile_path)
         await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
         assert app.workspace.folder is None
         await open_day(pilot, app)
-        await says(pilot, app, "logs/day is open; next: Collect")
+        await shows(pilot, "logs/day is open; next: Collect")
 
 
 async def test_a_profile_that_was_edited_meanwhile_is_said_and_the_run_goes_on(app: CellApp) -> None:
@@ -82,9 +78,9 @@ async def test_a_profile_that_was_edited_meanwhile_is_said_and_the_run_goes_on(a
         await open_day(pilot, app)
         profile.write_text(profile.read_text("utf-8").replace("averaging: 1.0", "averaging: 2.0"), "utf-8")
         app.open_run(DAY, profile)
-        await says(pilot, app, "The profile was edited after this run was planned; the run keeps its own copy.")
+        await shows(pilot, "The profile was edited after this run was planned; the run keeps its own copy.")
         await collect(pilot, app)
-        await says(pilot, app, "COMPLETE, 30 stops")
+        await shows(pilot, "COMPLETE, 30 stops")
 
 
 async def test_a_profile_that_was_broken_meanwhile_is_said_with_file_and_line(app: CellApp) -> None:
@@ -93,7 +89,7 @@ async def test_a_profile_that_was_broken_meanwhile_is_said_with_file_and_line(ap
         await opened(pilot, app)
         profile.write_text(profile.read_text("utf-8").replace("clearance: ", "clearence: "), "utf-8")
         app.open_profile(profile)
-        await says(pilot, app, "profiles/twin.yaml", "clearence")
+        await shows(pilot, "profiles/twin.yaml", "clearence")
         profile.write_text(profile.read_text("utf-8").replace("clearence: ", "clearance: "), "utf-8")
         app.open_profile(profile)
         await until(pilot, lambda: app.workspace.profile is not None, "the mended profile")
@@ -113,10 +109,10 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
     async with app.run_test(size=SMALL) as pilot:
         await open_day(pilot, app)
         await collect(pilot, app)
-        await says(pilot, app, "STOPPED", "disk is full", "c resumes")
+        await shows(pilot, "STOPPED", "disk is full", "c resumes")
         full[0] = False
         await pilot.press("c")
-        await says(pilot, app, "COMPLETE, 30 stops")
+        await shows(pilot, "COMPLETE, 30 stops")
 
 
 async def test_a_run_in_which_another_program_works_is_refused_and_can_be_tried_again(
@@ -131,4 +127,4 @@ async def test_a_run_in_which_another_program_works_is_refused_and_can_be_tried_
             await until(pilot, lambda: "locked" in app.message, "the sentence")
             await ended(pilot, app)
         await collect(pilot, app)
-        await says(pilot, app, "COMPLETE, 30 stops")
+        await shows(pilot, "COMPLETE, 30 stops")

@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
 
 pytestmark = pytest.mark.fast
 
@@ -135,7 +135,7 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
         assert app.start_job(held.job())
         screen._tick()
         await pilot.press("r")
-        assert "job uses the devices" in app.message
+        await tells(pilot, "job uses the devices")
         assert len(asked) == 1
         held.go_on.set()
         await ended(pilot, app)
@@ -160,7 +160,7 @@ async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None
         await until(pilot, lambda: app.screen is app.day_screen, "the screen")
         for key in ("b", "r"):
             await pilot.press(key)
-            assert "No profile is open" in app.message
+            await tells(pilot, "No profile is open")
     (tmp_path / "bad.yaml").write_text(BROKEN)
     app = CellApp(tmp_path)
     async with app.run_test(size=SMALL) as pilot:

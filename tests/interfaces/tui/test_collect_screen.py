@@ -54,7 +54,18 @@ from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import (
+    PROFILES,
+    SIZES,
+    SMALL,
+    HeldJob,
+    MovingJob,
+    ended,
+    opened,
+    shown_text,
+    shows,
+    until,
+)
 from tests.twin import small_twin
 
 Q0 = (0.5,) * 6
@@ -200,7 +211,7 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
         await see_plots(pilot, app)
         while not app.screen.has_class("log"):
             await pilot.press("t")
-        assert app.focused is app.screen.query_one(LogView)
+        await until(pilot, lambda: app.focused is app.screen.query_one(LogView), "the focus")
         await finished(pilot, app, held)
 
 
@@ -268,7 +279,7 @@ async def test_a_whole_day_shows_the_parts_to_come_and_its_present_one_where_lin
         await pilot.resize_terminal(120, 40)
         await pilot.pause()
         assert app.screen.query_one(ProgressBars).size.height == 1
-        assert "part 2 of 5" in shown_text(app)
+        await shows(pilot, "part 2 of 5")
         await finished(pilot, app, held)
 
 
@@ -324,7 +335,7 @@ async def test_a_replay_is_shown_as_one() -> None:
         await show_collect(pilot, app)
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held, "replay x10")
-        assert "REPLAY x10, nothing moves" in shown_text(app)
+        await shows(pilot, "REPLAY x10, nothing moves")
         assert "RUNNING" not in shown_text(app)
         await finished(pilot, app, held)
 
@@ -336,7 +347,7 @@ async def test_without_a_run_it_says_how_to_come_to_one() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app)
-        assert "NO RUN  No run is open: plan one (keys 2, b), or open one on the screen Runs" in shown_text(app)
+        await shows(pilot, "NO RUN  No run is open: plan one (keys 2, b), or open one on the screen Runs")
         await pilot.press("b", "d")
         assert not app.jobs.running
         assert app.screen is app.day_screen
@@ -369,12 +380,12 @@ async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "READY, 4 stops  b begins." in shown_text(app)
+        await shows(pilot, "READY, 4 stops  b begins.")
         await pilot.press("d")  # there is no drift
         assert app.screen is app.day_screen
         await pilot.press("b")
-        assert isinstance(app.screen, Choice)
-        assert "Measure 4 stops" in shown_text(app)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await shows(pilot, "Measure 4 stops")
         await pilot.press("n")
         assert not app.jobs.running
         await pilot.press("b", "b")
@@ -387,7 +398,7 @@ async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "INTERRUPTED, 2 of 4 stops  b measures the 2 stops that are left." in shown_text(app)
+        await shows(pilot, "INTERRUPTED, 2 of 4 stops  b measures the 2 stops that are left.")
         await pilot.press("d")
         assert app.screen is app.day_screen
         await pilot.press("b", "enter")
@@ -413,7 +424,7 @@ async def test_a_complete_run_leads_on(asked: list[tuple[HeldJob, dict[str, Any]
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "COMPLETE, 4 stops  n goes to the next step." in shown_text(app)
+        await shows(pilot, "COMPLETE, 4 stops  n goes to the next step.")
         await pilot.press("b", "d")
         assert not asked
 
@@ -423,7 +434,7 @@ async def test_stops_that_were_planned_since_are_offered() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "1 MORE STOPS  3 are measured; b measures those that were planned since." in shown_text(app)
+        await shows(pilot, "1 MORE STOPS  3 are measured; b measures those that were planned since.")
 
 
 def drifted_run(folder: Path, drift_m: float) -> Path:
@@ -452,9 +463,9 @@ async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(
         await until(pilot, lambda: "d accepts that and resumes." in " ".join(shown_text(app).split()), "the run")
         await pilot.press("g", "g", "g")
         await pilot.pause()
-        assert "beyond the limit" in " ".join(shown_text(app).split())
+        await shows(pilot, "beyond the limit")
         await pilot.press("d")
-        assert isinstance(app.screen, Choice)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("b")
         await begin_and_end(pilot, app, asked[0][0])
         assert asked[0][1] == {"folder": far, "resume": True, "accept_drift": True}
@@ -495,8 +506,8 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
         await show_tables(pilot, app, run)
-        assert "Sessions of collecting" in shown_text(app)
-        assert "failed" in shown_text(app)
+        await shows(pilot, "Sessions of collecting")
+        await shows(pilot, "failed")
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
         assert "the reference moved" in shown_text(app)
@@ -508,7 +519,7 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
             await pilot.press("t")
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held)
-        assert "Log of this session" in shown_text(app)
+        await shows(pilot, "Log of this session")
         await finished(pilot, app, held)
 
 
@@ -517,8 +528,8 @@ async def test_missing_readings_are_listed_with_their_reasons() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
         await show_tables(pilot, app, run)
-        assert "Missing readings: 4" in shown_text(app)
-        assert "the session ended before" in shown_text(app)
+        await shows(pilot, "Missing readings: 4")
+        await shows(pilot, "the session ended before")
 
 
 async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -582,7 +593,7 @@ async def test_stops_are_sorted_and_filtered_and_say_what_is_normal(size: tuple[
         assert stops_of(app)[0][:2] == ("12", "right")
         await pilot.press("f")
         assert [(row[0], row[1], row[-1]) for row in stops_of(app)] == [("12", "right", "gross error")]
-        assert "1 of 60, suspicious only" in shown_text(app)
+        await shows(pilot, "1 of 60, suspicious only")
         await pilot.press("f")
         assert len(stops_of(app)) == len(rows)
 
@@ -644,10 +655,10 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await show_stops(pilot, app, run)
         await pilot.press("s", "s", "f", "space")  # the gross error alone
         assert stops_of(app)[0][0] == "* 12"
-        assert "1 stop is marked: r measures again." in " ".join(shown_text(app).split())
+        await shows(pilot, "1 stop is marked: r measures again.")
         await pilot.press("r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        assert isinstance(app.screen, Choice)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         asked = "Measure 1 stop again, all arms: 12. The readings before are kept and not used"
         assert asked in str(app.screen.query_one(".text", Static).content)
         await pilot.press("n")
@@ -673,7 +684,7 @@ async def test_without_a_mark_the_stop_under_the_cursor_is_proposed(measured_run
         await show_stops(pilot, app, measured_run)
         await pilot.press("down", "down", "space", "space", "r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        assert isinstance(app.screen, Choice)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         assert "all arms: 2." in str(app.screen.query_one(".text", Static).content)
 
 
@@ -684,5 +695,5 @@ async def test_without_a_collection_the_stops_say_why() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
         await pilot.press("t", "t", "f", "s")
-        assert app.screen.has_class("stops")
-        assert "Nothing was collected yet in this run: b begins." in shown_text(app)
+        await until(pilot, lambda: app.screen.has_class("stops"), "what is shown")
+        await shows(pilot, "Nothing was collected yet in this run: b begins.")

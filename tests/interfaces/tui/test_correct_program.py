@@ -14,7 +14,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, shows, until
 
 DAY = Path("logs") / "day"
 
@@ -41,8 +41,10 @@ async def test_a_program_is_corrected(finished_run: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await ask_for_program(pilot, app)
-        assert "Write (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
-        assert app.screen.query_one("#out", Input).value == "old-corrected.script"
+        await shows(pilot, "Write (Ctrl+S)")  # all of the dialog fits into the smallest terminal
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == "old-corrected.script", "the text of the field"
+        )
         app.screen.query_one("#arm", Input).value = "left"
         await pilot.press("enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")

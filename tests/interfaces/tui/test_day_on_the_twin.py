@@ -6,13 +6,12 @@ import re
 from pathlib import Path
 
 import pytest
-from textual.pilot import Pilot
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.interfaces.tui.app import CellApp
-from tests.interfaces.tui.pilot import SMALL, WAIT_S, shown_text, until
+from tests.interfaces.tui.pilot import SMALL, shows
 from tests.twin import write_profile
 
 JOB_S = 120.0
@@ -40,51 +39,46 @@ def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
     monkeypatch.setattr("cellapp.interfaces.tui.browser._has_display", lambda: False)
 
 
-async def says(pilot: Pilot[None], app: CellApp, *texts: str, wait_s: float = WAIT_S) -> None:
-    """Wait until the screen says all of this, wherever its lines break."""
-    await until(pilot, lambda: all(text in " ".join(shown_text(app).split()) for text in texts), f"{texts}", wait_s)
-
-
 async def test_from_an_empty_folder_to_a_verified_report() -> None:
     app = CellApp(Path("profiles"))
     async with app.run_test(size=SMALL) as pilot:
-        await says(pilot, app, "Welcome to cellapp", "Try the simulated twin (t)")
+        await shows(pilot, "Welcome to cellapp", "Try the simulated twin (t)")
         await pilot.press("enter")
-        await says(pilot, app, "SIMULATED", "n goes to the next step")
+        await shows(pilot, "SIMULATED", "n goes to the next step")
         await pilot.press("n")
-        await says(pilot, app, "No run is open: plan one (keys 2, b)")
+        await shows(pilot, "No run is open: plan one (keys 2, b)")
         await pilot.press("b")
-        await says(pilot, app, "A new run with a plan", "Enter plans")
+        await shows(pilot, "A new run with a plan", "Enter plans")
         await pilot.press("enter")
-        await says(pilot, app, "60 stops, 0 measured", "Next: Collect (key n)", wait_s=JOB_S)
+        await shows(pilot, "60 stops, 0 measured", "Next: Collect (key n)", wait_s=JOB_S)
         await pilot.press("n")
-        await says(pilot, app, "READY, 60 stops", "b begins")
+        await shows(pilot, "READY, 60 stops", "b begins")
         await pilot.press("b")
-        await says(pilot, app, "Begin to collect?", "Begin (b)")
+        await shows(pilot, "Begin to collect?", "Begin (b)")
         await pilot.press("b")
-        await says(pilot, app, "COMPLETE, 60 stops", "n goes to the next step", wait_s=JOB_S)
+        await shows(pilot, "COMPLETE, 60 stops", "n goes to the next step", wait_s=JOB_S)
         await pilot.press("n")
-        await says(pilot, app, "Not calibrated yet", "keys 4, b calibrate")
+        await shows(pilot, "Not calibrated yet", "keys 4, b calibrate")
         await pilot.press("b")
-        await says(pilot, app, "held-out errors [mm]", "Next: Discover (key n)", wait_s=JOB_S)
+        await shows(pilot, "held-out errors [mm]", "Next: Discover (key n)", wait_s=JOB_S)
         await pilot.press("n")
-        await says(pilot, app, "Nothing was searched yet", "b searches")
+        await shows(pilot, "Nothing was searched yet", "b searches")
         await pilot.press("b")
-        await says(pilot, app, "error after each step", "Next: Targets (key n)", wait_s=JOB_S)
+        await shows(pilot, "error after each step", "Next: Targets (key n)", wait_s=JOB_S)
         await pilot.press("n")
-        await says(pilot, app, "left-01: not compensated yet", "b Compensate")
+        await shows(pilot, "left-01: not compensated yet", "b Compensate")
         await pilot.press("b")
-        await says(pilot, app, "left-01: compensated", "Next: Targets (key n)", "m Verify", wait_s=JOB_S)
+        await shows(pilot, "left-01: compensated", "Next: Targets (key n)", "m Verify", wait_s=JOB_S)
         await pilot.press("m")
-        await says(pilot, app, "Push and verify?", "Begin (b)")
+        await shows(pilot, "Push and verify?", "Begin (b)")
         await pilot.press("b")
-        await says(pilot, app, "Next: Accept (key n)", wait_s=JOB_S)
+        await shows(pilot, "Next: Accept (key n)", wait_s=JOB_S)
         await pilot.press("n")
-        await says(pilot, app, "Errors against their tolerances", "conform")
+        await shows(pilot, "Errors against their tolerances", "conform")
         await pilot.press("b")
-        await says(pilot, app, "Page and PDF (d)")
+        await shows(pilot, "Page and PDF (d)")
         await pilot.press("w")
-        await says(pilot, app, "report: done", "Next: Accept (key n)", wait_s=JOB_S)
+        await shows(pilot, "report: done", "Next: Accept (key n)", wait_s=JOB_S)
     (folder,) = Path("logs").iterdir()
     assert (folder / "report.html").is_file()
     with RunFile.open(folder) as run:

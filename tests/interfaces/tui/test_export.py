@@ -15,7 +15,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 from cellapp.interfaces.tui.dialogs.question import Reading
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, tells, until
 
 DAY = Path("logs") / "day"
 
@@ -39,7 +39,9 @@ async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) 
         assert all(form in text for form in all_formats())
         assert "Write (Ctrl+S)" in text, "all of the dialog fits into the smallest terminal"
         await pilot.press("down", "down")
-        assert app.screen.query_one("#out", Input).value == str(DAY / "urdf.urdf")
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == str(DAY / "urdf.urdf"), "the text of the field"
+        )
         await pilot.press("enter", "enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
         assert "joint_compliance" in shown_text(app)
@@ -60,7 +62,9 @@ async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
         app.screen.query_one("#out", Input).value = "mine.yaml"
         app.screen.query_one("#formats", OptionList).highlighted = 3
         await pilot.pause()
-        assert app.screen.query_one("#out", Input).value == "mine.yaml", "what a person typed stays"
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == "mine.yaml", "what a person typed stays"
+        )
         app.screen.query_one("#arm", Input).value = "third"
         await pilot.press("ctrl+s")
         await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")
@@ -76,4 +80,4 @@ async def test_a_run_without_calibration_has_nothing_to_export() -> None:
         await pilot.press("e")
         await pilot.pause()
         assert not isinstance(app.screen, ExportArms)
-        assert "Not calibrated yet" in app.message
+        await tells(pilot, "Not calibrated yet")

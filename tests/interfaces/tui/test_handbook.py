@@ -32,7 +32,7 @@ async def test_chapters_are_searched_read_and_followed_through_their_links() -> 
         assert [str(part.label) for part in contents.root.children] == list(PARTS)
         assert [str(node.label) for part in contents.root.children for node in part.children] == list(CHAPTERS)
         await pilot.press("slash", *"hayati angle", "enter")
-        assert app.focused is contents
+        await until(pilot, lambda: app.focused is contents, "the focus")
         await pilot.press("down", "up")
         await until(pilot, lambda: at_top(app) == "Hayati angle", "the section that was found")
         assert any("Picture: Nearly parallel" in line for line in shown_text(app).splitlines())
@@ -69,4 +69,4 @@ async def test_a_link_is_followed_by_a_click_and_pages_elsewhere_are_only_named(
         await until(pilot, lambda: label(contents) == "effects: friction_windup", "the cursor at what was found")
         handbook.query_one("#words", Input).value = "nosuchword"
         await pilot.pause()
-        assert len(contents.root.children) == len(PARTS), "nothing found: all parts"
+        await until(pilot, lambda: len(contents.root.children) == len(PARTS), "nothing found: all parts")

@@ -135,7 +135,7 @@ async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() 
         app.presses._said_s = -1.0  # the stop was long ago
         await pilot.press("c")
         assert moving.control.request == "none"
-        assert app.screen.query_one(LogField).value == "suspi"
+        await until(pilot, lambda: app.screen.query_one(LogField).value == "suspi", "the text of the field")
         await pilot.press("x")
         await ended(pilot, app)
 

@@ -16,7 +16,7 @@ from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, Level, LogRow
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.log_view_pane import LogHeading
 from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogRows, as_text
-from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, shows, until
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
 
@@ -112,7 +112,7 @@ async def test_keys_and_clicks_show_a_level_and_those_above() -> None:
             await pilot.press(key)
             assert {row.level for row in view.rows.shown} == set(levels)
             assert view.rows.counts["error"] == 100
-        assert "error 100" in shown_text(app)
+        await shows(pilot, "error 100")
         heading = app.screen.query_one(LogHeading)
         place = shown_text(app).splitlines()[heading.region.y].index("warning")
         await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
@@ -124,10 +124,10 @@ async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
     async with app.run_test(size=SMALL) as pilot:
         view = await shown(pilot, app, MANY)
         assert view.follows
-        assert "event 399" in shown_text(app)
+        await shows(pilot, "event 399")
         view.add_rows(rows_of("the newest"))
         await pilot.pause()
-        assert "the newest" in shown_text(app)
+        await shows(pilot, "the newest")
         await pilot.press("pageup")
         await until(pilot, lambda: not view.follows, "a look at what is above")
         at = view.scroll_offset.y
@@ -135,11 +135,11 @@ async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
         await pilot.pause()
         assert view.scroll_offset.y == at
         assert "newer still" not in shown_text(app)
-        assert "End: newest" in shown_text(app)
+        await shows(pilot, "End: newest")
         await pilot.press("end")
         await pilot.pause()
         assert view.follows
-        assert "newer still" in shown_text(app)
+        await shows(pilot, "newer still")
 
 
 async def test_search_as_it_is_typed_and_the_next_matches() -> None:
@@ -150,12 +150,12 @@ async def test_search_as_it_is_typed_and_the_next_matches() -> None:
         await pilot.pause()
         assert view.wanted == "event 10"
         found = [number for number, row in enumerate(view.rows.shown) if "event 10" in row.text]
-        assert f"match {len(found)} of {len(found)}" in shown_text(app)
+        await shows(pilot, f"match {len(found)} of {len(found)}")
         await pilot.press("enter")
         assert app.focused is view
         await pilot.press(".")  # after the last comes the first
         await pilot.pause()
-        assert f"match 1 of {len(found)}" in shown_text(app)
+        await shows(pilot, f"match 1 of {len(found)}")
         assert view.chosen() == [view.rows.shown[found[0]]]
         await pilot.press(".")
         assert view.chosen() == [view.rows.shown[found[1]]]
@@ -164,7 +164,7 @@ async def test_search_as_it_is_typed_and_the_next_matches() -> None:
         await pilot.press("slash")
         app.screen.query_one("#log-field", Input).value = "nowhere"
         await pilot.pause()
-        assert "no match" in shown_text(app)
+        await shows(pilot, "no match")
 
 
 async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
@@ -173,7 +173,7 @@ async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
         view = await shown(pilot, app, MANY)
         await pilot.press("f", *"RIGHT", "enter")
         assert view.rows.shown == [row for row in MANY if "right" in row.text and row.level != "debug"]
-        assert "filter 'RIGHT'" in shown_text(app)
+        await shows(pilot, "filter 'RIGHT'")
         view.add_rows(rows_of("of the left arm", "of the right arm"))
         assert view.rows.shown[-1].text == "of the right arm"
         assert all("right" in row.text for row in view.rows.shown)
@@ -191,11 +191,11 @@ async def test_marked_lines_are_copied_and_saved_and_nothing_is_replaced_unasked
         assert app.clipboard == as_text(view.rows.shown[1:4])
         (tmp_path / "log.txt").write_text("kept", encoding="utf-8")
         await pilot.press("w")
-        assert isinstance(app.screen, SaveAs)
-        assert app.screen.query_one("#path", Input).value == "log.txt"
+        await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
+        await until(pilot, lambda: app.screen.query_one("#path", Input).value == "log.txt", "the text of the field")
         await pilot.press("enter")
-        assert isinstance(app.screen, SaveAs)
-        assert "exists" in shown_text(app)
+        await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
+        await shows(pilot, "exists")
         assert (tmp_path / "log.txt").read_text("utf-8") == "kept"
         await pilot.press("enter")
         assert (tmp_path / "log.txt").read_text("utf-8") == as_text(view.rows.shown[1:4])

@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import PairsTable, StopsTable
-from tests.interfaces.tui.pilot import SMALL, ended, until
+from tests.interfaces.tui.pilot import SMALL, ended, tells, until
 from tests.twin import small_twin, write_profile
 
 RUN = Path("run")
@@ -70,7 +70,11 @@ async def test_marked_stops_are_frozen_and_others_are_added() -> None:
         await until(pilot, lambda: str(table(app).get_row_at(1)[2]) == "yes", "what is frozen, in the list")
         await pilot.press("+")
         await fill(pilot, app, VerbQuestion, "#add", "many")
-        assert "further stops: expected a whole number" in str(app.screen.query_one("#why", Static).render())
+        await until(
+            pilot,
+            lambda: "further stops: expected a whole number" in str(app.screen.query_one("#why", Static).render()),
+            "what is shown",
+        )
         await fill(pilot, app, VerbQuestion, "#add", "2")
         await ended(pilot, app)
         await until(pilot, lambda: table(app).row_count == 10, "the added stops")
@@ -149,4 +153,4 @@ async def test_without_a_plan_the_keys_say_what_to_do() -> None:
         for key in ("+", "r", "e"):
             app.say("")
             await pilot.press(key)
-            assert "has no plan" in app.message
+            await tells(pilot, "has no plan")

@@ -30,7 +30,7 @@ from cellapp.interfaces.tui.widgets.plan_tables import (
     StopsTable,
 )
 from tests.interfaces.page.plan_cases import plan_design
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, tells, until
 from tests.twin import small_twin, write_profile
 
 
@@ -67,7 +67,7 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app, planned)
         assert line(app, "plan-state").startswith("arm left: 24 stops, 0 measured; arm right: 24 stops")
-        assert "clearance" in shown_text(app)
+        await shows(pilot, "clearance")
         await pilot.press("k")
         await ended(pilot, app)
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
@@ -142,8 +142,12 @@ async def test_a_forecast_fits_every_terminal(
         assert {one.chart.message for one in maps if one.chart is not None} != {""}
         app.day_screen.show_result(forecast)
         await pilot.pause()
-        assert app.day_screen.query_one("#plan-tabs", TabbedContent).active == "tab-effects"
-        assert app.day_screen.query_one(EffectsTable).row_count > 30
+        await until(
+            pilot,
+            lambda: app.day_screen.query_one("#plan-tabs", TabbedContent).active == "tab-effects",
+            "what is shown",
+        )
+        await until(pilot, lambda: app.day_screen.query_one(EffectsTable).row_count > 30, "what is shown")
         await until(pilot, lambda: "cannot be seen" in line(app, "plan-detail"), "what cannot be seen comes first")
         assert app.day_screen.query_one(CoverageTable).row_count == 12
         assert app.day_screen.query_one(AccuracyTable).row_count > 40
@@ -207,7 +211,7 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
         for key in ("b", "k", "j"):
             app.say("")
             await pilot.press(key)
-            assert "No profile is open: choose one on the screen Cell" in app.message
+            await tells(pilot, "No profile is open: choose one on the screen Cell")
             assert not app.jobs.running
     RunFile.create(tmp_path / "imported", small_twin()).close()
     app = CellApp(PROFILES)
@@ -217,7 +221,7 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
         for key in ("k", "j"):
             app.say("")
             await pilot.press(key)
-            assert "has no plan" in app.message
+            await tells(pilot, "has no plan")
 
 
 async def test_a_profile_that_was_edited_meanwhile_is_told(tmp_path: Path, planned: Path) -> None:

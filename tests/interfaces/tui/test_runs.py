@@ -24,7 +24,18 @@ from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import (
+    PROFILES,
+    SIZES,
+    SMALL,
+    HeldJob,
+    MovingJob,
+    ended,
+    opened,
+    shown_text,
+    tells,
+    until,
+)
 
 LOGS = Path("logs")
 
@@ -120,10 +131,16 @@ async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.
         await go_to(pilot, app, "third")
         for _ in range(7):
             await pilot.press("s")
-        assert "Sorted by run" in app.message
+        await tells(pilot, "Sorted by run")
         assert names(app) == ["broken", "first", "second", "third"]
-        assert "third" in str(app.screen.query_one("#runs", DataTable).ordered_rows[3].key.value)
-        assert app.screen.query_one("#runs", DataTable).cursor_row == 3, "the cursor stays on its run"
+        await until(
+            pilot,
+            lambda: "third" in str(app.screen.query_one("#runs", DataTable).ordered_rows[3].key.value),
+            "the text of the field",
+        )
+        await until(
+            pilot, lambda: app.screen.query_one("#runs", DataTable).cursor_row == 3, "the cursor stays on its run"
+        )
         table = app.screen.query_one("#runs", DataTable)
         heading = table.ordered_columns[1]
         table.post_message(DataTable.HeaderSelected(table, heading.key, 1, heading.label))
@@ -327,6 +344,6 @@ async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypat
         await until(pilot, lambda: app.day_screen.STEP == "runs", "the screen")
         assert "reading the folder" in about(app)
         await pilot.press("slash", *"first")
-        assert app.screen.query_one("#filter", Input).value == "first"
+        await until(pilot, lambda: app.screen.query_one("#filter", Input).value == "first", "the text of the field")
         go_on.set()
         await until(pilot, lambda: names(app) == ["first"], "the list, filtered")

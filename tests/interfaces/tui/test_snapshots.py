@@ -26,7 +26,7 @@ from textual.widgets import DataTable, TabbedContent, TabPane
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
-from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, shows, until
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
@@ -140,7 +140,7 @@ async def test_a_tiny_terminal_gets_a_sentence_and_stop() -> None:
             await pilot.pause()
             lines = shown_text(app).splitlines()
             assert lines[0].endswith("STOP  Esc")
-            assert "Make the terminal larger, at least 80x24" in " ".join(shown_text(app).split())
+            await shows(pilot, "Make the terminal larger, at least 80x24")
         await pilot.resize_terminal(80, 24)
         await until(pilot, lambda: "1 Cell" in shown_text(app), "the screen after the terminal was made larger")
         assert "larger" not in shown_text(app)

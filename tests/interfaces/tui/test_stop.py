@@ -171,7 +171,7 @@ async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
         words = [str(text.render()) for text in app.screen.query(Static)]
         assert any("arm left turns joint 1" in text for text in words)
         await pilot.press(*"sxpc", "enter")
-        assert isinstance(app.screen, MotionQuestion)
+        await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the question")
         assert moving.control.request == "none", "letters in the field are text"
         app.screen.query_one("#name", Input).value = app.workspace.profile.name
         await pilot.press("enter")

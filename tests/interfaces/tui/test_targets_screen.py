@@ -26,7 +26,7 @@ from cellapp.interfaces.tui.screens.targets import TargetsScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, new_name
 from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, until
 from tests.twin import small_twin
 
 TWIN = PROFILES / "twin.yaml"
@@ -131,9 +131,9 @@ async def test_a_target_is_edited_in_a_form_that_judges_while_typing() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, None)
         await fill_form(pilot, app, "enter", position="250, 0, 1")
-        assert "250 m is beyond" in shown_text(app)
+        await shows(pilot, "250 m is beyond")
         await pilot.press("enter")
-        assert isinstance(app.screen, TargetForm), "a wrong target is not taken"
+        await until(pilot, lambda: isinstance(app.screen, TargetForm), "a wrong target is not taken")
         fill_fields(app, position="250 mm, 0, 1", tolerance="0.1 mm")
         await pilot.press("enter")
         await until(pilot, lambda: "NOT SAVED" in heading(app), "the edited list")
@@ -155,7 +155,7 @@ async def test_targets_are_added_removed_brought_back_and_saved(few: Path) -> No
         await show_targets(pilot, app, None, few)
         before = load_targets(few, small_twin())
         await fill_form(pilot, app, "+", name="left-02")
-        assert "is listed twice" in shown_text(app)
+        await shows(pilot, "is listed twice")
         fill_fields(app, name="mine", position="0.1, 200 mm, 0.5")
         await pilot.press("enter")
         await until(pilot, lambda: column(app, 0) == ["left-01", "left-02", "left-03", "mine"], "the new target")
@@ -223,11 +223,11 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path, few: Path) 
         for key in ("b", "P", "m"):
             app.say("")
             await pilot.press(key)
-            assert app.message.startswith("No run is open: plan one (keys 2, b)")
+            await until(pilot, lambda: app.message.startswith("No run is open: plan one (keys 2, b)"), "the message")
         app.open_run(tmp_path / "run", TWIN)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await pilot.press("b")
-        assert app.message.startswith("Not calibrated yet")
+        await until(pilot, lambda: app.message.startswith("Not calibrated yet"), "the message")
         assert not app.jobs.running
 
 
@@ -242,7 +242,11 @@ async def test_an_empty_list_and_an_arm_that_the_run_does_not_have(
         strange = LISTED[0].model_copy(update={"arm": "middle"})
         monkeypatch.setattr(screen, "_edits", TargetEdits(few, (strange,), (strange,)))
         await pilot.press("b")
-        assert app.message == "Target 'left-01': no arm 'middle'; arms are left, right. Enter edits it."
+        await until(
+            pilot,
+            lambda: app.message == "Target 'left-01': no arm 'middle'; arms are left, right. Enter edits it.",
+            "the message",
+        )
         monkeypatch.setattr(screen, "_edits", TargetEdits(few, (), ()))
         screen._draw_list()
         for key, says in (("b", "No targets"), ("m", "No targets"), ("w", "An empty list cannot be saved")):

@@ -54,7 +54,7 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
         assert "Write (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
         await pilot.press("down", "down")
         field = app.screen.query_one("#out", Input)
-        assert field.value == str(Path("day") / "urdf.urdf")
+        await until(pilot, lambda: field.value == str(Path("day") / "urdf.urdf"), "the text of the field")
         field.value = ""
         await pilot.press("ctrl+s")
         assert app.focused is field, "a file is needed"

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.targets.choice import admissible_configurations
@@ -23,7 +22,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, parameter_names
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rotations_of
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.trackers.protocol import Point
@@ -110,10 +109,7 @@ def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point])
     """``align`` to measured points, with the orientations that were measured."""
     R_M_S = None
     if any(one.quaternion_M is not None for one in points):
-        R_M_S = np.full((len(points), 3, 3), np.nan)
-        for row, one in enumerate(points):
-            if one.quaternion_M is not None:
-                R_M_S[row] = Rotation.from_quat(one.quaternion_M, scalar_first=True).as_matrix()
+        R_M_S = rotations_of([np.full(4, np.nan) if one.quaternion_M is None else one.quaternion_M for one in points])
     return align(profile, name, q, np.array([one.p_M for one in points]).reshape(-1, 3), R_M_S)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import zip_longest
@@ -20,6 +19,7 @@ from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.profile import Profile
+from cellapp.ground.time_limit import TimeLimit
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
 from drivers.plant import REALISTIC
@@ -33,31 +33,6 @@ _ENOUGH = 8
 """Trials after which an effect that was never named is given up."""
 _FOLLOWED = 0.3
 """Share that geometry follows from which that is said to limit naming."""
-
-
-@dataclass(frozen=True)
-class TimeLimit:
-    """How long trials may last, from ``began_s`` by ``now`` [s]; ``minutes`` None: as long as they need."""
-
-    minutes: float | None
-    began_s: float
-    now: Callable[[], float] = time.monotonic
-
-    @classmethod
-    def from_now(cls, minutes: float | None) -> TimeLimit:
-        """That begins now."""
-        return cls(minutes, time.monotonic())
-
-    def allowed(self, each_s: float, most: int) -> int:
-        """How many further trials of a duration [s] fit, at most ``most``: they are asked for together."""
-        if self.minutes is None:
-            return most
-        left_s = 60.0 * self.minutes - (self.now() - self.began_s)
-        return max(min(int(left_s / max(each_s, 1e-6)), most), 0)
-
-    def words(self) -> str:
-        """For a progress bar."""
-        return "no time limit" if self.minutes is None else f"at most {self.minutes:g} min"
 
 
 def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:

@@ -30,7 +30,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
 from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS
 from drivers.plant import Plant, suggest_other_law
@@ -202,10 +202,10 @@ def _measured(
     points, covariance = plant.measure_positions(exact + scale * moved, rng)
     further: dict[str, Any] = {}
     if (probe := cell.profile.arms[name].smr.probe) is not None:
-        before = Rotation.from_matrix(plant.probe_rotations(name, stopped, **conditions))
-        turned = Rotation.from_matrix(hidden.probe_rotations(name, stopped, **conditions)) * before.inv()
-        error = Rotation.from_rotvec(scale * turned.as_rotvec() + probe.sigma * rng.standard_normal(moved.shape))
-        quaternion = (error * before).as_quat(scalar_first=True)
+        before = plant.probe_rotations(name, stopped, **conditions)
+        turned = rotation_vectors(hidden.probe_rotations(name, stopped, **conditions) @ before.swapaxes(1, 2))
+        error = Rotation.from_rotvec(scale * turned + probe.sigma * rng.standard_normal(moved.shape))
+        quaternion = quaternions_of(error.as_matrix() @ before)
         further = {"quaternion_M": quaternion, "sigma_rad": np.full(len(moved), probe.sigma)}
     visible = _rms(beyond_geometry(cell.profile.arms[name], stopped, exact, moved)) / rms_m
     return replace(own, p_M=points, covariance_M=covariance, **further), visible

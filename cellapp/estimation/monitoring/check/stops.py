@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
 from cellapp.estimation.monitoring.check.belief import noise_covariance
@@ -23,7 +22,7 @@ from cellapp.estimation.monitoring.check.visible import calibration_motions, mot
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, quaternions_of
 
 NEEDED = 32.0
 """Non-centrality at which a change is found with 95 % at 1 % false alarms among some hundred correlated directions: the
@@ -111,8 +110,8 @@ def _whitened(
 def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementConditions) -> Measured:
     """Imagined readings, with the orientation that the arm's model expects where a check measures it."""
     if arm.measured.turned is not None:
-        turns = scipy.spatial.transform.Rotation.from_matrix(arm.model.orientation(imagined.q, conditions))
-        imagined = replace(imagined, quaternion_M=turns.as_quat(scalar_first=True))
+        turns = arm.model.orientation(imagined.q, conditions)
+        imagined = replace(imagined, quaternion_M=quaternions_of(turns))
     return Measured.of(imagined, conditions)
 
 

@@ -34,6 +34,10 @@ _LEAST = (60, 16)
 _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
 
 
+READING_RUNS = "reading the folder of runs ..."
+"""What stands where something of the runs will stand."""
+
+
 class DayScreen(Screen[None]):
     """One step of the day. Subclasses compose ``body`` and draw in ``show_workspace`` and ``show_job``.
 

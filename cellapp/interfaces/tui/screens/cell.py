@@ -24,7 +24,7 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
-from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
 from cellapp.interfaces.tui.widgets.cell_findings import (
     DevicesTable,
     DeviceState,
@@ -50,7 +50,6 @@ _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
 _TODAY_AFTER_S = 0.6
 """The first screen is drawn before."""
-_READING = "reading the folder of runs ..."
 _NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
@@ -135,7 +134,7 @@ class CellScreen(DayScreen):
                 yield Static("", id="cell-verdict", markup=False)
                 with TabbedContent(id="cell-tabs", initial="tab-today" if self._has_runs else "tab-profile"):
                     with TabPane("Today", id="tab-today"):
-                        yield WrappedTables(_READING if self._has_runs else _NO_RUNS, id="today")
+                        yield WrappedTables(READING_RUNS if self._has_runs else _NO_RUNS, id="today")
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):

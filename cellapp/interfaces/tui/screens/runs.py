@@ -39,7 +39,7 @@ from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
-from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -130,7 +130,7 @@ class RunsScreen(DayScreen):
         yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
         yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
         with VerticalScroll(id="about-run", can_focus=False):
-            yield Static("reading the folder of runs ...", id="about", markup=False)
+            yield Static(READING_RUNS, id="about", markup=False)
 
     def on_mount(self) -> None:
         """Draw the headings."""

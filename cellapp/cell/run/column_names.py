@@ -1,4 +1,4 @@
-"""What the columns of somebody else's recordings are: names, and units that stand in them.
+"""What the columns of somebody else's readings and recordings are: names, and units that stand in them.
 
 ``actual_q_0`` beside ``target_q_0`` is q1, ``ROBOT_ACTUAL_JOINT_POSITIONS (J1)`` too, ``Joint 1 [deg]`` in degrees,
 ``timestamp_ns`` a stamp of nanoseconds, ``X [mm]`` x_m. Cellapp's own names mean what they mean there.
@@ -8,11 +8,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["joints", "points"]
+"""Of a recording of motion."""
+EXAMPLES: Mapping[Kind | Literal["readings"], str] = {
+    "joints": "time_s,q1,q2,q3",
+    "points": "time_s,x_m,y_m,z_m",
+    "readings": "q1,q2,q3,q4,q5,q6,x,y,z",
+}
+"""Rows of names for messages."""
 
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {
@@ -41,9 +48,10 @@ _COMMANDED = {"target", "desired", "commanded", "command", "cmd", "ref", "refere
 _COMMAND = 2
 """Rank of what was commanded."""
 _BESIDE = {"robot", "arm", "state", "states", "msg", "field", "data", "value", "encoder", "motor", "controller"}
+_OF_READINGS = {"robot": "arm", "temperature": "temperature_c", "temp": "temperature_c", "payload": "payload_kg"}
+"""Columns that readings at rest have beside joint positions and points."""
 _POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
-_QUATERNION = re.compile(r"(?:.*[^a-z])?(?:q|quat|quaternion|o|orientation|rotation)[ _.]?([wxyz0-3])")
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 _PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Joints of a UR arm in its controller's order: messages of ROS name them, in another order, and the pendant does."""
@@ -63,6 +71,8 @@ class Understood:
         Of those whose unit stands in their name: what turns their values to SI.
     others : mapping
         Name in the file of each column that cellapp calls otherwise.
+    doubled : mapping
+        Quantity that is left out -> the columns in the file which may be it.
     commanded : bool
         Positions are those that were commanded, as there are no measured ones.
     """
@@ -70,6 +80,7 @@ class Understood:
     names: tuple[str, ...]
     factors: Mapping[str, float]
     others: Mapping[str, str]
+    doubled: Mapping[str, tuple[str, ...]]
     commanded: bool = False
 
     @property
@@ -91,27 +102,31 @@ class _Read:
     """Smaller ones are preferred: measured, not commanded."""
 
 
-def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understood:
-    """Read the names of a file of this ``kind``; ``own`` are cellapp's.
+def understood(
+    names: Sequence[str], kind: Kind | Literal["readings"], own: Collection[str], orientation: Collection[str] = ()
+) -> Understood:
+    """Read the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` those that are read elsewhere.
 
     A quantity that two columns may be is left out, unless one of them is the measured one.
     """
     nothing = _Read("")
     if kind == "joints" and any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
         own = [name for name in own if name.rstrip("0123456789") == name]  # joints from 0 are none of cellapp's names
-    read = [_Read(name, None, -1) if name in own else _read(name, kind) or nothing for name in names]
+    read = [
+        _Read(name, None, -1) if name in own else nothing if name in orientation else _read(name, kind) or nothing
+        for name in names
+    ]
     places: dict[str, list[int]] = {}
     for place, one in enumerate(read):
         if one is not nothing:
             places.setdefault(one.name, []).append(place)
-    chosen = {}
+    chosen, doubled = {}, {}
     for name, its in places.items():
         ranks = [read[place].rank for place in its]
         if ranks.count(min(ranks)) == 1:
             chosen[its[ranks.index(min(ranks))]] = name
-    turned = [place for place, name in chosen.items() if name.startswith("quat_") and read[place].rank >= 0]
-    if len(turned) not in (0, 4) or (turned and any(_is_fifth_joint(name) for name in names)):
-        chosen = {place: name for place, name in chosen.items() if place not in turned}  # q1, q2, q3 of joints
+        else:
+            doubled[name] = tuple(names[place] for place in its)
     shift = 0 if kind == "points" or "q0" not in chosen.values() else 1
     owned = {name for place, name in chosen.items() if read[place].rank < 0}
     called, factors = dict[int, str](), {}
@@ -127,28 +142,25 @@ def understood(names: Sequence[str], kind: Kind, own: Sequence[str]) -> Understo
     commanded = any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items())
     others = {new: names[place] for place, new in called.items()}
     free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
-    return Understood(tuple(called.get(place, name) for place, name in enumerate(free)), factors, others, commanded)
+    all_names = tuple(called.get(place, name) for place, name in enumerate(free))
+    return Understood(all_names, factors, others, doubled, commanded)
 
 
-def _read(name: str, kind: Kind) -> _Read | None:
+def _read(name: str, kind: str) -> _Read | None:
     """What a name means; indices of joints as they stand in it."""
     for quantity in ("time", "angle", "length", None):
         stem, factor = _without_unit(name, quantity)
         if quantity is not None and factor is None:
             continue
-        if quantity in ("time", None) and _words(stem)[-1:] and _words(stem)[-1] in _TIME:
+        if kind != "readings" and quantity in ("time", None) and _words(stem)[-1:] and _words(stem)[-1] in _TIME:
             words = set(_words(stem))
             return _Read("time_s", factor, 0 if "header" in words else 2 if words & _DATE else 1)
-        if kind == "points" and quantity in ("length", None) and (point := _point(stem, factor)):
+        if kind != "joints" and quantity in ("length", None) and (point := _point(stem, factor)):
             return point
-        if kind == "joints" and quantity in ("angle", None) and (joint := _joint(stem, factor)):
+        if kind != "points" and quantity in ("angle", None) and (joint := _joint(stem, factor)):
             return joint
-    return None
-
-
-def _is_fifth_joint(name: str) -> bool:
-    read = _read(name, "joints")
-    return read is not None and read.name in ("q4", "q5")
+    other = _OF_READINGS.get(name.strip().lower()) if kind == "readings" else None
+    return None if other is None else _Read(other)
 
 
 def _without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:
@@ -169,9 +181,6 @@ def _words(stem: str) -> list[str]:
 
 def _point(stem: str, factor: float | None) -> _Read | None:
     rank = 1 if set(_words(stem)) & (_COMMANDED | _OF_ROBOT) else 0
-    if (match := _QUATERNION.fullmatch(stem)) is not None:
-        axis = match.group(1)
-        return _Read(f"quat_{'wxyz'[int(axis)] if axis.isdigit() else axis}", None, rank) if factor is None else None
     if _NO_POINT.search(stem) is None and (match := _POINT.fullmatch(stem)) is not None:
         return _Read(f"{match.group(1)}_m", factor, rank)
     if {"sigma", "uncertainty", "std"} & set(_words(stem)) and len(_words(stem)) == 1:

@@ -1,20 +1,45 @@
-"""Values of somebody else's recordings in SI: by the names of their columns, else where only one unit is possible."""
+"""Units of somebody else's values: by the names of their columns, else where only one unit is possible."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.recorded_csv import SURELY_DEG, SURELY_MM
+from cellapp.cell.run.column_names import Kind, Understood
 from cellapp.cell.run.stream_columns import POINT, UNITS_OF_TIME, time_unit
 from cellapp.cell.run.stream_csv import StreamTable
-from cellapp.cell.run.stream_names import Kind, Understood
 from cellapp.cell.run.written_orientation import QUATERNION
 
 _DEG = math.pi / 180.0
+AngleUnit = Literal["rad", "deg"]
+LengthUnit = Literal["m", "mm", "um"]
+_SURELY_RAD, _SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
+"""Joint positions [rad] within the first and over more than ``_WIDE`` are radians; beyond the second are degrees."""
+_WIDE = 0.3
+_SURELY_M, _SURELY_MM = 20.0, 100.0
+"""No cell is wider than the first [m]; no tracker measures beyond the second [m]."""
+_LEAST_M = 0.05
+"""Points that lie closer together [m] may be in another unit."""
+
+
+def angle_unit(q: NDArray[np.float64]) -> AngleUnit | None:
+    """The unit of joint positions (n, N) by their size; None where it does not decide."""
+    largest, widest = _largest_and_widest(q)
+    if largest > _SURELY_DEG:
+        return "deg"
+    return "rad" if largest <= _SURELY_RAD and widest > _WIDE else None
+
+
+def length_unit(p: NDArray[np.float64]) -> LengthUnit | None:
+    """The unit of points (n, 3) by their size; None where it does not decide."""
+    largest, widest = _largest_and_widest(p)
+    if largest > _SURELY_MM:
+        return "mm"
+    return "m" if largest <= _SURELY_M and widest > _LEAST_M else None
 
 
 def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
@@ -30,12 +55,15 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
         guessed.append("stamps in seconds" if unit is None else f"stamps in {unit}, by the step between them")
     if kind == "joints":
         positions = [name for name in columns if _is_joint(name, "q")]
-        guessed += _angles(columns, factors, [name for name in positions if known.unsaid(name)])
+        unsaid = [name for name in positions if known.unsaid(name)]
+        if unsaid and angle_unit(np.column_stack([columns[name] for name in unsaid])) == "deg":
+            factors |= dict.fromkeys(unsaid, _DEG)
+            guessed.append("joint positions in degrees, by their size")
         speeds = [name for name in columns if _is_joint(name, "qd") and known.unsaid(name)]
         guessed += _speeds(columns, factors, positions, speeds)
     else:
         points = [name for name in POINT if name in columns and known.unsaid(name)]
-        if points and max(_largest(columns[name]) for name in points) > SURELY_MM:
+        if points and length_unit(np.column_stack([columns[name] for name in points])) == "mm":
             factors |= dict.fromkeys(points, 1e-3)
             guessed.append("points in millimetres, by their size")
         if known.unsaid("sigma_m"):
@@ -59,13 +87,6 @@ def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[s
     return replace(table, columns=kept), [words]
 
 
-def _angles(columns: dict[str, NDArray[np.float64]], factors: dict[str, float], names: list[str]) -> list[str]:
-    if not names or max(_largest(columns[name]) for name in names) <= SURELY_DEG:
-        return []
-    factors |= dict.fromkeys(names, _DEG)
-    return ["joint positions in degrees, by their size"]
-
-
 def _speeds(
     columns: dict[str, NDArray[np.float64]], factors: dict[str, float], positions: list[str], speeds: list[str]
 ) -> list[str]:
@@ -85,8 +106,13 @@ def _speeds(
     return ["speeds in degrees a second, by the motion of the positions"]
 
 
-def _largest(values: NDArray[np.float64]) -> float:
-    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+def _largest_and_widest(values: NDArray[np.float64]) -> tuple[float, float]:
+    """The largest size of values (n, k), and the widest range of a column, without NaN."""
+    values = values[:, np.isfinite(values).any(axis=0)]
+    if not values.size:
+        return 0.0, 0.0
+    least, most = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+    return float(max(-least.min(), most.max())), float((most - least).max())
 
 
 def _is_joint(name: str, stem: str) -> bool:
