@@ -12,7 +12,7 @@ import scipy
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
-from cellapp.robot.effects.backlash import LOAD_REACH, REACH
+from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -33,6 +33,8 @@ ONLY_MOTION = {
     Law.VIBRATION: "an arm at rest does not swing",
 }
 """Why stops cannot show a law."""
+_REACHES = {(False, False): REACH, (False, True): BELL, (True, False): LOAD_REACH, (True, True): LOAD_BELL}
+"""Constants of laws at rest: under load or not, as a bell curve or not."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
 """The same of a law of a plug-in."""
 DENSE = 20
@@ -275,7 +277,7 @@ def _effect_of(
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p),
         form=_form(law, terms, dry),
         constants={
-            (LOAD_REACH if term.law is Law.WINDUP else REACH).key(term.joint): term.fading.reach
+            _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
             for term in terms
             if term.fading
         },
