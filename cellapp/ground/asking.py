@@ -33,8 +33,9 @@ PATIENCE_S = 2.0
 
 _RUN_FILE = "run.sqlite"
 """As ``cellapp.cell.run`` names it, which imports much."""
-_GLANCE_S = 0.2
-"""Patience of a list of runs, which only shows whether a job is there."""
+_GLANCE_S = 1.0
+"""Patience of a list of runs, which only shows whether a job is there. A job that computes on a busy computer was taken
+for one that does not answer after 0.2 s."""
 
 
 class JobAddress(NamedTuple):

@@ -144,14 +144,14 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
 def sample_spacing(cell: CellBodies) -> float:
     """Farthest that a point of a body moves between samples of two arms' paths [m].
 
-    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
-    stop that keeps so much more than the clearance can be reached.
+    Between samples two arms may be nearer by at most this, other bodies by at most a quarter of it: a stop that keeps
+    the clearance and as much beside can be reached.
     """
     return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
 
 
 def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
-    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    """The cell with a larger clearance: the gate accepts ways to stops that keep it, of one arm or ``between_arms``."""
     return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
 
 
@@ -343,6 +343,11 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
             words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
             return _carried(path.arm, k) + words
     return ""
+
+
+def keeps_obstacles(cell: CellBodies, path: SampledPath) -> bool:
+    """Whether an arm keeps its distance from all obstacles on a path."""
+    return not _refuse_obstacles(cell, path)
 
 
 def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:

@@ -25,7 +25,7 @@ _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that say the same of stops, without fading parts; a lag has none."""
+"""Forms of the effects' laws that describe the same effect at stops, without fading parts; a lag has none."""
 ONLY_MOTION = {
     Law.LAG: "a delay moves nothing at rest",
     Law.TIME_CONSTANT: "a time constant moves nothing at rest",
@@ -286,7 +286,7 @@ def _effect_of(
 
 
 def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], dry: bool) -> str:
-    """The form of the effect's law that says the same of stops; empty where none does."""
+    """The form of the effect's law that describes the same at stops; empty where none does."""
     if any(term.fading for term in terms):
         return "gradual"
     return "both" if dry else AT_REST.get(law, "") if isinstance(law, Law) else ""

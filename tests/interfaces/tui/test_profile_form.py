@@ -66,6 +66,21 @@ def problem(app: CellApp, field: str) -> str:
     return str(row(app, field).query_one(".problem", Static).content)
 
 
+async def judged(pilot: Pilot[None], app: CellApp, field: str, words: str) -> None:
+    """Wait until a field is judged, which a thread does, and ``words`` stand beside it."""
+    await until(pilot, lambda: words in problem(app, field), words)
+
+
+async def drawn(pilot: Pilot[None], app: CellApp, words: str) -> None:
+    """Wait until the map says ``words``."""
+
+    def says() -> bool:
+        chart = form(app).query_one(ChartPlot).chart
+        return chart is not None and words in chart.message
+
+    await until(pilot, says, words)
+
+
 def title(app: CellApp) -> str:
     return "".join(str(part.content) for part in form(app).query("#form-title").results(Static))
 
@@ -91,11 +106,12 @@ async def edit(pilot: Pilot[None], app: CellApp) -> None:
 
 async def asked(pilot: Pilot[None], app: CellApp, *words: str) -> None:
     """Wait for a question with these words."""
-    await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-    await pilot.pause()
-    said = " ".join(str(part.content) for part in app.screen.query(Static))
-    for word in words:
-        assert word in said
+
+    def asks() -> bool:
+        said = " ".join(str(part.content) for part in app.screen.query(Static))
+        return isinstance(app.screen, Choice) and all(word in said for word in words)
+
+    await until(pilot, asks, f"the question {words}")
 
 
 # -- first run --------------------------------------------------------------------------------------------------------
@@ -149,13 +165,11 @@ async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -
         await pilot.press("f4")  # from the name to the first problem of the left arm
         await until(pilot, lambda: "Controller: address" in shown_text(app), "the next problem")
         assert app.focused is row(app, "arms.0.host").input
-        assert "missing; it must be given" in problem(app, "arms.0.host")
+        await judged(pilot, app, "arms.0.host", "missing; it must be given")
         for field, value in ANSWERS.items():
             await fill(pilot, app, field, value)
         await shown(pilot, app, "hall-3.yaml · not saved · every field holds")
-        chart = form(app).query_one(ChartPlot).chart
-        assert chart is not None
-        assert "left at 0.00, 0.85 m" in chart.message
+        await drawn(pilot, app, "left at 0.00, 0.85 m")
         await pilot.press("ctrl+s")
         await shown(pilot, app, "· saved ·")
         await pilot.press("escape")
@@ -187,12 +201,12 @@ async def test_undo_steps_by_field_and_a_problem_stands_beside_its_field(with_tw
         await pilot.press("down", "down", "down", "end", "backspace", "k", "m")
         await shown(pilot, app, "1 field to correct")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.km"
-        assert "'km' is not a unit of length; use one of m," in problem(app, "arms.0.position")
+        await judged(pilot, app, "arms.0.position", "'km' is not a unit of length; use one of m,")
         await shows(pilot, "left (1)")
         await pilot.press("ctrl+z")
         await shown(pilot, app, "unchanged · every field holds")
         assert text(app, "arms.0.position") == "0.0, 0.85, 0.0"
-        assert problem(app, "arms.0.position") == ""
+        await until(pilot, lambda: problem(app, "arms.0.position") == "", "no problem")
 
 
 async def test_saving_asks_and_overwrites_nothing_silently(with_twin: CellApp) -> None:
@@ -231,14 +245,14 @@ async def test_the_fields_are_those_of_the_arms_and_their_drivers(with_twin: Cel
         assert not row(app, "arms.0.host").display
         await fill(pilot, app, "arms.0.kind", "ur")
         await fill(pilot, app, "tracker.kind", "bridge")
-        assert row(app, "arms.0.host").display
+        await until(pilot, lambda: row(app, "arms.0.host").display, "the fields of the driver")
         assert row(app, "tracker.url").display
         assert not row(app, "tracker.address").display
         await shown(pilot, app, "2 fields to correct")
         await pilot.press("ctrl+z", "ctrl+z")
         await pilot.press("f7")
         await shown(pilot, app, "1 field to correct")
-        assert "each arm needs a name" in problem(app, "arms.2.name")
+        await judged(pilot, app, "arms.2.name", "each arm needs a name")
         await pilot.press("f8")
         await shown(pilot, app, "unchanged · every field holds")
         await pilot.press("ctrl+z")
@@ -294,10 +308,12 @@ async def test_an_obstacle_is_added_judged_drawn_and_removed(with_twin: CellApp)
         row(app, "obstacles.0.shape").input.value = "sphere"
         row(app, "obstacles.0.radius").input.value = "5 cm"
         await shown(pilot, app, "every field holds")
-        assert row(app, "obstacles.0.radius").display > row(app, "obstacles.0.size").display
-        chart = form(app).query_one(ChartPlot).chart
-        assert chart is not None
-        assert "table" in chart.message
+        await until(
+            pilot,
+            lambda: row(app, "obstacles.0.radius").display > row(app, "obstacles.0.size").display,
+            "the fields of the shape",
+        )
+        await drawn(pilot, app, "table")
         await pilot.press("f8")
         await until(pilot, lambda: not form(app)._draft.obstacles, "the removal")
 

@@ -19,7 +19,7 @@ _MOST_WAITING = 2000
 """Events that wait for a slow watcher; it loses the oldest ones. The run file has all."""
 _MOST_ANSWERS = 50
 _BEAT_S = 0.2
-_FAREWELL_S = 0.2
+_FAREWELL_S = 0.5
 """How long the end of a job waits at most until all watchers have been told."""
 
 AnswerTo = Callable[[str], Answer]
