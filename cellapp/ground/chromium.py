@@ -24,7 +24,7 @@ _NAMES = (
 )
 """Names under which systems install a Chromium, or a browser that takes the same options."""
 _LONGEST_S = 120.0
-"""A page of 5 MB prints in a few seconds; a browser that takes so much longer does not end by itself."""
+"""A page of 5 MB prints in a few seconds; a browser that takes this long hangs."""
 _FLAGS = (
     "--headless",
     "--disable-gpu",

@@ -251,8 +251,6 @@ def probe_ur(
         primary_state = _read_primary(primary, patience)
         ports = {link.port: not link.refusal(patience) for link in (primary, script, rtde)}
     greeting, software, answers = conversation
-    remote = answers.get(_Query.REMOTE_CONTROL)
-    running = answers.get(_Query.RUNNING)
     return UrProbe(
         host=host,
         greeting=greeting,
@@ -263,8 +261,8 @@ def probe_ur(
         robot_mode=answers.get(_Query.ROBOT_MODE),
         safety_mode=answers.get(_Query.SAFETY_MODE),
         safety_status=answers.get(_Query.SAFETY_STATUS),
-        remote_control=None if remote is None else remote.lower() == "true",
-        program_running=None if running is None else running.lower() == "true",
+        remote_control=_is_true(answers.get(_Query.REMOTE_CONTROL)),
+        program_running=_is_true(answers.get(_Query.RUNNING)),
         ports=ports,
         kinematics=primary_state.kinematics,
         kinematics_note=primary_state.note,
@@ -318,6 +316,10 @@ def _major_version(primary: Connection, patience: Patience) -> int | None:
     _, _, subtype, length = _VERSION.unpack_from(message)
     at = _VERSION.size + length
     return message[at] if subtype == _VERSION_MESSAGE and at < len(message) else None
+
+
+def _is_true(answer: str | None) -> bool | None:
+    return None if answer is None else answer.lower() == "true"
 
 
 def _series(software: str) -> str:

@@ -216,10 +216,10 @@ class Plant:
         return arm, situation, posture
 
     def _in_phase(
-        self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, *, moving: bool
+        self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, others: Mapping[str, Array], *, moving: bool
     ) -> tuple[Situation, list[Array | None]]:
         """Return the situation of an arm at ``q`` (n, N) at times (n,) [s] of a phase without reversal, and what its
-        effects remember then."""
+        effects remember then; ``others`` (n, N) are joint positions of other arms, which else are as they are now."""
         step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
         memories = list(phase.memories)
         if moving:
@@ -235,7 +235,7 @@ class Plant:
             time_s=time_s,
             air_c=air_c,
             joints_c=air_c[:, None] + arm.rise,
-            others=self._other_postures(arm, {}, len(q)),
+            others=self._other_postures(arm, others, len(q)),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
         )
@@ -425,7 +425,7 @@ class Plant:
 
     def _apparent_now(self, arm: TrueArm) -> Seen:
         phase, now_s = phase_of(arm, self._clock_s), np.array([self._clock_s])
-        situation, memories = self._in_phase(arm, phase, self._q(arm)[None], now_s, moving=arm.motion is not None)
+        situation, memories = self._in_phase(arm, phase, self._q(arm)[None], now_s, {}, moving=arm.motion is not None)
         posture, arm.load_deflection = self._equilibrium(
             arm, situation, memories, arm.load_deflection, arm.stop_error[None]
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,11 @@ def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[
         earlier, first = (joints_at(arm, time_s - n * _BACK_S, plant._clock_s)[0] for n in (1, 2))
         inertia = inertia_torques(arm.mechanism, first, earlier, q, _BACK_S)
     p_M, normal_M = np.empty((2, len(time_s), 3))
+    moved = {other: joints_at(plant._arm(other), time_s, plant._clock_s)[0] for other in plant.names if other != name}
     for phase, rows in known:
-        moving = phase.motion is not None
+        moving, others = phase.motion is not None, {other: its[rows] for other, its in moved.items()}
         p_M[rows], normal_M[rows] = smr_in(
-            plant, arm, phase, q[rows], time_s[rows], nest, moving=moving, inertia=inertia[rows]
+            plant, arm, phase, q[rows], time_s[rows], others, nest, moving=moving, inertia=inertia[rows]
         )
     return p_M, normal_M
 
@@ -44,16 +46,18 @@ def smr_in(
     phase: Phase,
     q: Array,
     time_s: Array,
+    others: Mapping[str, Array],
     nest: str = "",
     *,
     moving: bool,
     inertia: Array | None = None,
     response: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal;
+    """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal, other
+    arms at ``others`` (n, N);
     ``inertia`` (n, N) are torques of its acceleration [Nm], ``response`` (n, N) is what the course of its motion adds
     to the joints [rad]."""
-    situation, memories = plant._in_phase(arm, phase, q, time_s, moving=moving)
+    situation, memories = plant._in_phase(arm, phase, q, time_s, others, moving=moving)
     situation = replace(situation, inertia=inertia)
     posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None] + response)
     return plant._apparent_smr(arm, situation, posture, nest)

@@ -9,7 +9,9 @@ loses the beam now and then.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -76,6 +78,8 @@ class SweepRecord:
     point_time_s, p_M, sigma_m : arrays, shapes (m,), (m, 3), (m,)
         Stamps of the tracker, points [m], their standard uncertainty by the specification [m]; points are NaN where the
         beam was lost.
+    beside_q : mapping
+        Joint positions (n, K) [rad] of each arm that moved beside, at ``joint_time_s``.
     """
 
     joint_time_s: Array
@@ -84,33 +88,48 @@ class SweepRecord:
     point_time_s: Array
     p_M: Array
     sigma_m: Array
+    beside_q: Mapping[str, Array] = field(default_factory=dict)
 
 
-def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, cycle_s: float) -> SweepRecord:
+def record_sweep(
+    plant: Plant,
+    recorder: Recorder,
+    name: str,
+    commanded: Array,
+    cycle_s: float,
+    beside: Mapping[str, Array] = MappingProxyType({}),
+) -> SweepRecord:
     """Let an arm at rest follow ``commanded`` (n, N) [rad], a position each ``cycle_s`` [s], and record it.
 
-    The plant's time passes; the other arms rest. Raises ``ValueError`` if an arm moves, or the arm is not where the
-    commands begin.
+    The plant's time passes; arms ``beside`` (n, K) follow theirs meanwhile, the others rest. Raises ``ValueError`` if
+    an arm moves, or is not where its commands begin.
     """
-    arm = plant._arm(name)
     if any(plant.moving(other) for other in plant.names):
         raise ValueError("a sweep is recorded while no other motion is under way")
-    if np.abs(arm.q - commanded[0]).max() > 1e-3:
-        raise ValueError(f"arm {name} is not where its sweep begins")
+    moving, paths = dict[TrueArm, Array](), {name: commanded, **beside}
+    for one, rows in paths.items():
+        if np.abs(plant.q(one) - rows[0]).max() > 1e-3:
+            raise ValueError(f"arm {one} is not where its sweep begins")
     rng = np.random.default_rng([recorder.seed, round(1e3 * plant.clock_s)])
-    arm.resting = None
-    arm.stop_error = plant.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
-    time_s, q = _joint_motion(arm.q, commanded, cycle_s)
+    for one, rows in paths.items():
+        its = plant._arm(one)
+        its.resting = None
+        its.stop_error = plant.config.repeatability * its.repeatability.standard_normal(its.config.joints)
+        time_s, moving[its] = _joint_motion(its.q, rows, cycle_s)
+    arm = plant._arm(name)
+    q, others = moving[arm], {its.config.name: path for its, path in moving.items() if its is not arm}
     seen = np.arange(0.0, time_s[-1], 1.0 / recorder.point_hz) + rng.uniform(0.0, 1.0 / recorder.point_hz)
     seen = seen[seen < time_s[-1]]
     began_s = plant.clock_s
-    p_M = _points(plant, arm, time_s, q, seen, began_s)
+    p_M = _points(plant, arm, time_s, q, seen, began_s, {one: _at(seen, time_s, path) for one, path in others.items()})
     p_M, covariance = plant.measure_positions(p_M, rng)
     if plant.config.noise:
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
         p_M = p_M * (1.0 + DYNAMIC_M * rng.standard_normal(distance.shape) / distance)
     joint_time_s, joints, speeds = _samples(time_s, q, recorder, rng)
-    _end(plant, arm, time_s, q)
+    for one in others:
+        _remember(plant._arm(one), others[one])
+    _end(plant, moving, float(time_s[-1]))
     lost = _lost(seen, recorder, rng)
     return SweepRecord(
         joint_time_s=began_s + joint_time_s,
@@ -119,7 +138,13 @@ def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, 
         point_time_s=recorder.offset_s + (1.0 + 1e-6 * recorder.rate_ppm) * (began_s + seen),
         p_M=np.where(lost[:, None], np.nan, p_M),
         sigma_m=np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0),
+        beside_q={one: _at(joint_time_s, time_s, path) for one, path in others.items()},
     )
+
+
+def _at(times: Array, time_s: Array, table: Array) -> Array:
+    """Columns of a ``table`` (n, N) given at ``time_s`` (n,), at other times (m,)."""
+    return np.column_stack([np.interp(times, time_s, column) for column in table.T])
 
 
 def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array, Array]:
@@ -141,9 +166,7 @@ def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generat
     stamps = stamps[rng.random(len(stamps)) >= recorder.lost_samples]
     instants = np.clip(stamps + recorder.jitter_s * rng.standard_normal(len(stamps)), 0.0, time_s[-1])
     speed = np.gradient(q, _STEP_S, axis=0)
-    at = (np.column_stack([np.interp(instants, time_s, column) for column in table.T]) for table in (q, speed))
-    positions, speeds = at
-    return stamps, positions, speeds
+    return stamps, _at(instants, time_s, q), _at(instants, time_s, speed)
 
 
 def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarray:
@@ -165,9 +188,18 @@ def _turns(q: Array) -> np.ndarray:
     return np.flatnonzero((way[1:] * way[:-1] < 0.0).any(axis=1)) + 1
 
 
-def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, began_s: float) -> Array:
-    """True apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints."""
-    q_seen = np.column_stack([np.interp(seen, time_s, column) for column in q.T])
+def _points(
+    plant: Plant,
+    arm: TrueArm,
+    time_s: Array,
+    q: Array,
+    seen: Array,
+    began_s: float,
+    others: Mapping[str, Array],
+) -> Array:
+    """True apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints; ``others``
+    (m, K) are joint positions of arms that move beside."""
+    q_seen = _at(seen, time_s, q)
     inertia, added = _of_course(arm, time_s, q, seen)
     turns = [0, *_turns(q).tolist(), len(q) - 1]
     points = np.empty((len(seen), 3))
@@ -178,7 +210,10 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
             at_s, turn, more = began_s + seen[some], inertia[some], added[some]
-            points[some], _ = smr_in(plant, arm, phase, q_seen[some], at_s, moving=True, inertia=turn, response=more)
+            here = {one: its[some] for one, its in others.items()}
+            points[some], _ = smr_in(
+                plant, arm, phase, q_seen[some], at_s, here, moving=True, inertia=turn, response=more
+            )
         _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
     return points
 
@@ -186,14 +221,12 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
 def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Array, Array]:
     """Torques of inertia [Nm], and what effects of the whole course add to the joints [rad], each (m, N)."""
 
-    def at(times: Array, table: Array) -> Array:
-        return np.column_stack([np.interp(times, time_s, column) for column in table.T])
-
-    now, responses = at(seen, q), [effect.response(time_s, q, arm.mechanism) for effect in arm.effects]
-    added = np.sum([np.zeros_like(now), *(at(seen, one) for one in responses if one is not None)], axis=0)
+    now, responses = _at(seen, time_s, q), [effect.response(time_s, q, arm.mechanism) for effect in arm.effects]
+    added = np.sum([np.zeros_like(now), *(_at(seen, time_s, one) for one in responses if one is not None)], axis=0)
     if not arm.effects:
         return added, added
-    return inertia_torques(arm.mechanism, at(seen - _BEND_S, q), now, at(seen + _BEND_S, q), _BEND_S), added
+    before, after = (_at(seen + step, time_s, q) for step in (-_BEND_S, _BEND_S))
+    return inertia_torques(arm.mechanism, before, now, after, _BEND_S), added
 
 
 def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
@@ -209,20 +242,28 @@ def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
     arm.q = at
 
 
-def _end(plant: Plant, arm: TrueArm, time_s: Array, q: Array) -> None:
-    """Leave the arm at rest at the end of its sweep, and let the time of it pass."""
-    step = q[-1] - arm.q
-    arm.memories = [
-        effect.memory_after_motion(memory, q[-1][None])
-        for effect, memory in zip(arm.effects, arm.memories, strict=True)
-    ]
-    arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
-    arm.last_step, arm.q = step, q[-1].copy()
-    speed = np.abs(np.diff(q, axis=0)).mean(axis=0) / _STEP_S
-    warmer = joint_rise(arm.rise, speed, float(time_s[-1]), plant.config.holding_k)
-    plant.advance(float(time_s[-1]))
-    arm.rise = warmer
-    arm.rest_since_s = plant.clock_s - _REST_S
+def _remember(arm: TrueArm, q: Array) -> None:
+    """What an arm remembers that went along ``q`` (n, N) up to its last turn."""
+    for turn in _turns(q).tolist():
+        _note_turn(arm, q[0], q[turn], q[turn + 1])
+
+
+def _end(plant: Plant, moving: Mapping[TrueArm, Array], seconds: float) -> None:
+    """Leave arms at rest at the end of their ways (n, N), and let the time of them pass."""
+    warmer = dict[TrueArm, Array]()
+    for arm, q in moving.items():
+        step = q[-1] - arm.q
+        arm.memories = [
+            effect.memory_after_motion(memory, q[-1][None])
+            for effect, memory in zip(arm.effects, arm.memories, strict=True)
+        ]
+        arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
+        arm.last_step, arm.q = step, q[-1].copy()
+        speed = np.abs(np.diff(q, axis=0)).mean(axis=0) / _STEP_S
+        warmer[arm] = joint_rise(arm.rise, speed, seconds, plant.config.holding_k)
+    plant.advance(seconds)
+    for arm, rise in warmer.items():
+        arm.rise, arm.rest_since_s = rise, plant.clock_s - _REST_S
 
 
 def recorder_of(plant: Plant) -> Recorder:

@@ -31,6 +31,7 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
+from cellapp.ground.profile.smr import Smr
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
@@ -306,3 +307,28 @@ def test_one_arm_alone_is_checked(tmp_path: Path) -> None:
         assert found.found_change
         assert list(found.arms) == ["left"]
         assert read_stages(run).in_force == read_stages(run).current[CALIBRATE]
+
+
+def test_nests_show_a_change_that_positions_do_not(tmp_path: Path) -> None:
+    """Joint 6 hardly moves an SMR near its axis; three nests on the flange show that it turns."""
+    twin = finished_twin(40)
+    assert twin.plant is not None
+    plant = twin.plant.model_copy(update={"effects": {}})
+    drawn = twin.plan.model_copy(update={"method": "random"})
+    nests = {"B": {"offset": (-0.055, 0.02, 0.06)}, "C": {"offset": (-0.005, 0.11, 0.06)}}
+    left = twin.arms["left"]
+    smr = Smr.model_validate({**left.smr.model_dump(), "name": "A", "nests": nests})
+    alone = twin.model_copy(
+        update={"arms": {"left": left.model_copy(update={"smr": smr})}, "plant": plant, "plan": drawn}
+    )
+    with new_planned_run(alone, tmp_path / "run") as run:
+        collect_run(run)
+        calibrate_run(run)
+        same = check_run(run)
+        assert same.verdict == "valid"
+        assert sum(stop.points["left"].error_mrad is not None for stop in same.stops) >= len(same.stops) - 2
+        found = check_run(run, simulated_plant=other_zero(alone, joint=6, rad=5e-4))
+        assert found.verdict == "arm changed"
+        assert "zero of joint 6" in {name for one in found.changes for name in (one.what, *one.rivals)}
+        assert found.changes[0].turned_mrad is not None
+        assert found.changes[0].moved_mm < 0.03

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 from cellapp.cell.driving.cell import Cell
@@ -27,10 +28,10 @@ class Beam:
         Why the track has ended: ``TargetLost`` where the beam broke, else the tracker died.
     """
 
-    def __init__(self, arm: PathFollower, reaction: StopReaction) -> None:
+    def __init__(self, moving: Sequence[PathFollower], reaction: StopReaction) -> None:
         self.first: Packet | None = None
         self.error: TrackerError | None = None
-        self._arm, self._reaction = arm, reaction
+        self._moving, self._reaction = moving, reaction
 
     def received(self, packet: Packet) -> None:
         """Keep the first packet with a point."""
@@ -38,13 +39,14 @@ class Beam:
             self.first = packet
 
     def lost(self, error: TrackerError) -> None:
-        """Let the arm slow down along its path and rest on it; a tracker that died stops the cell."""
+        """Let all that move slow down along their paths and rest on them; a tracker that died stops the cell."""
         self.error = error
         if not isinstance(error, TargetLost):
             self._reaction.trigger(StopCause("tracker", str(error)))
             return
-        with suppress(ArmError):  # its own doubt stops the cell
-            self._arm.end_path()
+        for arm in self._moving:
+            with suppress(ArmError):  # its own doubt stops the cell
+                arm.end_path()
 
 
 def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:

@@ -56,8 +56,9 @@ class ClearanceObserver(Protocol):
         """Smallest distance of an arm from the floor."""
 
 
-RecordSweep = Callable[[str, NDArray[np.float64], float], SweepRecord]
-"""Arm, joint positions (n, N) [rad] and the time between two of them [s] -> what both devices recorded."""
+RecordSweep = Callable[[str, NDArray[np.float64], float, Mapping[str, NDArray[np.float64]]], SweepRecord]
+"""Arm, joint positions (n, N) [rad], the time between two of them [s], and those of arms that move beside -> what the
+devices recorded."""
 
 
 @dataclass(frozen=True)

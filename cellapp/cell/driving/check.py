@@ -7,7 +7,8 @@ tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -16,11 +17,13 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.moving_cell import MovingCell, moving_cell
+from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import last_motion_matters
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.monitoring.check import SequentialState
+from cellapp.estimation.nests import NestShape
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -32,8 +35,7 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""An SMR that is not found at so many stops one after the other is not looked for any more, before it was found for the
-first time and after it."""
+"""Consecutive stops without an SMR after which it is not searched for any more: before it was found once, and after."""
 
 
 class StopTest(Protocol):
@@ -48,13 +50,14 @@ class CheckTask:
     """What to measure.
 
     ``model`` is in the present tracker frame. ``stops`` are joint positions (N,) [rad] by arm, in the order of driving.
-    ``excess_m`` is as in ``fit_station``.
+    ``excess_m`` is as in ``fit_station``, ``nests`` are the figures of several SMRs on a flange, by arm.
     """
 
     profile: Profile
     model: CellModel
     stops: Sequence[Mapping[str, Vector]]
     excess_m: Mapping[str, float]
+    nests: Mapping[str, NestShape] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +113,8 @@ def drive_check(
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
-        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, listener)
+        nests = NestPoses.of(profile, task.model, moving.bodies, task.nests)
+        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, nests, listener)
         driven = checking.visit_all()
         mover.go_home()
         driven.seconds = checking.elapsed_s()
@@ -129,6 +133,7 @@ class _Checking:
     mover: Mover
     driver: Driver
     search: SmrSearch
+    nests: NestPoses
     listener: Listener
     driven: DrivenCheck = field(default_factory=DrivenCheck)
 
@@ -203,7 +208,7 @@ class _Checking:
         found = self.search.measure(name, state)
         if isinstance(found, FoundPoint):
             self._missed[name] = 0
-            return found
+            return replace(found, point=self.nests.turned(self.mover, name, found.q, found.point))
         self.driven.notes.append(found)
         self._missed[name] += 1
         seen = any(one.arm == name for one in self.search.found)

@@ -1,5 +1,8 @@
 """One sweep of one arm, driven and recorded through its drivers: the controller's samples and the tracker's points.
 
+Where another arm swings beside it, both are driven at once, and the joints of both are recorded; the tracker follows
+the one. The stamps of the other's controller are brought to the first one's by the states of both at the beginning.
+
 The devices begin before the motion and end after it, at rest, each with the stamps of its own clock. Where the beam
 breaks, the arm slows down along its way and rests; the tracker is led to the SMR again, and the arm goes on from there:
 what follows is a recording of its own.
@@ -7,9 +10,10 @@ what follows is a recording of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -22,7 +26,7 @@ from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.ground.control import JobControl
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
-from drivers.arms.protocol import ArmError, PathFollower
+from drivers.arms.protocol import Arm, ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm
 from drivers.trackers.protocol import (
     Packet,
@@ -51,12 +55,14 @@ _SHORTEST_S = 0.5
 class SweepPart:
     """What was recorded up to where the beam broke, or up to the end of the motion.
 
-    ``reached_s`` is the time of the motion at which the arm came to rest [s]; None: at its end.
+    ``reached_s`` is the time of the motion at which the arm came to rest [s]; None: at its end. ``beside`` are joint
+    positions (n, K) [rad] of the arm that swung beside, at the stamps of ``joints``.
     """
 
     joints: JointRecord
     track: Track
     reached_s: float | None
+    beside: Array | None = None
 
 
 def why_no_sweeps(cell: Cell, interval_s: float) -> str:
@@ -74,6 +80,25 @@ def why_no_sweeps(cell: Cell, interval_s: float) -> str:
     return ""
 
 
+@runtime_checkable
+class _FollowedAndRecorded(Arm, PathFollower, RecordingArm, Protocol):
+    """An arm of a cell in which sweeps can be recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """What an arm follows next: positions ``q`` (m, N) [rad], and where in its motion they are, ``s_s`` (m,) [s]."""
+
+    arm: _FollowedAndRecorded
+    q: Array
+    s_s: Array
+
+    def at_s(self, reached: float) -> float | None:
+        """The time of the motion at a row; None at the end."""
+        early = reached < len(self.q) - 1
+        return float(np.interp(reached, np.arange(len(self.s_s)), self.s_s)) if early else None
+
+
 @dataclass(frozen=True)
 class SweepDriver:
     """Drives sweeps in an open cell. ``interval_s`` lies between two points of the tracker [s]."""
@@ -85,80 +110,108 @@ class SweepDriver:
     control: JobControl
     interval_s: float
 
-    def drive(self, name: str, sweep: Sweep, note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
-        """Drive a motion at whose beginning the arm is, and give each part when it is recorded.
+    def drive(self, motions: Mapping[str, Sweep], note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
+        """Drive the motions of one period of all arms that move, at whose beginning they are, and give each part when
+        it is recorded. The first one is measured.
 
         ``live`` is told what comes.
 
         Raises
         ------
         MotionRefused
-            If the gate refuses; the arm rests.
+            If the gate refuses; the arms rest.
         CellStopped
             If anything stops the cell.
         TrackerError
             If the SMR is not found before the motion begins.
         """
-        arm = self.cell.arms[name]
-        assert isinstance(arm, RecordingArm)
-        assert isinstance(arm, PathFollower)
-        from_s = 0.0
+        name, from_s = next(iter(motions)), dict.fromkeys(motions, 0.0)
         for part in range(1, _MOST_PARTS + 1):
-            q, s_s = _rest_of(sweep, from_s, arm.path_period_s)
             try:
                 if part > 1:
                     find_again(self.cell, self.mover, self.control, name)
-                found = self._recorded(name, q, s_s, live)
+                found, reached = self._recorded(self._legs(motions, from_s), live)
             except (TargetLost, WrongTarget) as error:
                 if part == 1:
                     raise
                 note(f"arm {name}: the rest of its sweep is not recorded: {error}")
                 break
-            if found.reached_s is None or found.reached_s - from_s > _SHORTEST_S:
+            if found.reached_s is None or found.reached_s - from_s[name] > _SHORTEST_S:
                 yield found
-            if found.reached_s is None:
+            if all(its_s is None for its_s in reached.values()):
                 return
-            from_s = found.reached_s
-            note(f"arm {name}: the beam broke {from_s:.1f} s after its sweep began; it goes on from there")
-        q, s_s = _rest_of(sweep, from_s, arm.path_period_s)
-        live.begin(arm, self.cell.clock, s_s, arm.path_period_s, recorded=False)
-        self.mover.follow(name, q, s_s, arm.path_period_s, live.look)
+            from_s = {one: motions[one].period_s if its_s is None else its_s for one, its_s in reached.items()}
+            if found.reached_s is None:
+                break  # the beam broke at the end: the other arm goes on to its own
+            note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
+        legs = self._legs(motions, from_s)
+        own = legs[name]
+        live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s, recorded=False)
+        self._follow(legs, live.look)
         live.end_unrecorded()
 
-    def _recorded(self, name: str, q: Array, s_s: Array, live: LiveSweep) -> SweepPart:
-        """Follow ``q`` (m, N), which is at ``s_s`` (m,) [s] of the motion, on record."""
-        arm, streaming = self.cell.arms[name], stream_of(self.cell.tracker)
-        assert isinstance(arm, RecordingArm)
-        assert isinstance(arm, PathFollower)
+    def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
+        found = {}
+        for name, motion in motions.items():
+            arm = self.cell.arms[name]
+            assert isinstance(arm, _FollowedAndRecorded)
+            found[name] = _Leg(arm, *_rest_of(motion, from_s[name], arm.path_period_s))
+        return found
+
+    def _follow(self, legs: Mapping[str, _Leg], look: Callable[[], None]) -> dict[str, float | None]:
+        """Let arms follow their legs; the time of the motion at which each came to rest before its end [s]."""
+        if len(legs) == 1:
+            ((name, leg),) = legs.items()
+            followed = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
+        else:
+            paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
+            followed = self.mover.follow_together(paths, look)
+        return {name: leg.at_s(followed[name].reached) for name, leg in legs.items()}
+
+    def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
+        """Let arms follow their legs on record; the tracker follows the first one. Where each of them came to rest is
+        given, too."""
+        name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
+        own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
         assert streaming is not None
-        beam, recorded = Beam(arm, self.reaction), False
+        beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
 
         def received(packet: Packet) -> None:
             beam.received(packet)
             live.received(packet)
 
+        one = name
         try:
-            arm.start_recording()
-            recorded = True
-            expected_M = predicted_smr(self.bodies, name, q[:1])[0]
+            for one, arm in arms.items():
+                arm.start_recording()
+                recorded[one] = arm
+            later_s = self._later_s(arms)
+            expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
             streaming.start_track(expected_M, self.interval_s, beam.lost, received)
-            self._rest(arm)
+            self._rest(own.arm)
             self._require_own(name, beam, expected_M)
-            live.begin(arm, self.cell.clock, s_s, arm.path_period_s)
-            followed = self.mover.follow(name, q, s_s, arm.path_period_s, live.look)
-            self._rest(arm)
-            joints, recorded = arm.end_recording(), False
+            live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s)
+            reached = self._follow(legs, live.look)
+            self._rest(own.arm)
+            records = {}
+            for one in [*recorded]:
+                records[one] = recorded.pop(one).end_recording()
             track = streaming.end_track()
         except ArmError as error:
-            self._give_up(arm if recorded else None, streaming)
-            raise self.mover.stop_cell(cause_of(name, error)) from error
+            self._give_up(recorded.values(), streaming)
+            raise self.mover.stop_cell(cause_of(one, error)) from error
         except BaseException:
-            self._give_up(arm if recorded else None, streaming)
+            self._give_up(recorded.values(), streaming)
             raise
-        early = followed.reached < len(q) - 1
-        reached_s = float(np.interp(followed.reached, np.arange(len(s_s)), s_s)) if early else None
-        live.end(joints, track, reached_s)
-        return SweepPart(joints, track, reached_s)
+        live.end(records[name], track, reached[name])
+        beside = [_on_stamps(records[name], its, later_s[one]) for one, its in records.items() if one != name]
+        return SweepPart(records[name], track, reached[name], *beside), reached
+
+    def _later_s(self, arms: Mapping[str, Arm]) -> dict[str, float]:
+        """How much later the clock of the first controller is than that of each [s], to some control cycles."""
+        states = {name: arm.state().time_s for name, arm in arms.items()}
+        first_s = next(iter(states.values()))
+        return {name: first_s - its_s for name, its_s in states.items()}
 
     def _rest(self, arm: RecordingArm) -> None:
         """Rest on record, with the pulses of the hardware trigger where there is one."""
@@ -182,13 +235,18 @@ class SweepDriver:
             )
 
     @staticmethod
-    def _give_up(arm: RecordingArm | None, streaming: StreamingTracker) -> None:
+    def _give_up(recorded: Iterable[RecordingArm], streaming: StreamingTracker) -> None:
         """End what records; the reason why is the one to report."""
-        if arm is not None:
+        for arm in recorded:
             with suppress(ArmError):
                 arm.end_recording()
         with suppress(TrackerError):
             streaming.end_track()
+
+
+def _on_stamps(joints: JointRecord, other: JointRecord, later_s: float) -> Array:
+    """Joint positions (n, K) [rad] of another arm at the stamps of ``joints``; its clock is ``later_s`` [s] behind."""
+    return np.column_stack([np.interp(joints.time_s, other.time_s + later_s, column) for column in other.q.T])
 
 
 def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:

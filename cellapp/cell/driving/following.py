@@ -32,7 +32,7 @@ from drivers.trackers.protocol import TrackerError
 
 _FEWEST_AT_REST = 12
 _AT_REST_EVERY_M = 0.05
-"""Places along a path at which it is measured at rest: this far apart, and at least so many."""
+"""Least number and spacing [m] of the places along a path at which it is measured at rest."""
 
 
 def follow(

@@ -32,7 +32,7 @@ _NORMAL_99 = 2.576
 _ONE_SIDED_95 = 1.645
 """95 % of normal errors are below this many standard deviations."""
 _FINEST_M = 1e-6
-"""Standard deviation of a coordinate below which nobody positions an arm; it keeps a covariance of zero regular."""
+"""Least standard deviation of a coordinate: no arm positions more finely, and a covariance of zero stays regular."""
 
 
 class CorrectionRefused(InputError):
@@ -85,7 +85,7 @@ def not_explained(rest: Rest, before_M: Mapping[str, Array]) -> list[str]:
 
 
 def significant(rest: Rest, names: Sequence[str]) -> list[str]:
-    """The arms among ``names`` whose error noise makes in less than 1 % of cases; both of a pair whose distance it is.
+    """The arms among ``names`` whose error is significant at the 1 % level; else both, if that of their distance is.
 
     ``rest`` has the means of fresh measurements.
     """
@@ -106,8 +106,7 @@ def is_better(now: Rest, before: Rest) -> bool:
 
 
 def explained_by_noise(error_M: Array, covariance_M: Array, limit: float = _NOISE_95) -> bool:
-    """Whether noise alone makes 5 % of errors as unlikely as ``error_M`` (3,) [m], or more; with another ``limit``
-    other shares.
+    """Whether ``error_M`` (3,) [m] lies within the region of 95 % of the noise, or of another chi-squared ``limit``.
 
     ``covariance_M`` (3, 3) [m^2] is that of the error: tracker and repeatability of this measurement and, after a
     correction, of the one that it was made from. The squared Mahalanobis length of a normal vector in three dimensions
@@ -118,7 +117,7 @@ def explained_by_noise(error_M: Array, covariance_M: Array, limit: float = _NOIS
 
 
 def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array, limit: float = _NORMAL_95) -> bool:
-    """The same for the distance of two SMRs: ``line_M`` (3,) leads from one to the other.
+    """Whether noise explains the error of the distance of two SMRs: ``line_M`` (3,) leads from one to the other.
 
     ``covariance_M`` (3, 3) [m^2] is that of the vector between them.
     """

@@ -41,7 +41,7 @@ _REPEATS = 5
 _RUN_UP_RAD = np.radians(2.0)
 """Last motion of each joint to a point: as short as most of a plan, and well beyond any play."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""So many SMRs that are not found one after the other end the job, before the first one is found and after it."""
+"""Consecutive SMRs that are not found after which the job ends: before the first one was found, and after."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ class _Measuring:
         )
 
     def _measure_arm(self, name: str, count: int, total: int) -> None:
-        """Measure so many points of one arm, as long as it can be moved to any that the tracker should see."""
+        """Measure ``count`` points of one arm, as long as it can be moved to any that the tracker should see."""
         while count > 0:
             self.checkpoint()
             q = self.stops.best(name, self.search.T_new_old)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,8 @@ from cellapp.cell.driving.together import answers_of_all
 from cellapp.cell.run.in_order import MOVED_RAD
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
-from cellapp.cell.safety.path_gate import refuse_path
+from cellapp.cell.safety.path_gate import refuse_path, refuse_paths
+from cellapp.cell.safety.paths_at_once import LOOK_S, MOST_APART_M, PathsAtOnce, allowed_apart_m, equally_long, on_rows
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun
@@ -218,32 +220,75 @@ class Mover:
         CellStopped
             As ``move``.
         """
-        arm, start = self._cell.arms[name], self.positions()
-        if not isinstance(arm, PathFollower):
-            raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
+        start = self.positions()
         others = {other: here for other, here in start.items() if other != name}
         checked = np.concatenate([start[name][None], q])  # from where the arm really is
         refusal = refuse_path(self._bodies, name, checked, others, np.append(s[:1], s), self._cell.gate)
         if refusal:
             raise MotionRefused(f"refused to follow the path: {refusal}")
+        return self._followed(start, {name: (q, period_s)}, look)[name]
+
+    def follow_together(
+        self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
+    ) -> dict[str, FollowedPath]:
+        """Let arms at the beginning of their paths follow them all at once, and wait until all are at rest.
+
+        As ``follow``, arm -> positions (m, N) [rad] and the time between two of them [s]. Arms that are no longer where
+        the gate has expected them beside one another are a doubt, which stops all.
+        """
+        start = self.positions()
+        period_s = min(its for _, its in paths.values())
+        in_time = equally_long({name: on_rows(q, its, period_s) for name, (q, its) in paths.items()})
+        at_once = PathsAtOnce(self._bodies, in_time)
+        rows = {name: np.concatenate([start[name][None], q]) for name, q in in_time.items()}
+        others = {other: here for other, here in start.items() if other not in paths}
+        apart_m = allowed_apart_m(self._bodies, in_time, period_s)
+        row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, apart_m)
+        if refusal:
+            raise MotionRefused(f"refused to follow the paths: at {row * period_s:.1f} s: {refusal}")
+
+        def look_at_all() -> None:
+            apart_m = at_once.apart_m({name: self._state(name).q for name in paths})
+            if apart_m > MOST_APART_M:
+                text = f"arms {' and '.join(paths)}: they are {apart_m * 1e3:.0f} mm apart from where both should be"
+                raise self.stop_cell(StopCause("gate", f"{text}; one of them was late: find out why, then continue"))
+            if look is not None:
+                look()
+
+        return self._followed(start, paths, look_at_all, LOOK_S)
+
+    def _followed(
+        self,
+        start: Mapping[str, Vector],
+        paths: Mapping[str, tuple[Vector, float]],
+        look: Callable[[], None] | None,
+        round_s: float = _LOOK_S,
+    ) -> dict[str, FollowedPath]:
+        """Let arms follow paths that the gate has accepted from ``start``, and wait until they are at rest."""
+        arms = {name: arm for name in paths if isinstance(arm := self._cell.arms[name], PathFollower)}
+        for name in paths:
+            if name not in arms:
+                raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
         self._record_foreign_steps(start)
-        self._departure = start  # straight back there is another way, which the gate checks as any motion
-        expected_s = len(q) * period_s
-        self._emit(MotionBegun(self.stop, vectors({name: start[name]}), vectors({name: q[-1]}), expected_s))
+        self._departure = dict(start)  # straight back there is another way, which the gate checks as any motion
+        expected_s = max(len(q) * period_s for q, period_s in paths.values())
+        begin_at, end_at = (vectors({name: its[row] for name, (its, _) in paths.items()}) for row in (0, -1))
+        self._emit(MotionBegun(self.stop, begin_at, end_at, expected_s))
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
             self._confirm_links()
             self._reaction.check()
-            try:
-                arm.start_path(q, period_s)
-            except ArmError as error:
+            begin = {name: partial(arms[name].start_path, *path) for name, path in paths.items()}
+            _, errors = answers_of_all(self._cell.together, begin)
+            for name, error in errors.items():
                 raise self.stop_cell(cause_of(name, error)) from error
-            states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S, look)
-        followed = arm.followed()
-        part = driven(q, followed.reached)
-        self._record_step(name, start[name], part[-1], states[name].q)
-        self._approach[name] = _last_signs(part, self._approach[name])
+            states = self._settled(list(paths), expected_s + _MOVE_ALLOWANCE_S, look, round_s)
+        found = {name: arm.followed() for name, arm in arms.items()}
+        for name, (q, _) in paths.items():
+            part = driven(q, found[name].reached)
+            self._record_step(name, start[name], part[-1], states[name].q)
+            self._approach[name] = _last_signs(part, self._approach[name])
         self._emit(motion_ended(self.stop, states))
-        return followed
+        return found
 
     def _confirm_links(self) -> None:
         """Make sure that every link of every arm answers now, also those of arms that stay at rest.
@@ -302,16 +347,17 @@ class Mover:
             self.move({name: home})
 
     def _settled(
-        self, names: Sequence[str], timeout_s: float, look: Callable[[], None] | None = None
+        self, names: Sequence[str], timeout_s: float, look: Callable[[], None] | None = None, round_s: float = _LOOK_S
     ) -> dict[str, ArmState]:
-        """Wait for the arms in turn, until each of them was at rest in the same round; ``look`` is called in each.
+        """Wait for the arms in turn, until each of them was at rest in the same round; ``look`` is called in each, in
+        which one arm is waited for ``round_s`` [s] at most.
 
         A doubt about any arm brakes all of them, which ends every wait at once.
         """
         for name in names:
             self._rest_since_s.pop(name, None)
         left_s, standing_s, late = timeout_s, 0.0, ""
-        round_s = _ROUND_S if look is None else _LOOK_S
+        round_s = _ROUND_S if look is None else round_s
         while left_s > 0.0 and standing_s < _STANDSTILL_S:
             states, fraction = {}, 1.0
             if look is not None:

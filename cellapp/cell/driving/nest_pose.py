@@ -56,7 +56,10 @@ class NestPoses:
 
     def measure(self, mover: Mover, name: str, q: Vector) -> Point:
         """Measure the SMR of an arm at rest at ``q`` (N,) [rad], then its nests. Raises like ``Mover.measure``."""
-        point = mover.measure(name, q)
+        return self.turned(mover, name, q, mover.measure(name, q))
+
+    def turned(self, mover: Mover, name: str, q: Vector, point: Point) -> Point:
+        """The measured ``point`` of an arm at rest at ``q`` (N,) [rad] with the orientation that its nests show."""
         shape = self.shapes.get(name)
         if shape is None or point.quaternion_M is not None:
             return point

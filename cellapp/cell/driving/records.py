@@ -18,12 +18,14 @@ End = Literal["complete", "accurate enough"]
 
 
 class SweepCount(Record):
-    """Planned sweeps of one arm: number, how long they last together, and what they will tell beside the stops."""
+    """Planned sweeps of one arm: number, how long they last together, and what they will tell beside the stops; beside
+    ``swinging`` of them the other arm swings."""
 
     n: int
     seconds: float
     forecast: SweepForecast | None = None
-    omitted_when_none = frozenset({"forecast"})
+    swinging: int | None = None
+    omitted_when_none = frozenset({"forecast", "swinging"})
 
 
 class PlannedLoad(Record):

@@ -33,7 +33,7 @@ from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 _ROUGH_M, _ROUGH_RAD = 0.05, np.radians(1.0)
 """Standard deviation of a station that was paced out, or of a stand that was kicked: coordinates and angles."""
 _REACH = 3.0
-"""An SMR is searched for within so many standard deviations of its prediction."""
+"""Radius of the search for an SMR, in standard deviations of its prediction."""
 _REACH_M = (0.05, 0.16)
 """Least and largest distance within which an SMR is searched for: beyond, the search would take too long."""
 _LATTICE_M = 0.057

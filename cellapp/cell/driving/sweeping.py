@@ -1,4 +1,5 @@
-"""Sweeps while a run is collected: at a stop that was measured each arm swings and is recorded, the others resting.
+"""Sweeps while a run is collected: at a stop that was measured each arm swings and is recorded, the others resting, or
+the other one swinging beside it.
 
 A simulated cell calculates a sweep at once; others are driven and recorded through their drivers (``driven_sweep``).
 """
@@ -72,11 +73,10 @@ class Sweeps:
         while waiting:
             checkpoint()
             sweep = waiting[0]
-            motion = self._motion(sweep, at[sweep.arm])
-            others = {name: q for name, q in at.items() if name != sweep.arm}
-            if reason := refuse_sweep(self._driver.bodies, sweep.arm, motion, others, self._driver.cell.gate):
+            motions = self._motions(sweep, at)
+            if reason := refuse_sweep(self._driver.bodies, motions, at, self._driver.cell.gate):
                 self._note(f"stop {stop + 1}: the sweep of arm {sweep.arm} is left out: {reason}")
-            elif self._record(sweep, motion):
+            elif self._record(sweep, motions, at):
                 recorded.append(sweep.arm)
             waiting.pop(0)
         self._waiting.pop(stop, None)
@@ -87,28 +87,42 @@ class Sweeps:
         self._note(f"stop {stop + 1}: its sweeps are left out: {reason}")
         self._waiting.pop(stop, None)
 
-    def _motion(self, sweep: PlannedSweep, center: Array) -> Sweep:
-        """The planned motion, slower as long as the arms start slowly."""
-        motion = sweep.motion(center)
-        return replace(motion, period_s=motion.period_s / self._driver.mover.speed)
+    def _motions(self, sweep: PlannedSweep, at: Mapping[str, Array]) -> dict[str, Sweep]:
+        """The planned motions of all arms that move, slower as long as the arms start slowly."""
+        speed = self._driver.mover.speed
+        planned = sweep.motions(at)
+        return {name: replace(motion, period_s=motion.period_s / speed) for name, motion in planned.items()}
 
-    def _record(self, sweep: PlannedSweep, motion: Sweep) -> bool:
-        """Record one sweep; whether anything was stored."""
+    def _record(self, sweep: PlannedSweep, motions: Mapping[str, Sweep], at: Mapping[str, Array]) -> bool:
+        """Record one sweep about the stop ``at``; whether anything was stored."""
+        motion = motions[sweep.arm]
         begins = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
         self._tell(begins)
         live = LiveSweep(begins, self._driver.interval_s, self._tell)
         calculated = self._driver.cell.record_sweep
         if calculated is not None:
-            found = calculated(sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
-            joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd)
+            paths = {name: its.at(its.times(CYCLE_S)) for name, its in motions.items()}
+            own = paths.pop(sweep.arm)
+            found = calculated(sweep.arm, own, CYCLE_S, paths)
+            beside = self._beside(sweep, at, len(found.q), next(iter(found.beside_q.values()), None))
+            joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
             points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
             store_recording(self._run, self._streams(sweep, sweep.name, joints, points))
             live.calculated(found)
             return True
         stored = 0
-        for part in self._driver.drive(sweep.arm, motion, self._note, live):
-            stored += self._stored(sweep, part)
+        for part in self._driver.drive(motions, self._note, live):
+            beside = self._beside(sweep, at, len(part.joints.q), part.beside)
+            stored += self._stored(sweep, replace(part, beside=beside))
         return stored > 0
+
+    def _beside(self, sweep: PlannedSweep, at: Mapping[str, Array], n: int, swung: Array | None) -> Array | None:
+        """Joint positions (n, K) [rad] of the other arm, also where it rests while others swing; None where all rest:
+        recordings of a session have the same columns."""
+        if swung is not None or self._run.profile.plan.other_arm == "resting":
+            return swung
+        (resting,) = (q for name, q in at.items() if name != sweep.arm)
+        return np.repeat(resting[None], n, axis=0)
 
     def _stored(self, sweep: PlannedSweep, part: SweepPart) -> bool:
         """Store a part of a sweep; whether it could be."""
@@ -152,7 +166,7 @@ def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
     columns = {"time_s": time_s}
     for stem, table in tables.items():
         if table is not None:
-            columns |= dict(zip(stems("joints", table.shape[1])[stem], table.T, strict=True))
+            columns |= dict(zip(stems("joints", table.shape[1], table.shape[1])[stem], table.T, strict=True))
     return columns
 
 
@@ -172,6 +186,7 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
         tau=joints.torque_nm,
         current=joints.current_a,
         joint_temperature=joints.temperature_c,
+        other_q=part.beside,
     )
     points = _point_columns(track.device_time_s, track.p_M, track.sigma_m)
     for its, stamps_s in ((samples, joints.triggers_s), (points, track.triggers_s)):

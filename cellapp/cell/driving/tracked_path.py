@@ -84,7 +84,7 @@ class PathDriver:
         assert isinstance(follower, PathFollower)
         for lost_beams in range(MOST_RUNS):
             begin()
-            beam = Beam(follower, self.reaction)
+            beam = Beam([follower], self.reaction)
             streaming.start_track(start_M, interval_s, beam.lost)
             began_s = self.cell.clock.now_s()
             try:

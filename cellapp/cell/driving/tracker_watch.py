@@ -50,7 +50,7 @@ _T = TypeVar("_T")
 
 
 class TrackerMonitor:
-    """A tracker in whose place it is used, and which it asks all the time whether it answers.
+    """Wraps a tracker: passes calls on, and asks it again and again in between whether it answers.
 
     Its questions never overlap with the job's calls: a call waits for one answer at most, and nothing is asked while a
     call is at work. While nothing is ``watching``, a tracker that is silent is not reported: ``data_age_s`` grows.

@@ -19,8 +19,8 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _OBLIQUE_SHARE = 0.25
-"""Share that is kept of the configurations beyond the incidence of full accuracy: they tell the same of the arm with a
-worse measurement, but effects of the incidence need some."""
+"""Share of the configurations beyond the incidence of full accuracy that is kept: they are measured worse, but without
+them effects of the incidence could not be seen."""
 _INDEPENDENT = 4000
 """Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
 _ASKED_AT_ONCE = 1000

@@ -78,9 +78,12 @@ def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.G
     if len(stops) < 2:
         return 0.0
     finder = TransitPlanner(profile, cell_bodies(profile), rng)
+    number = min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))
+    pairs = [rng.choice(len(stops), 2, replace=False).tolist() for _ in range(number)]
+    motions = [(stops.targets(here), stops.targets(there)) for here, there in pairs]
+    finder.gate.ask(motions)
     added = []
-    for _ in range(min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))):
-        here, there = (stops.targets(stop) for stop in rng.choice(len(stops), 2, replace=False).tolist())
+    for here, there in motions:
         way = finder.find(here, there)
         if isinstance(way, TransitPath):
             added.append(way.seconds - finder.seconds(here, there))

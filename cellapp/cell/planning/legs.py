@@ -11,13 +11,15 @@ from cellapp.cell.planning.arrangement import Arrangement
 from cellapp.cell.planning.factors import FactorPlan
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, straight_stops
 from cellapp.cell.planning.transit_paths import TransitPlanner
-from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
+from cellapp.cell.safety.gate import CellBodies, clear_stops
 from cellapp.ground.progress import CancelToken, Report
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_WAYS = 6
 """Sides and steps of one stop for which the gate is asked about the way: if all are refused, the stop itself is hard to
 reach, and a detour is sought."""
+_ASKED_TOGETHER = 12
+"""Other sides and steps of which the last motions are looked at together."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
 
@@ -48,6 +50,7 @@ class LegPlanner:
     def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
         """The stops that can be reached, in their order."""
         n = len(self._arrangement.block)
+        self._ask_ahead(n)
         legs: dict[int, Route] = {}
         here = self._start
         for stop in range(n):
@@ -70,6 +73,14 @@ class LegPlanner:
             repeat_of=self._arrangement.repeat_of,
         )
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
+
+    def _ask_ahead(self, n: int) -> None:
+        """Ask the gate about all motions as they are planned."""
+        begins = [self._begin_of(stop, {name: step[stop] for name, step in self._step.items()}) for stop in range(n)]
+        places = [self._at(stop) for stop in range(n)]
+        before = places[:-1] if self._start is None else [self._start, *places[:-1]]
+        self._finder.gate.ask(zip(begins, places, strict=True))
+        self._finder.gate.ask(zip(before, begins[n - len(before) :], strict=True))
 
     def _reach(self, stop: int, here: Configuration | None) -> Route | str:
         """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
@@ -103,8 +114,12 @@ class LegPlanner:
         patterns = self._factors.other_steps(self._step, stop)
         begins = {name: q[stop] - patterns[name] for name, q in self._q.items()}
         free = clear_stops(self._cell, begins)
-        for k in np.flatnonzero(free).tolist():
-            yield {name: rows[k] for name, rows in patterns.items()}
+        others = [{name: rows[k] for name, rows in patterns.items()} for k in np.flatnonzero(free).tolist()]
+        for number, steps in enumerate(others):
+            if number % _ASKED_TOGETHER == 0:
+                some = others[number : number + _ASKED_TOGETHER]
+                self._finder.gate.ask((self._begin_of(stop, one), self._at(stop)) for one in some)
+            yield steps
 
     def _accepts(self, stop: int, steps: Steps) -> bool:
         """Whether the gate accepts other steps at a stop that is reached straight."""
@@ -112,15 +127,15 @@ class LegPlanner:
 
     def _last_is_free(self, stop: int, steps: Steps) -> bool:
         """Whether the gate accepts the last motion, and that of the repeat from the other side."""
-        there = self._at(stop)
-        if refuse_motion(self._cell, self._begin_of(stop, steps), there):
+        there, free = self._at(stop), self._finder.gate.free
+        if not free(self._begin_of(stop, steps), there):
             return False
         mirrored = {name: -step for name, step in steps.items()}
         repeated = np.any(self._arrangement.repeat_of == stop)
-        return not (repeated and refuse_motion(self._cell, self._begin_of(stop, mirrored), there))
+        return not repeated or free(self._begin_of(stop, mirrored), there)
 
     def _way_is_free(self, stop: int, here: Configuration | None, steps: Steps) -> bool:
-        return here is None or not refuse_motion(self._cell, here, self._begin_of(stop, steps))
+        return here is None or self._finder.gate.free(here, self._begin_of(stop, steps))
 
     def _begin_of(self, stop: int, steps: Steps) -> dict[str, Array]:
         return {name: q[stop] - steps[name] for name, q in self._q.items()}

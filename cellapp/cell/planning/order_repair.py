@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from cellapp.cell.planning.arrangement import Arrangement
 from cellapp.cell.planning.planned_stops import Configuration
 from cellapp.cell.planning.stop_set import StopSet
 from cellapp.cell.planning.tour import Move
-from cellapp.cell.safety.gate import refuse_motion
+from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
@@ -28,25 +28,24 @@ _LEAST_GAIN_S = 0.02
 _LONGEST_PART = 20
 """Most stops that a move displaces: more would change when the postures of a block are visited."""
 
-_START, _END = -1, -2
-"""Stand for the numbers of the configurations before the first stop and after the last."""
-
 
 def repair_order(
     stops: StopSet,
     arrangement: Arrangement,
     start: Configuration | None,
     end: Configuration | None,
+    gate: FreeMotions,
     cancel: CancelToken,
 ) -> Arrangement:
     """The same pairs of stops in an order of which the gate refuses few straight ways, or none.
 
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
-    ways = _Ways(stops, start, end)
+    ways = _Ways(stops, start, end, gate)
     for place in [0, *(np.flatnonzero(np.diff(arrangement.block)) + 1).tolist(), len(arrangement.block)]:
         while (better := _better(ways, arrangement, place, -_LEAST_GAIN_S)) is not None:
             arrangement = better
+    ways.ask((arrangement, place - 1, place) for place in range(arrangement.rows.shape[1] + 1))
     limit = _DETOUR_STEPS * stops.usual_step_s
     for _ in range(_ROUNDS):
         refused = 0
@@ -70,12 +69,16 @@ def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangem
         costs += [(float(added[k]), k, move) for k in np.argsort(added, kind="stable")[:_MOST_TRIED].tolist()]
     costs.sort(key=lambda one: one[:2])
     positions = np.arange(1, now.rows.shape[1] + 1)
-    for added_s, k, move in costs[:_MOST_TRIED]:
-        if added_s > limit:
-            break
-        chosen = Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
-        if all(ways.is_free(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in chosen.steps()):
-            return now.taken(chosen.source(positions) - 1)
+    tried = [
+        Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
+        for added_s, k, move in costs[:_MOST_TRIED]
+        if added_s <= limit
+    ]
+    new = [[(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in move.steps()] for move in tried]
+    ways.ask(way for of_move in new for way in of_move)
+    for move, of_move in zip(tried, new, strict=True):
+        if all(ways.is_free(*way) for way in of_move):
+            return now.taken(move.source(positions) - 1)
     return None
 
 
@@ -110,22 +113,31 @@ def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
     yield Move("shift", low, high, high - low)
 
 
-class _Ways:
-    """The straight ways between stops: their time, and the gate's answers, asked once each."""
+Way = tuple[Arrangement, int, int]
+"""The straight way between two places of an arrangement; -1 is the start, n the end."""
 
-    def __init__(self, stops: StopSet, start: Configuration | None, end: Configuration | None) -> None:
-        self._stops, self._start, self._end = stops, start, end
-        self._answers: dict[tuple[tuple[int, ...], tuple[int, ...]], bool] = {}
+
+class _Ways:
+    """The straight ways between stops: their time, and whether the gate accepts them."""
+
+    def __init__(
+        self, stops: StopSet, start: Configuration | None, end: Configuration | None, gate: FreeMotions
+    ) -> None:
+        self._stops, self._start, self._end, self._gate = stops, start, end, gate
+
+    def ask(self, ways: Iterable[Way]) -> None:
+        """Ask the gate about several ways together."""
+        self._gate.ask(motion for way in ways if (motion := self._motion(*way)) is not None)
 
     def is_free(self, arrangement: Arrangement, before: int, place: int) -> bool:
-        """Whether the gate accepts the straight way between two places; -1 is the start, n the end."""
-        here, there = self._key(arrangement, before), self._key(arrangement, place)
-        q_here, q_there = self._at(here), self._at(there)
-        if q_here is None or q_there is None or here == there:
-            return True
-        if (here, there) not in self._answers:
-            self._answers[here, there] = not refuse_motion(self._stops.cell, q_here, q_there)
-        return self._answers[here, there]
+        """Whether the gate accepts a way."""
+        motion = self._motion(arrangement, before, place)
+        return motion is None or self._gate.free(*motion)
+
+    def _motion(self, arrangement: Arrangement, before: int, place: int) -> tuple[Configuration, Configuration] | None:
+        """From where to where a way leads; None where it begins or ends anywhere, or nothing moves."""
+        here, there = self._at(arrangement, before), self._at(arrangement, place)
+        return None if here is None or there is None or before == place else (here, there)
 
     def added_s(self, now: Arrangement, move: Move) -> Array:
         """Time that each of the moves adds (n,) [s]."""
@@ -147,12 +159,7 @@ class _Ways:
         ends = [nowhere if one is None else one[name] for one in (self._start, self._end)]
         return np.concatenate([ends[0][None], q, ends[1][None]])
 
-    def _key(self, arrangement: Arrangement, place: int) -> tuple[int, ...]:
+    def _at(self, arrangement: Arrangement, place: int) -> Configuration | None:
         if place < 0:
-            return (_START,)
-        return tuple(arrangement.rows[:, place].tolist()) if place < arrangement.rows.shape[1] else (_END,)
-
-    def _at(self, key: tuple[int, ...]) -> Configuration | None:
-        if key[0] < 0:
-            return self._start if key[0] == _START else self._end
-        return self._stops.at(key)
+            return self._start
+        return self._stops.at(arrangement.rows[:, place]) if place < arrangement.rows.shape[1] else self._end

@@ -158,7 +158,7 @@ class _Job:
         least = min(map(len, q.values()))
         stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
         arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
-        arrangement = repair_order(stops, arrangement, start, self.home, self.cancel)
+        arrangement = repair_order(stops, arrangement, start, self.home, self.finder.gate, self.cancel)
         at = stops.at(arrangement.rows)
         factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
         legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)

@@ -2,7 +2,8 @@
 
 Of several random motions that one is taken that tells most in its time of geometry and effects beside
 the stops and sweeps before; it is made narrower until the tracker sees all of it and the gate accepts the whole way.
-Motions about successive stops take turns between two speeds.
+Motions about successive stops take turns between two speeds. With ``plan.other_arm: swinging`` the other arm of two
+swings meanwhile, unseen, half as fast, in the same time (``swings``).
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from cellapp.cell.planning.sweep_design import SweepDesign
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate, refuse_motion, visible
-from cellapp.cell.safety.path_gate import refuse_path
+from cellapp.cell.safety.path_gate import refuse_paths
+from cellapp.cell.safety.paths_at_once import allowed_apart_m
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -47,25 +49,45 @@ _FASTEST_M_S = 0.25
 """Of the SMR: the limit of a person's reach into the cell, and slow enough for any tracker."""
 _SEEN_S, _GATE_S = 0.1, 0.05
 """Samples of a motion for the tracker's sight, and for the gate [s]."""
+_SWING_SHARE = 0.5
+"""Of the speed of the SMR, for an arm that swings beside: what two arms may be apart costs room between them."""
+_SWING_DRAWS = 4
 
 
-class PlannedSweep(Record):
-    """A motion of one arm about a stop; ``sine`` and ``cosine`` are the coefficients of ``Sweep`` by harmonic [rad]."""
+class Swing(Record):
+    """Coefficients of ``Sweep`` of one arm, by harmonic [rad]."""
 
     arm: str
-    stop: int
     period_s: float
     sine: tuple[tuple[float, ...], ...]
     cosine: tuple[tuple[float, ...], ...]
+
+    def motion(self, center: Array) -> Sweep:
+        """The motion about ``center`` (N,) [rad]."""
+        return Sweep(center, np.array(self.sine), np.array(self.cosine), self.period_s)
+
+    @classmethod
+    def of(cls, arm: str, motion: Sweep) -> Swing:
+        """That of a motion."""
+        sine, cosine = (tuple(map(tuple, table.tolist())) for table in (motion.sine, motion.cosine))
+        return cls(arm=arm, period_s=motion.period_s, sine=sine, cosine=cosine)
+
+
+class PlannedSweep(Swing):
+    """A motion of one arm about a stop, and that of the arm that swings beside it, if one does."""
+
+    stop: int
+    beside: Swing | None = None
 
     @property
     def name(self) -> str:
         """What its recording is called."""
         return f"sweep-{self.stop + 1}"
 
-    def motion(self, center: Array) -> Sweep:
-        """The motion about a stop at ``center`` (N,) [rad]."""
-        return Sweep(center, np.array(self.sine), np.array(self.cosine), self.period_s)
+    def motions(self, at: Mapping[str, Array]) -> dict[str, Sweep]:
+        """The motions of all arms that move about a stop ``at`` (arm -> (N,) [rad]); first that which is measured."""
+        moving = (self, *([] if self.beside is None else [self.beside]))
+        return {one.arm: one.motion(at[one.arm]) for one in moving}
 
 
 class PlannedSweeps(Record):
@@ -113,7 +135,10 @@ def plan_sweeps(
         If no arm can sweep anywhere.
     Cancelled
     """
-    cancel, cell, found = cancel or CancelToken(), cell_bodies(profile), []
+    cancel, cell, found = cancel or CancelToken(), cell_bodies(profile), list[PlannedSweep]()
+    swinging = profile.plan.other_arm == "swinging"
+    if swinging and len(profile.arms) != 2:
+        raise InputError(f"plan.other_arm: swinging is for cells of two arms, this one has {len(profile.arms)}")
     step, known = last_motions(stops, home_positions(profile)), {}
     for name, q in stops.q.items():
         design = SweepDesign.of(profile, name)
@@ -131,23 +156,54 @@ def plan_sweeps(
                 continue
             told = known[name].information + known[name].design.told(motion)
             known[name] = replace(known[name], information=told)
-            sine, cosine = (tuple(map(tuple, table.tolist())) for table in (motion.sine, motion.cosine))
-            found.append(PlannedSweep(arm=name, stop=stop, period_s=motion.period_s, sine=sine, cosine=cosine))
+            beside = _swing_beside(profile, cell, name, motion, at, rng) if swinging else None
+            if swinging and beside is None:
+                refused.append(
+                    f"arm {name}: the other arm rests beside its sweep about stop {stop + 1}: no swing is clear"
+                )
+            own = Swing.of(name, motion).model_dump()
+            found.append(PlannedSweep(**own, stop=stop, beside=beside))
     if not found:
         raise InputError("plan: no sweep keeps clear of the cell and seen by the tracker at any stop")
     return PlannedSweeps(sweeps=tuple(found), notes=tuple(refused))
 
 
 def refuse_sweep(
-    cell: CellBodies, name: str, motion: Sweep, others: Mapping[str, Array], gate: Gate = refuse_motion
+    cell: CellBodies, motions: Mapping[str, Sweep], at: Mapping[str, Array], gate: Gate = refuse_motion
 ) -> str:
-    """Why an arm must not sweep while the ``others`` rest; empty if it may. Every sample is checked with the gate."""
-    time_s = motion.times(_GATE_S)
-    q = motion.at(time_s)
-    low, high = cell.arms[name].limits.T
-    if not ((q >= low) & (q <= high)).all():
-        return f"arm {name}: a joint would leave its limits"
-    return refuse_path(cell, name, q, others, time_s, gate)
+    """Why arms must not make ``motions``, of one period, all at once while the others rest ``at`` (arm -> (N,) [rad]);
+    empty if they may. Every sample is checked with the gate."""
+    time_s = next(iter(motions.values())).times(_GATE_S)
+    paths = {name: motion.at(time_s) for name, motion in motions.items()}
+    for name, q in paths.items():
+        low, high = cell.arms[name].limits.T
+        if not ((q >= low) & (q <= high)).all():
+            return f"arm {name}: a joint would leave its limits"
+    others = {name: q for name, q in at.items() if name not in paths}
+    apart_m = allowed_apart_m(cell, paths, float(time_s[1]))
+    row, refusal = refuse_paths(cell, paths, others, gate, apart_m)
+    return f"at {time_s[row]:.1f} s: {refusal}" if refusal else ""
+
+
+def _swing_beside(
+    profile: Profile, cell: CellBodies, name: str, motion: Sweep, at: Mapping[str, Array], rng: np.random.Generator
+) -> Swing | None:
+    """A random motion of the other arm in the time of ``motion`` of arm ``name``, which stays in the tracker's sight;
+    None where the gate accepts none."""
+    (other,) = (one for one in at if one != name)
+    time_s = motion.times(_SEEN_S)
+    for _ in range(_SWING_DRAWS):
+        swing: Sweep | None = _drawn(at[other], at[other], motion.period_s, rng)
+        while swing is not None:
+            in_time = _slow_enough(profile, cell, other, swing, _SWING_SHARE * _FASTEST_M_S).period_s
+            if (
+                in_time <= motion.period_s * (1.0 + 1e-9)
+                and visible(cell, name, motion.at(time_s), {other: swing.at(time_s)}).all()
+                and not refuse_sweep(cell, {name: motion, other: swing}, at)
+            ):
+                return Swing.of(other, swing)
+            swing = _narrower(swing)
+    return None
 
 
 def _sweep_about(
@@ -169,7 +225,7 @@ def _sweep_about(
     worth = [(its - before) / one.period_s for its, one in zip(told, seen, strict=True)]
     for place in np.argsort(worth)[::-1]:
         motion: Sweep | None = seen[place]
-        while motion is not None and refuse_sweep(cell, name, motion, others):
+        while motion is not None and refuse_sweep(cell, {name: motion}, others):
             motion = _narrower(motion)
         if motion is not None:
             return motion
@@ -207,7 +263,9 @@ def _seen(cell: CellBodies, name: str, motion: Sweep, others: Mapping[str, Array
     return None
 
 
-def _slow_enough(profile: Profile, cell: CellBodies, name: str, motion: Sweep) -> Sweep:
+def _slow_enough(
+    profile: Profile, cell: CellBodies, name: str, motion: Sweep, fastest_m_s: float = _FASTEST_M_S
+) -> Sweep:
     """The motion within the limits of the joints and of the SMR's speed."""
     arm = profile.arms[name]
     speed = _SPEED_SHARE * arm.speed_scale * np.array([joint.speed for joint in arm.type.joints])
@@ -216,4 +274,4 @@ def _slow_enough(profile: Profile, cell: CellBodies, name: str, motion: Sweep) -
     time_s = slower.times(slower.period_s / 400.0)
     way = np.diff(smr_positions(cell.arms[name].geometry, slower.at(time_s)), axis=0)
     fastest = float(np.linalg.norm(way, axis=1).max()) / (time_s[1] - time_s[0])
-    return replace(slower, period_s=slower.period_s * max(1.0, fastest / _FASTEST_M_S))
+    return replace(slower, period_s=slower.period_s * max(1.0, fastest / fastest_m_s))

@@ -2,7 +2,7 @@
 
 Tried are: one arm after the other; through positions of an arm, in which some joints are still where they began, some
 already where they end and some at home, or on its roadmap; through home; a random tree in the joint space of all arms.
-Every motion of a way has passed ``refuse_motion``.
+Every motion of a way has passed the gate.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 from cellapp.cell.planning.duration import motion_s, route_s
 from cellapp.cell.planning.planned_stops import Configuration, Route
 from cellapp.cell.planning.reach import ArmRoadmap
-from cellapp.cell.safety.gate import CellBodies, refuse_motion, remembered
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
@@ -28,6 +29,8 @@ _PASSED_ON = 12
 """Positions of an arm that are clear and that the gate is asked about."""
 _MOST_ASKED = 60
 """Ways of one kind that the gate is asked about: less than a tenth of a second."""
+_ASKED_TOGETHER = 8
+"""Of these that many are looked at together."""
 _MOST_ORDERED = 4
 """Arms of which all orders are tried."""
 _TREE_NODES = 300
@@ -49,6 +52,8 @@ class TransitPlanner:
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
         self._profile, self._cell, self._rng = profile, cell, rng
+        self.gate = FreeMotions(cell)
+        """Of all arms, for those who plan with these ways, too."""
         self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
         """Of each arm alone."""
 
@@ -58,8 +63,7 @@ class TransitPlanner:
 
     def find(self, here: Configuration, there: Configuration) -> TransitPath | str:
         """The shortest way found from ``here`` to ``there`` (all arms); the gate's reason if there is none."""
-        refusal = refuse_motion(self._cell, here, there)
-        if not refusal:
+        if self.gate.free(here, there):
             return TransitPath((), self.seconds(here, there))
         if no_standing := refuse_motion(self._cell, there, there):
             return no_standing
@@ -72,18 +76,21 @@ class TransitPlanner:
             if found is not None:
                 return found
         tree = random_tree_path(self._cell, here, there, self._rng)
-        return refusal if tree is None else self._way(here, tree, there)
+        return refuse_motion(self._cell, here, there) if tree is None else self._way(here, tree, there)
 
     def _first_free(
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> TransitPath | None:
         """The shortest way through some of the configurations ``between`` that the gate accepts."""
-        gate = remembered(refuse_motion)  # many of the ways have motions in common
         timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
-        for _, _, through in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]:
-            stations = [here, *through, there]
-            if not any(gate(self._cell, first, second) for first, second in pairwise(stations)):
-                return self._way(here, through, there)
+        shortest = [
+            list(pairwise([here, *one[2], there])) for one in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]
+        ]
+        for number, way in enumerate(shortest):
+            if number % _ASKED_TOGETHER == 0:
+                self.gate.ask(motion for other in shortest[number : number + _ASKED_TOGETHER] for motion in other)
+            if all(self.gate.free(*motion) for motion in way):
+                return self._way(here, [end for _, end in way[:-1]], there)
         return None
 
     def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> TransitPath:

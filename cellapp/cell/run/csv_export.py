@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 
-from cellapp.cell.run.csv_import import is_known
+from cellapp.cell.run.arm_cells import is_known
 from cellapp.cell.run.csv_text import quoted_text, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.estimation.readings.columns import COLUMNS

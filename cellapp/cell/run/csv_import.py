@@ -9,26 +9,18 @@ measurement, which gives each joint's last motion, the caller says (``in_order``
 from __future__ import annotations
 
 import difflib
-import math
-import re
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.arm_cells import POINT, ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
 from cellapp.cell.run.csv_text import (
-    NUMBER,
-    WHOLE,
     CsvTable,
     Problems,
     check_names,
     read_csv_table,
-    short,
-    unquoted_text,
 )
 from cellapp.cell.run.distances import (
     DISTANCES_RESULT,
@@ -51,15 +43,11 @@ from cellapp.cell.run.stations import (
     twice_at_a_stop,
 )
 from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT
+from cellapp.estimation.readings.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-
-POINT = "point"
-"""Column that names a fixed but unknown point in place of a measured position."""
-_NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
 
 
 def read_readings_csv(
@@ -229,23 +217,6 @@ def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
 
 
-def is_known(name: str) -> bool:
-    """Whether a CSV column is one of ``COLUMNS`` or the arm."""
-    return name == "arm" or _per_joint(name) is not None or any(name in column.csv for column in _not_per_joint())
-
-
-def _not_per_joint() -> list[Column]:
-    return [column for column in COLUMNS if column.shape != "joints"]
-
-
-def _per_joint(name: str) -> tuple[str, int] | None:
-    """Stem and number of a column that belongs to one joint."""
-    match = re.fullmatch(r"(\w*?)([1-9][0-9]*)", name)
-    if match and any(column.shape == "joints" and column.csv == (match.group(1),) for column in COLUMNS):
-        return match.group(1), int(match.group(2))
-    return None
-
-
 def _read(
     table: CsvTable,
     joint_counts: Mapping[str, int],
@@ -268,8 +239,8 @@ def _read(
     orders: dict[str, ArmOrder] = {}
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
-        cells = _ArmCells(table, rows, problems)
-        result = _read_arm(cells, arm, joint_counts[arm], limits.get(arm)) if rows else None
+        cells = ArmCells(table, rows, problems)
+        result = read_arm(cells, arm, joint_counts[arm], limits.get(arm)) if rows else None
         if result is None:
             continue
         fault = order_fault(result) if in_order else None
@@ -297,7 +268,7 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
             close = difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
             hint = f"; is '{close[0]}' meant? Its name and unit must be as written here" if close else ""
             problems.add(1, name, f"the column is missing{hint}")
-    for column in _not_per_joint():
+    for column in not_per_joint():
         if not column.required and any(name in names for name in column.csv):
             for name in column.csv:
                 if name not in names:
@@ -307,191 +278,13 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
         raise InputError(f"{table.place(1)}: there is a header row but no reading; expected a row per arm per stop")
 
 
-@dataclass(frozen=True)
-class _ArmCells:
-    """The rows of one arm, column by column; notes what is wrong in ``problems``."""
-
-    table: CsvTable
-    rows: Sequence[int]
-    problems: Problems
-
-    def texts(self, name: str) -> list[str]:
-        cells = self.table.cells[name]
-        return [cells[row] for row in self.rows]
-
-    def line(self, index: int) -> int:
-        return self.table.lines[self.rows[index]]
-
-    def refuse(self, index: int, name: str, text: str) -> None:
-        self.problems.add(self.line(index), name, text)
-
-    def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
-        """A column as (n,), NaN for an empty cell that is not required; notes its first wrong cell."""
-        texts = [text.strip() for text in self.texts(name)]
-        # float() accepts more than decimal numbers (nan, 1_000, digits of other scripts); one search over the whole
-        # column is much faster than one over each cell.
-        if all(texts) and not _NOT_NUMBERS.search(" ".join(texts)):
-            try:
-                values = np.array([float(text) for text in texts])
-            except ValueError:
-                pass
-            else:
-                if np.all(np.isfinite(values)):
-                    return values
-        result = np.full(len(texts), np.nan)
-        for index, text in enumerate(texts):
-            if not text:
-                if not required:
-                    continue
-                self.refuse(index, name, "the value is missing")
-                break
-            value = float(text) if NUMBER.fullmatch(text) else math.nan
-            if not math.isfinite(value):
-                self.refuse(index, name, f"expected a finite number such as 0.25, got '{short(text)}'")
-                break
-            result[index] = value
-        return result
-
-    def whole_numbers(self, name: str) -> NDArray[np.int64]:
-        """A column of integers as (n,); not by way of floats, which would round large ones."""
-        texts = [text.strip() for text in self.texts(name)]
-        for index, text in enumerate(texts):
-            if not WHOLE.fullmatch(text):
-                what = f"expected a whole number, got '{short(text)}'" if text else "the value is missing"
-                self.refuse(index, name, what)
-                return np.zeros(len(texts), dtype=np.int64)
-        return np.array([int(text) for text in texts], dtype=np.int64)
-
-    @property
-    def names_points(self) -> bool:
-        """Whether readings of the arm name points in place of measured positions."""
-        return POINT in self.table.cells and any(text.strip() for text in self.texts(POINT))
-
-    def words(self, column: Column) -> tuple[str | None, ...] | None:
-        """A column of words; None for an empty cell, and for the column if all are empty or the file lacks it."""
-        (name,) = column.csv
-        if name not in self.table.cells:
-            return None
-        words = [text.strip() for text in self.texts(name)]
-        for index, word in enumerate(words):
-            if word and column.allowed and word not in column.allowed:
-                self.refuse(index, name, f"expected {column.expected}, got '{short(word)}'")
-                break
-        return tuple(word or None for word in words) if any(words) else None
-
-    def matrix(self, column: Column, joints: int) -> NDArray[Any] | None:
-        """A column as (n, w), NaN where a value is missing; None where the file has none of it."""
-        names = column.csv_names(joints)
-        if names[0] not in self.table.cells:
-            return None
-        if column.dtype is np.int64:
-            return np.column_stack([self.whole_numbers(name) for name in names])
-        required = column.required and not (column.name == MEASURED_POINT and self.names_points)
-        matrix = np.column_stack([self.numbers(name, required=required) for name in names])
-        if column.allowed:
-            for row, place in np.argwhere(~np.isnan(matrix) & ~np.isin(matrix, column.allowed))[:1].tolist():
-                self.refuse(row, names[place], f"expected {column.expected}, got {matrix[row, place]:g}")
-        return None if np.all(np.isnan(matrix)) else matrix
-
-    def check(self, column: Column, matrix: NDArray[Any], joints: int, limits: NDArray[np.float64] | None) -> None:
-        """Note the first implausible value; of joint positions the first of each joint."""
-        fault = None if column.check is None else column.check(matrix)
-        faults = [] if fault is None else [fault]
-        if column.name == "q" and limits is not None and fault is None:
-            faults = beyond_limits(matrix, limits)
-        for fault in faults:
-            names = column.csv_names(joints)
-            name = f"{names[0]}..{names[-1]}" if fault.place is None else names[fault.place]
-            self.refuse(fault.row, name, fault.text)
-
-
-def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float64] | None) -> Readings | None:
-    """The readings of one arm in the order of the rows; None if a problem was found."""
-    problems, before = cells.problems, cells.problems.count
-    _check_joint_columns(cells, arm, joints)
-    if problems.count > before:
-        return None
-    matrices = {column.name: (column, cells.matrix(column, joints)) for column in COLUMNS if column.dtype is not str}
-    words = {column.name: cells.words(column) for column in COLUMNS if column.dtype is str}
-    if problems.count > before:
-        return None
-    values: dict[str, Values | None] = {**words}
-    if cells.names_points:
-        measured = matrices[MEASURED_POINT][1]
-        _check_points(cells, words[POINT] or (), measured)
-        matrices[MEASURED_POINT] = (matrices[MEASURED_POINT][0], np.full((len(cells.rows), 3), np.nan))
-    for name, (column, matrix) in matrices.items():
-        if matrix is not None:
-            cells.check(column, matrix, joints, limits)
-        values[name] = column.missing(len(cells.rows), joints) if matrix is None else column.from_matrix(matrix)
-    configuration = cells.whole_numbers(CONFIGURATION.name)
-    _check_once(cells, configuration, arm, words)
-    if problems.count > before:
-        return None
-    extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
-    return readings_from_columns(values, extras)
-
-
-def _check_points(cells: _ArmCells, points: Sequence[str | None], measured: NDArray[Any] | None) -> None:
-    """Check that every reading of an arm names a point, none has a measured position too, and no point is alone."""
-    counts = Counter(points)
-    for index, point in enumerate(points):
-        if measured is not None and not np.isnan(measured[index]).all():
-            cells.refuse(index, POINT, "there is a measured position too; give x_m, y_m, z_m or a point, not both")
-        elif point is None:
-            cells.refuse(index, POINT, "the value is missing; other readings of this arm name their points")
-        elif counts[point] == 1:
-            cells.refuse(index, POINT, f"'{point}' is there once; one touch of a point says nothing, give two or more")
-        else:
-            continue
-        break
-
-
-def _check_joint_columns(cells: _ArmCells, arm: str, joints: int) -> None:
-    """Check that a quantity per joint has a column for each joint of the arm and no value for any other."""
-    numbered: dict[str, set[int]] = {column.csv[0]: set() for column in COLUMNS if column.shape == "joints"}
-    for name in cells.table.names:
-        per_joint = _per_joint(name)
-        if per_joint is not None:
-            numbered[per_joint[0]].add(per_joint[1])
-    wanted = set(range(1, joints + 1))
-    for stem, numbers in numbered.items():
-        if numbers:
-            for number in sorted(wanted - numbers):
-                cells.problems.add(1, f"{stem}{number}", f"the column is missing; arm {arm} has {joints} joints")
-        for number in sorted(numbers - wanted):
-            name = f"{stem}{number}"
-            filled = [index for index, text in enumerate(cells.texts(name)) if text.strip()]
-            if filled:
-                cells.refuse(filled[0], name, f"there is a value, but arm {arm} has {joints} joints in the profile")
-
-
-def _check_once(
-    cells: _ArmCells,
-    configuration: NDArray[np.int64],
-    arm: str,
-    words: Mapping[str, tuple[str | None, ...] | None],
-) -> None:
-    """Check that an arm has one row per stop, or one by nest and station where these are named."""
-    named = [its for name in ("smr", "station") if (its := words[name]) is not None]
-    once = "give one row per stop" + (", nest and station" if named else "")
-    first: dict[tuple[int | str | None, ...], int] = {}
-    for index, key in enumerate(zip(configuration.tolist(), *named, strict=True)):
-        if key in first:
-            before = cells.table.row_words(cells.line(first[key]))
-            text = f"{key[0]} of arm {arm} was given in {before} already; {once}"
-            cells.refuse(index, "configuration", text)
-            return
-        first[key] = index
-
-
 def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[str, Readings]) -> list[str]:
     notes = []
-    known = sorted({"arm", *(name for column in _not_per_joint() for name in column.csv)})
+    known = sorted({"arm", *(name for column in not_per_joint() for name in column.csv)})
     most = max(joint_counts.values())
     for name in table.names:
-        per_joint = _per_joint(name)
-        if per_joint is not None and per_joint[1] > most:
+        found = stem_and_joint(name)
+        if found is not None and found[1] > most:
             notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
         if not is_known(name):
             close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)

@@ -19,7 +19,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.cell.run.collection_rows import (
     Outcome,
     ReferenceRow,
@@ -50,10 +49,26 @@ from cellapp.cell.run.readings_table import (
     stop_rows,
     update_splits,
 )
-from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, select_document, utc_now
-from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
+from cellapp.cell.run.rows import (
+    Document,
+    Event,
+    StageRow,
+    insert_document,
+    insert_event,
+    insert_stage,
+    select_document,
+    select_events,
+    select_stages,
+    utc_now,
+)
+from cellapp.cell.run.schema import (
+    read_meta,
+    read_profile,
+    schema_version,
+    upgrade,
+    write_new,
+)
 from cellapp.cell.run.sqlite_file import (
-    APPLICATION_ID,
     FILE_NAME,
     UNFINISHED,
     check_header,
@@ -144,7 +159,7 @@ class RunFile:
             try:
                 with damage_as_sentence(path):
                     check_integrity(path, connection)
-                    profile = _read_profile(path, connection)
+                    profile = read_profile(path, connection)
                 if write:
                     connection.close()
                     connection = connect(path, "rw")
@@ -173,7 +188,7 @@ class RunFile:
             connection = connect(path, "ro", wait_s=0.0)
             try:
                 with damage_as_sentence(path):
-                    profile = _read_profile(path, connection)
+                    profile = read_profile(path, connection)
             except BaseException:
                 connection.close()
                 raise
@@ -355,15 +370,12 @@ class RunFile:
     def log(self, level: str, text: str, time_s: float | None = None) -> None:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
         with self.change() as connection:
-            connection.execute(
-                "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", (utc_now(), time_s, level, text)
-            )
+            insert_event(connection, level, text, time_s)
 
     def events(self) -> list[Event]:
         """The run's log, oldest first."""
         with self.look() as connection:
-            rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
-            return [Event(*row) for row in rows]
+            return select_events(connection)
 
     def write_result(self, name: str, json_text: str) -> None:
         """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
@@ -385,20 +397,12 @@ class RunFile:
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
         """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
         with self.change() as connection:
-            connection.execute(
-                "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
-                (name, utc_now(), program_of(self.profile), basis, text, model),
-            )
+            insert_stage(connection, name, program_of(self.profile), basis, text, model)
 
     def stage_rows(self) -> list[StageRow]:
         """All stages, oldest first; none in a file of schema 1 or 2."""
         with self.look() as connection:
-            if schema_version(connection) < 3:
-                return []
-            rows = connection.execute(
-                "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
-            )
-            return [StageRow(*row) for row in rows]
+            return [] if schema_version(connection) < 3 else select_stages(connection)
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
@@ -478,32 +482,8 @@ def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile],
     """Write a complete run file at ``path``."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
     try:
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("BEGIN")
-        create_tables(connection)
-        connection.executemany(
-            "INSERT INTO meta VALUES (?, ?)",
-            {
-                "schema": "cellapp-run",
-                "version": str(SCHEMA_VERSION),
-                "created": utc_now(),
-                "program": program_of(profile),
-                "profile": profile_to_json(profile),
-            }.items(),
-        )
-        connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
-        connection.execute("COMMIT")
+        write_new(connection, profile)
         if fill is not None:
             fill(RunFile(folder, connection, profile, True, "unfinished"))
     finally:
         connection.close()
-
-
-def _read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
-    text = read_meta(connection, "profile")
-    if text is None:
-        raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")
-    try:
-        return profile_from_json(text)
-    except InputError as error:
-        raise InputError(f"{path} holds a profile that this cellapp cannot read: {error}") from None

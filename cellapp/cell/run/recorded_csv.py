@@ -16,21 +16,20 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.arm_cells import is_known, not_per_joint
 from cellapp.cell.run.column_names import EXAMPLES, Understood, understood
 from cellapp.cell.run.column_units import AngleUnit, LengthUnit, angle_unit, length_unit
 from cellapp.cell.run.csv_header import read_header
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, short
 from cellapp.cell.run.stream_columns import POINT
 from cellapp.cell.run.written_orientation import with_quaternions
-from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 
 _SEPARATORS: Mapping[str, str] = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 _ANGLES: Mapping[AngleUnit, float] = {"rad": 1.0, "deg": math.pi / 180.0}
 _LENGTHS: Mapping[LengthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _Unit = TypeVar("_Unit")
-_PER_JOINT = {column.csv[0] for column in COLUMNS if column.shape == "joints"}
-_OWN = {name for column in COLUMNS if column.shape != "joints" for name in column.csv} | {"arm"}
+_OWN = {name for column in not_per_joint() for name in column.csv} | {"arm"}
 """Cellapp's own names mean what they mean there; those of joint positions say nothing of a unit."""
 _LEAST_ROWS = 3
 
@@ -76,7 +75,7 @@ class Recorded:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Columns that are not used."""
-        return tuple(name for name in self.table.names if not _is_known(name))
+        return tuple(name for name in self.table.names if not is_known(name))
 
     def in_si(self, angles: AngleUnit, lengths: LengthUnit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Joint positions (n, N) [rad] and points (n, 3) [m]."""
@@ -124,7 +123,7 @@ def converted(
     Rows get numbers and the name of the ``arm`` where the file has none. Columns that nobody knows are left out.
     """
     table = recorded.table
-    columns = {name: table.cells[name] for name in table.names if _is_known(name)}
+    columns = {name: table.cells[name] for name in table.names if is_known(name)}
     q, p_M = recorded.in_si(angles, lengths)
     for names, values, factor in ((recorded.joints, q, _ANGLES[angles]), (POINT, p_M, _LENGTHS[lengths])):
         if factor != 1.0:
@@ -140,10 +139,6 @@ def converted(
 
 def _joints(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted((name for name in names if re.fullmatch(r"q[1-9]\d?", name)), key=lambda name: int(name[1:])))
-
-
-def _is_known(name: str) -> bool:
-    return name in _OWN or (name[-1:].isdigit() and name.rstrip("0123456789") in _PER_JOINT)
 
 
 def _values(table: CsvTable, names: Sequence[str]) -> NDArray[np.float64]:

@@ -23,11 +23,13 @@ from cellapp.cell.run.csv_import import joint_limits
 from cellapp.cell.run.csv_text import Problems, short
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_columns import (
+    BESIDE,
     OPTIONAL_OF_JOINTS,
     POINT,
     TEXTS,
     TRIGGER,
     Implausible,
+    beside_faults,
     joint_faults,
     point_faults,
     state_of,
@@ -136,7 +138,7 @@ def _name_of_files(joints: Path, points: Path, number: int) -> str:
 def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTable, list[str]]:
     """The columns of a file in SI units, and how names and units of others were understood."""
     what = "joint positions" if kind == "joints" else "points"
-    file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints))
+    file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
     numbers = {name for its in quantities.values() for name in its}
     written, notes = written_orientation(file.names) if kind == "points" else (None, [])
     turned = () if written is None else written.columns
@@ -223,10 +225,13 @@ def checked_recording(
 
     Raises ``InputError`` with what is not.
     """
-    limits = joint_limits(profile)[key[0]]
-    quantities = stems("joints", len(limits))
-    _check_joints(joints, key[0], quantities, len(limits))
+    known_limits = joint_limits(profile)
+    limits, others = known_limits[key[0]], [name for name in known_limits if name != key[0]]
+    beside = known_limits[others[0]] if len(others) == 1 else limits[:0]
+    quantities = stems("joints", len(limits), len(beside))
+    _check_joints(joints, dict.fromkeys(quantities, key[0]) | {BESIDE: "".join(others)}, quantities)
     _refuse(joints, joint_faults(joints.columns, limits, dated=joints.dated))
+    _refuse(joints, beside_faults(joints.columns, beside))
     p_M = np.column_stack([points.columns[name] for name in POINT])
     blank = np.isnan(p_M)
     lost = blank.all(axis=1) | (p_M == 0.0).all(axis=1)  # programs write zeros, too
@@ -246,23 +251,25 @@ def checked_recording(
         session=session,
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
-        optional=tuple(stem for stem in OPTIONAL_OF_JOINTS if quantities[stem][0] in joints.columns)
+        optional=tuple(stem for stem in (*OPTIONAL_OF_JOINTS, BESIDE) if f"{stem}1" in joints.columns)
         + tuple(name for name in ("sigma_m", "quat_w", "split", TRIGGER) if name in seen.columns),
         unknown=tuple(name for name in columns if name not in known),
     )
     return RecordedStreams(state, joints, seen)
 
 
-def _check_joints(table: StreamTable, arm: str, quantities: Mapping[str, tuple[str, ...]], joints: int) -> None:
-    """A quantity has a column for each joint of the arm, or none."""
+def _check_joints(table: StreamTable, arms: Mapping[str, str], quantities: Mapping[str, tuple[str, ...]]) -> None:
+    """A quantity has a column for each joint of its arm, or none."""
     line, problems = 1 if table.file is None else table.file.head, Problems(lambda line: f"{table.path}:{line}")
     for stem, names in quantities.items():
         if stem == "q" or any(name in table.columns for name in names):
             for name in names:
                 if name not in table.columns:
-                    problems.add(line, name, f"the column is missing; arm {arm} has {joints} joints")
-    if (more := f"q{joints + 1}") in table.columns and np.isfinite(table.columns[more]).any():
-        problems.add(line, more, f"there are values, but arm {arm} has {joints} joints in the profile")
+                    problems.add(line, name, f"the column is missing; arm {arms[stem]} has {len(names)} joints")
+    for stem in ("q", BESIDE):
+        joints = len(quantities[stem])
+        if (more := f"{stem}{joints + 1}") in table.columns and joints and np.isfinite(table.columns[more]).any():
+            problems.add(line, more, f"there are values, but arm {arms[stem]} has {joints} joints in the profile")
     problems.check()
 
 

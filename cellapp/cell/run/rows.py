@@ -53,3 +53,31 @@ def select_document(connection: sqlite3.Connection, name: str) -> Document | Non
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
     """Store a document; it replaces an earlier one of that name."""
     connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), text))
+
+
+def insert_event(connection: sqlite3.Connection, level: str, text: str, time_s: float | None) -> None:
+    """Add a line to the log."""
+    values = (utc_now(), time_s, level, text)
+    connection.execute("INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", values)
+
+
+def select_events(connection: sqlite3.Connection) -> list[Event]:
+    """The log, oldest line first."""
+    rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
+    return [Event(*row) for row in rows]
+
+
+def insert_stage(
+    connection: sqlite3.Connection, name: str, program: str, basis: str | None, text: str, model: str | None
+) -> None:
+    """Append a stage."""
+    values = (name, utc_now(), program, basis, text, model)
+    connection.execute(
+        "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)", values
+    )
+
+
+def select_stages(connection: sqlite3.Connection) -> list[StageRow]:
+    """All stages, oldest first."""
+    rows = connection.execute("SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number")
+    return [StageRow(*row) for row in rows]

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import sqlite3
+from pathlib import Path
 
+from cellapp.cell.profile import profile_from_json, profile_to_json
+from cellapp.cell.run.rows import utc_now
 from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.plugins import program_of
 
+APPLICATION_ID = 0x43656C6C
 SCHEMA_VERSION = 9
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
@@ -119,3 +126,33 @@ def _rekey_readings(connection: sqlite3.Connection) -> None:
     _create_reading_table(connection)
     connection.execute(f"INSERT INTO reading ({names}) SELECT {names} FROM reading_before ORDER BY rowid")
     connection.execute("DROP TABLE reading_before")
+
+
+def write_new(connection: sqlite3.Connection, profile: Profile) -> None:
+    """Make the tables of a new run of a cell, with what it says of itself."""
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("BEGIN")
+    create_tables(connection)
+    connection.executemany(
+        "INSERT INTO meta VALUES (?, ?)",
+        {
+            "schema": "cellapp-run",
+            "version": str(SCHEMA_VERSION),
+            "created": utc_now(),
+            "program": program_of(profile),
+            "profile": profile_to_json(profile),
+        }.items(),
+    )
+    connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
+    connection.execute("COMMIT")
+
+
+def read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
+    """The cell of a run file. Raises ``InputError`` if it is missing or unreadable."""
+    text = read_meta(connection, "profile")
+    if text is None:
+        raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")
+    try:
+        return profile_from_json(text)
+    except InputError as error:
+        raise InputError(f"{path} holds a profile that this cellapp cannot read: {error}") from None

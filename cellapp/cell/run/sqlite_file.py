@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from cellapp.cell.run.schema import SCHEMA_VERSION
+from cellapp.cell.run.schema import APPLICATION_ID, SCHEMA_VERSION
 from cellapp.ground.errors import InputError
 
 FILE_NAME = "run.sqlite"
@@ -17,7 +17,6 @@ UNFINISHED = FILE_NAME + ".new"
 """A run that is being created; it gets its final name when it is complete."""
 REPORT_FILE = "report.html"
 """The page of the report in a run's folder."""
-APPLICATION_ID = 0x43656C6C
 """Marks an SQLite file as a run: "Cell" in ASCII."""
 
 _MAGIC = b"SQLite format 3\x00"

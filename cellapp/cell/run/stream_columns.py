@@ -23,6 +23,8 @@ POINT = ("x_m", "y_m", "z_m")
 TRIGGER = "trigger_s"
 """Stamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
+BESIDE = "other_q"
+"""Joint positions of the other arm of the cell, where it moved meanwhile."""
 
 _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
 _LEAST_ROWS = 20
@@ -52,13 +54,14 @@ class Implausible:
     text: str
 
 
-def stems(kind: Kind, joints: int) -> dict[str, tuple[str, ...]]:
-    """Quantity -> its columns; the first two of a kind are required."""
+def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]]:
+    """Quantity -> its columns; the first two of a kind are required. ``others`` are the joints of the other arm."""
     if kind == "points":
         points = {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
         return {**points, "trigger": (TRIGGER,)}
     per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
-    return {"time_s": ("time_s",), **per_joint, "trigger": (TRIGGER,)}
+    beside = tuple(f"{BESIDE}{j}" for j in range(1, others + 1))
+    return {"time_s": ("time_s",), **per_joint, BESIDE: beside, "trigger": (TRIGGER,)}
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
@@ -114,6 +117,22 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
         yield from _speed_unit(columns, names["qd"], q)
 
 
+def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
+    """What is implausible in joint positions of the other arm, whose joints have these ``limits`` (K, 2) [rad]; rows
+    without any are allowed: it was not recorded then."""
+    names = tuple(f"{BESIDE}{joint}" for joint in range(1, len(limits) + 1))
+    if not names or not all(name in columns for name in names):
+        return
+    q = _matrix(columns, names)
+    unknown = np.isnan(q)
+    partly = np.flatnonzero(unknown.any(axis=1) & ~unknown.all(axis=1))
+    if len(partly):
+        text = "the value is missing; give all joints of the other arm in a row, or none"
+        yield Implausible(int(partly[0]), names[int(np.argmax(unknown[partly[0]]))], text)
+    for one in beyond_limits(q, limits):
+        yield Implausible(one.row, names[one.place or 0], one.text)
+
+
 def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausible]:
     """What is implausible in points; ``dated`` as in ``joint_faults``."""
     yield from _stamp_faults(columns["time_s"], dated)
@@ -142,8 +161,13 @@ def joint_stream(columns: Columns, joints: int) -> JointStream:
     optional = {
         stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
     }  # each has all joints or none: the door sees to that
+    beside = [name for name in columns if name.startswith(BESIDE)]
     return JointStream(
-        time_s=columns["time_s"], q=_matrix(columns, names["q"]), triggers_s=_pulses(columns), **optional
+        time_s=columns["time_s"],
+        q=_matrix(columns, names["q"]),
+        triggers_s=_pulses(columns),
+        other_q=_matrix(columns, tuple(beside)) if beside else None,
+        **optional,
     )
 
 

@@ -198,8 +198,8 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | float = np.inf) -> Array:
     """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet.
 
-    Those beyond ``within`` [m], of each pair (p,) or all, may be stated too small, but not below it: what is so far
-    apart is told by the spheres about the bodies, which takes a twentieth of the time.
+    Those beyond ``within`` [m], (n, p) or what broadcasts to it, may be stated too small, but not below it: what is so
+    far apart is told by the spheres about the bodies, which takes a twentieth of the time.
     """
     start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
     size, extent = placed.radius, placed.arm.extents
@@ -213,7 +213,7 @@ def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | floa
     middle = 0.5 * (start + end)
     between = middle[:, i] - middle[:, k]
     gaps = np.sqrt(np.einsum("apn,apn->pn", between, between)) - (extent[i] + extent[k])[:, None]
-    near = ~(gaps > np.broadcast_to(within, len(i))[:, None])  # also for NaN
+    near = ~(gaps > np.broadcast_to(within, gaps.T.shape).T)  # also for NaN
     pair, row = np.nonzero(near)
     gaps[near] = exact(i[pair], k[pair], row)
     return np.asarray(gaps.T)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import Placed, segment_distance
 from cellapp.cell.safety.paths import EVERY, SampledPath
@@ -47,6 +48,22 @@ def gap_on_paths(first: SampledPath, second: SampledPath, clearance: float) -> t
         needed,
     )
     return gap, allowance
+
+
+def may_meet(
+    first: Placed, of_first: NDArray[np.intp], second: Placed, of_second: NDArray[np.intp], within: Array
+) -> NDArray[np.bool_]:
+    """Whether two arms, along the line between their bases, come within (n,) [m] on each of n paths, (n,).
+
+    ``of_first`` and ``of_second`` are the paths, in order, to which the bodies of each arm belong. NaN counts as near.
+    """
+    along = _between_bases(first, second)
+    farthest = [
+        np.maximum.reduceat(_reach(placed, way).max(axis=1), np.flatnonzero(np.diff(path, prepend=-1)))
+        for placed, way, path in ((first, along, of_first), (second, -along, of_second))
+        if len(path)
+    ]
+    return ~(sum(farthest, np.zeros(len(within))) <= -within)
 
 
 def _between_bases(first: Placed, second: Placed) -> Array:

@@ -60,6 +60,8 @@ class CellBodies:
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
     obstacles : tuple of Obstacle
         What stands in the cell, poses in the cell frame C. Those mounted on a flange are with its arm.
+    apart : float
+        Further distance that arms keep from each other on their ways [m]: they may not be where they are expected.
     """
 
     arms: Mapping[str, ArmBodies]
@@ -68,6 +70,7 @@ class CellBodies:
     floor: float
     ceiling: float = math.inf
     obstacles: tuple[Obstacle, ...] = ()
+    apart: float = 0.0
 
     @property
     def self_clearance(self) -> float:
@@ -130,24 +133,25 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
             refusal = _refuse_alone(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
+    asked = cell.clearance + cell.apart
     for first, second in combinations(paths, 2):
-        gap, allowance = gap_on_paths(paths[first], paths[second], cell.clearance)
-        if not gap >= cell.clearance + allowance:
-            return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
+        gap, allowance = gap_on_paths(paths[first], paths[second], asked)
+        if not gap >= asked + allowance:
+            return f"arms {first} and {second}: {_too_near('come', gap, allowance, asked, 'each other')}"
     return ""
 
 
 def sample_spacing(cell: CellBodies) -> float:
     """Farthest that a point of a body moves between samples of two arms' paths [m].
 
-    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
-    stop that keeps so much more than the clearance can be reached.
+    Between samples two arms may be nearer by at most this, other bodies by at most a quarter of it: a stop that keeps
+    the clearance and as much beside can be reached.
     """
     return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
 
 
 def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
-    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    """The cell with a larger clearance: the gate accepts ways to stops that keep it, of one arm or ``between_arms``."""
     return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
 
 
@@ -339,6 +343,11 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
             words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
             return _carried(path.arm, k) + words
     return ""
+
+
+def keeps_obstacles(cell: CellBodies, path: SampledPath) -> bool:
+    """Whether an arm keeps its distance from all obstacles on a path."""
+    return not _refuse_obstacles(cell, path)
 
 
 def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:

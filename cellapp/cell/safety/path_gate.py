@@ -1,4 +1,4 @@
-"""The gate for a path that one arm follows while the others rest."""
+"""The gate for paths that one arm follows, or several at once, while the others rest."""
 
 from __future__ import annotations
 
@@ -20,21 +20,40 @@ def refuse_path(
 ) -> str:
     """Why arm ``name`` must not follow ``q`` (m, N) [rad] while the ``others`` rest; empty if it may.
 
-    The gate checks straight motions in joint space between samples of the path; what the path is beside them is added
-    to the clearance. ``s`` (m,) are arc lengths [m], for the words.
+    As ``refuse_paths``; ``s`` (m,) are arc lengths [m], for the words.
     """
-    if not np.isfinite(q).all():
-        return "a joint position of the path is not a finite number"
-    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)).max(axis=1))])
+    row, refusal = refuse_paths(cell, {name: q}, others, gate)
+    return f"at {s[row] * 1e3:.0f} mm: {refusal}" if refusal else ""
+
+
+def refuse_paths(
+    cell: CellBodies,
+    paths: Mapping[str, Array],
+    others: Mapping[str, Array],
+    gate: Gate = refuse_motion,
+    apart_m: float = 0.0,
+) -> tuple[int, str]:
+    """The first row at which arms must not follow ``paths``, arm -> (m, N) [rad], all at the same row at the same time,
+    while the ``others`` rest, and why; an empty text if they may.
+
+    The gate checks straight motions in joint space between samples of the paths, in which every arm may be anywhere on
+    its own; what the paths are beside them is added to the clearance. ``apart_m`` is added to the distance of arms from
+    each other: so far the arms may be from where all of them are at one row [m].
+    """
+    if not all(np.isfinite(q).all() for q in paths.values()):
+        return 0, "a joint position of the path is not a finite number"
+    steps = [np.abs(np.diff(q, axis=0)).max(axis=1) for q in paths.values()]
+    travelled = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))])
     rows = np.searchsorted(travelled, np.arange(0.0, travelled[-1] + _CHORD_RAD, _CHORD_RAD))
-    rows = np.unique(np.append(rows[rows < len(q)], len(q) - 1))
-    beside = _beside_chords(q, rows, travelled)
-    wider = replace(cell, clearance=cell.clearance + float(beside @ cell.arms[name].levers))
-    for first, last in pairwise(rows):
-        refusal = gate(wider, {**others, name: q[first]}, {**others, name: q[last]})
+    rows = np.unique(np.append(rows[rows < len(travelled)], len(travelled) - 1))
+    beside = sum(float(_beside_chords(q, rows, travelled) @ cell.arms[name].levers) for name, q in paths.items())
+    wider = replace(cell, clearance=cell.clearance + beside, apart=cell.apart + apart_m)
+    for first, last in pairwise(rows.tolist()):
+        ends = ({**others, **{name: q[row] for name, q in paths.items()}} for row in (first, last))
+        refusal = gate(wider, *ends)
         if refusal:
-            return f"at {s[first] * 1e3:.0f} mm: {refusal}"
-    return ""
+            return first, refusal
+    return 0, ""
 
 
 def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:

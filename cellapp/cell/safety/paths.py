@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import ArmBodies, Placed, place
 from cellapp.robot.kinematics.transforms import Array
@@ -76,5 +76,10 @@ class SampledPath:
 
 def sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> SampledPath:
     """Sample a path so that no point of a body moves more than ``spacing`` [m] in ``EVERY`` steps."""
-    longest = float(np.abs(target - start) @ arm.levers)
-    return SampledPath(arm, start, target, EVERY * max(1, math.ceil(longest / spacing)) + 1)
+    return SampledPath(arm, start, target, int(sample_counts(arm, start[None], target[None], spacing)[0]))
+
+
+def sample_counts(arm: ArmBodies, start: Array, target: Array, spacing: float) -> NDArray[np.intp]:
+    """Number of samples (n,) of n such paths."""
+    longest = np.abs(target - start) @ arm.levers
+    return np.asarray(EVERY * np.maximum(1, np.ceil(longest / spacing)) + 1, dtype=np.intp)

@@ -185,37 +185,21 @@ def _of_arm(
     goal, arm, home = group.goals[name], group.model.arms[name], group.homes[name]
     count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
     commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
-    ranges = group.ranges.get(name, ConditionRanges())
-    sided = sided_commands(
-        arm,
-        goal.position_M[rows],
-        goal.rotation_M[rows],
-        chosen.compensated[name].take(rows),
-        group.conditions(name, rows, at),
-        home,
-        ranges,
-    )
-    found, conditions = sided.found, sided.conditions
+    ranges, usual = group.ranges.get(name, ConditionRanges()), group.conditions(name, rows, at)
+    best = chosen.compensated[name].take(rows)
+    sided = sided_commands(arm, goal.position_M[rows], goal.rotation_M[rows], best, usual, home, ranges)
+    found, conditions, q_nominal = sided.found, sided.conditions, chosen.nominal[name]
     tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
     predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
-    turn_tolerances = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()]
-    turns = predicted_turns(
-        arm,
-        found.q,
-        chosen.nominal[name][rows],
-        conditions,
-        goal.nominal_rotation_M[rows],
-        turn_tolerances,
-        home,
-        ranges,
-    )
+    tolerances, turn_M = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
+    turns = predicted_turns(arm, found.q, q_nominal[rows], conditions, turn_M[rows], tolerances, home, ranges)
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
     seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
         turned = float(found.residual_rad[place])
         commands[k] = replace(
             commands[k],
-            q_nominal=chosen.nominal[name][k],
+            q_nominal=q_nominal[k],
             q_compensated=found.q[place],
             expected_M=goal.position_M[k],
             nominal_M=goal.nominal_position_M[k],

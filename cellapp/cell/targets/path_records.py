@@ -28,11 +28,11 @@ class PathLag(Record):
     Attributes
     ----------
     delay_ms : float
-        By how much the joints are late as a whole; that is no error of the path.
+        Delay common to all joints, which is no error of the path.
     late_mm : float
-        Way of the tool in that time at the path's fastest.
+        Distance that the tool covers in that time at its fastest.
     cut_mm : float
-        Largest distance of the SMR from the path that is left when the delay is taken out: corners are cut by so much.
+        Largest distance of the SMR from the path without that delay: by how much corners are cut.
     """
 
     delay_ms: float

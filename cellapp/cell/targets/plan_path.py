@@ -26,7 +26,7 @@ from cellapp.robot.paths.joint_path import Conditions, JointPath, PathError, joi
 from cellapp.robot.paths.timing import Rates, Trajectory, timed
 
 RUN_UP_RAD = 5e-3
-"""Every joint comes to the beginning of the path from this far, on the side from which it goes on: several plays."""
+"""Run-up of every joint to the beginning of the path, in its direction of motion there: several times a usual play."""
 _CROSS_SHARE = 0.2
 """Share of a joint's acceleration that crossing a play takes."""
 _SEEN_EVERY_M = 0.02

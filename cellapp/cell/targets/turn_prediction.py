@@ -71,10 +71,10 @@ def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted
 
 
 def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
-    """Covariances (n, 3, 3) [rad^2] of measured orientations, of those of the ``true`` ones.
+    """Covariances (n, 3, 3) [rad^2] of measured orientations: those of the ``true`` ones and of the noise.
 
-    About which axes several SMRs tell least depends on where they are seen from: the same axes as of the true ones are
-    taken, which gives the widest bound.
+    The axes of the noise of several SMRs depend on where they are seen from. They are taken along the principal axes of
+    ``true``, largest with largest, which gives the widest bound.
     """
     assert posterior.noise_rad is not None
     if posterior.noise_axes_rad is None:

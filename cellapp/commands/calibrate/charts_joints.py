@@ -21,7 +21,7 @@ _BEYOND = 0.15
 _LEAST_BEYOND = np.radians(5.0)
 """The same where a joint hardly moved [rad]."""
 _LEAST_URAD = 0.05
-"""Contributions that stay below this are none: a tenth of an encoder's step."""
+"""Smaller contributions are left out: a tenth of an encoder's step."""
 _SUM_STYLE, _DOWN_STYLE = 0, 1
 """Styles of all effects together, after upward and after downward motion; single effects have others."""
 _URAD = 1e6

@@ -198,7 +198,7 @@ def _missing(state: CollectionResult) -> Table:
 
 
 def _replaced(state: CollectionResult) -> Table:
-    """What each reading was that a later one replaced, and what stands in its place."""
+    """Readings that were replaced by later ones: residuals before and now."""
     now = {(one.stop, one.arm): one.residual_mm for one in state.stops}
     return table_of(
         "Stops measured again: the readings before, which are kept and not used",

@@ -269,7 +269,7 @@ def _thousandth(value: float | None) -> float | None:
 
 
 def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
-    """A measurement whose rotation is judged by the target's tolerance; as it is where that is the same."""
+    """A measurement whose rotation is judged by the target's tolerance; unchanged where it was judged by that."""
     limit, turn = target.orientation_tolerance_mrad, one.orientation
     if turn is None or one.orientation_tolerance_mrad == limit:
         return one
@@ -279,7 +279,7 @@ def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> Mea
 
 
 def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
-    """A measurement judged by another tolerance; as it is where that is the same."""
+    """A measurement judged by ``tolerance_mm``; unchanged where it was judged by that."""
     if one.tolerance_mm == tolerance_mm:
         return one
     verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)

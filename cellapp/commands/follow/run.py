@@ -88,8 +88,7 @@ def follow_run(
     if driving != "plan" and not out_of_date:
         require_current_model(run, stages, "follow")
     used = stage_in_force(run, stages)
-    model = model_of(run, used)
-    notes = stale_notes(stages, used)
+    model, notes = model_of(run, used), stale_notes(stages, used)
     plans = _planned(run, model, paths, listener, control)
     if csv is not None:
         outputs.write_text(csv, path_csv(plans))
@@ -99,10 +98,9 @@ def follow_run(
             listener = stack.enter_context(running_job(run, control, "follow", listener))
             loads = [(plan.spec.arm, path_payload(run.profile, plan.spec)) for plan in plans]
             profile = carrying(profile_at_station(run, stages), loads)  # its tracker where it stands now, if simulated
-            controllers = noting_controllers(run, notes, insist=out_of_date)
 
             def opened(cell: Cell) -> None:
-                controllers(cell)
+                noting_controllers(run, notes, insist=out_of_date)(cell)
                 require_known_loads(cell, loads)
 
             followed = follow(

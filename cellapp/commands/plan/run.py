@@ -180,12 +180,17 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
     """Number and duration of the planned sweeps of each arm, and what they will tell; None without any."""
     planned = read_planned_sweeps(run)
     sweeps = planned.sweeps
-    times = {name: [one.period_s for one in sweeps if one.arm == name] for name in run.profile.arms}
+    by_arm = {name: [one for one in sweeps if one.arm == name] for name in run.profile.arms}
     if not sweeps:
         return None
     return {
-        name: SweepCount(n=len(its), seconds=sum(its), forecast=planned.forecast.get(name))
-        for name, its in times.items()
+        name: SweepCount(
+            n=len(its),
+            seconds=sum(one.period_s for one in its),
+            forecast=planned.forecast.get(name),
+            swinging=sum(one.beside is not None for one in its) or None,
+        )
+        for name, its in by_arm.items()
     }
 
 

@@ -24,6 +24,7 @@ def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
         return []
     told = [
         f"arm {name}: {counted(its.n, 'sweep')} about its stops, {its.seconds / 60.0:.1f} min"
+        + (f"; the other arm swings beside {its.swinging} of them" if its.swinging else "")
         for name, its in sweeps.items()
     ]
     return [*told, _RESTS_ON] if any(its.forecast for its in sweeps.values()) else told

@@ -87,7 +87,7 @@ def arm_sentences(name: str, arm: ArmView) -> list[str]:
 
 
 def worst_constraint(arm: ArmView) -> ConstraintShare | None:
-    """The constraint without which most configurations could be measured; that directions differ is none."""
+    """The constraint that excludes most configurations alone; the spread of directions does not count as one."""
     blamed = [
         one for one in arm.constraints if one.without > arm.share and not (one.constraint == FACING and _faces(arm))
     ]

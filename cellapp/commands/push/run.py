@@ -104,17 +104,13 @@ def push_targets(
     commands, compensated = compensated_commands(run, stages, targets)
     # the tracker of a simulated cell where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
-    used, visited = stage_in_force(run, stages), Visited()
-    notes, judge = list(compensated.notes), judge_of(run, profile)
+    used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
 
     def opened(cell: Cell) -> None:
         notes.extend(check_cell(run, cell, commands, changed_controller=out_of_date))
 
     def store(pushed: VerifyResult) -> VerifyResult:
-        said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-        judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
-        stated = {"rule": judge.rule, "not_given": judge.not_given(judged) if verify else ()}
-        result = pushed.model_copy(update={"notes": tuple([*notes, *said]), **stated})
+        result = _judged(pushed, judge, notes, verify=verify)
         append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, tuple(targets)))
         return result
 
@@ -136,12 +132,19 @@ def push_targets(
         )
     except (CellappError, Cancelled) as error:
         if visited.targets:
-            asked = len(dict.fromkeys(command.target.name for command in commands))
-            done = len(dict.fromkeys(target.name for target in visited.targets))
+            asked, done = len({one.target.name for one in commands}), len({one.name for one in visited.targets})
             with suppress(InputError):  # the reason of the halt is the one to report
                 store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
         raise
     return store(pushed)
+
+
+def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify: bool) -> VerifyResult:
+    """With what was noted of the job and of its targets, and the rule by which they are judged."""
+    said = (f"target {target.name}: {target.note}" for target in pushed.targets if target.note)
+    judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
+    not_given = judge.not_given(judged) if verify else ()
+    return pushed.model_copy(update={"notes": (*notes, *said), "rule": judge.rule, "not_given": not_given})
 
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:

@@ -18,7 +18,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.trials.check_changes import PlantChange, effect_changes, parameter_plant, rigid_changes
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult
-from cellapp.commands.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated, with_mix
+from cellapp.commands.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated
 from cellapp.commands.trials.measured import measured_by
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.monitoring.check import CheckBelief, check_belief, choose_stops
@@ -91,7 +91,7 @@ def check_trials(
     gathered = work.gather(CELLS, "check", plan, [Seed(seed=seed) for seed in seeds])
     found = gathered.found
     return CheckTrialResult(
-        profile=(with_mix(plan.profile, found[0].seed) if plan.mix else plan.profile).name,
+        profile=drawn_cell(plan.profile, found[0].seed, mix=plan.mix).name,
         cells=len(found),
         planned=plan.planned,
         station_free=plan.station_free,
@@ -104,7 +104,7 @@ def check_trials(
 def checked_cell(plan: CheckPlan, drawn: Seed) -> CheckedCell:
     """All checks of one cell."""
     seed = drawn.seed
-    profile = drawn_cell(with_mix(plan.profile, seed) if plan.mix else plan.profile, seed)
+    profile = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = _calibration_readings(profile, plan.earlier, seed)
     model = CellModel(calibrated_alone(profile, known))
     belief = check_belief(profile, model, known, station_free=plan.station_free)

@@ -26,14 +26,17 @@ def require_simulated(profile: Profile) -> None:
         raise InputError(f"profile {profile.name}: the trial needs a simulated cell, a section 'plant'")
 
 
-def drawn_cell(profile: Profile, seed: int) -> Profile:
-    """The profile of a simulated cell whose true geometry, plan and splits are drawn by ``seed``."""
+def drawn_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
+    """The profile of a simulated cell whose true geometry, plan and splits are drawn by ``seed``.
+
+    ``mix``: with hidden effects of the arms themselves, curves drawn by ``seed``.
+    """
+    profile = _with_mix(profile, seed) if mix else profile
     assert profile.plant is not None
     return profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
 
 
-def with_mix(profile: Profile, seed: int) -> Profile:
-    """The profile with a mix of hidden effects of the arms themselves; curves are drawn by ``seed``."""
+def _with_mix(profile: Profile, seed: int) -> Profile:
     assert profile.plant is not None
     hidden = {}
     for place, (name, arm) in enumerate(profile.arms.items()):

@@ -102,7 +102,7 @@ def plan_trials(
 ) -> PlanTrialsResult:
     """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
 
-    With ``whole``, also whole plans of so many stops with each seed. Raises as ``gather`` and ``whole_plans`` do.
+    With ``whole`` stops also whole plans with each seed. Raises as ``gather`` and ``whole_plans`` do.
     """
     drawn = [BoundedSeed(seed=seed, stops=stops, with_bound=number < bounded) for number, seed in enumerate(seeds)]
     gathered = work.gather(DESIGNS, "plans", SimulatedCell(profile=profile), drawn)

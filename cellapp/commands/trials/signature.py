@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.commands.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated, with_mix
+from cellapp.commands.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated
 from cellapp.commands.trials.league.series import (
     Entrant,
     Rows,
@@ -184,7 +184,7 @@ def twin_trials(
 def twin_draws(plan: TwinPlan, drawn: Seed) -> Draws:
     """Both arms of one simulated cell, from few and from many stops."""
     seed = drawn.seed
-    first = drawn_cell(with_mix(plan.profile, seed) if plan.mix else plan.profile, seed)
+    first = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = measured_stops(first, plan.earlier, seed)
     models = calibrated_alone(first, known)
     again = remounted(first, seed)

@@ -27,7 +27,7 @@ _GOOD_M = 1e-3
 _USABLE_M = 10e-3
 """Rms residual with which a plan still keeps its usual clearance of 50 mm and the tracker still finds the SMR."""
 _MOST_M = 50e-3
-"""Rms residual from which a point must be mistaken: no arm and no tracker errs by so much."""
+"""Rms residual from which a point must be mistaken: errors of arm and tracker are smaller."""
 
 
 @dataclass(frozen=True)

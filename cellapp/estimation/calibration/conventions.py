@@ -25,7 +25,7 @@ _EXPLAINED = 0.02
 _ALIKE = 1.2
 """Ways of reading that leave alike much: the last joint's sign may not matter. The simplest is named."""
 _CLEARER = 0.3
-"""Another way of reading is named if it leaves at most so much of what is left now."""
+"""Another convention is named if its residuals are at most this share of the present ones."""
 
 
 @dataclass(frozen=True)

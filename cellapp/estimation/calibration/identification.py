@@ -52,7 +52,7 @@ about as much, relatively. The gradient is that of the present values, so that t
 _MANY_EFFECTS = 200
 """Columns of effects from which the normal matrix is kept: those of smooth functions, which priors hold. The lines of a
 law without priors may be nearly singular with few readings, and another matrix then leads elsewhere."""
-_SMALLEST = 1e-300
+_SMALLEST = 1e-200
 """Keeps a variance above zero."""
 _TRACKER_M = 1e-5
 """Standard deviation of a coordinate from the tracker alone. Where no uncertainty is stated, one coordinate with this

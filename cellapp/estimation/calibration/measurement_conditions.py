@@ -30,13 +30,15 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
         model, theirs = other
         rows = {number: row for row, number in enumerate(theirs.configuration.tolist())}
         match = np.array([rows.get(number, -1) for number in readings.configuration.tolist()], dtype=np.intp)
-        present = match >= 0
+        at = np.full((len(readings), theirs.joints), np.nan) if readings.other_q is None else readings.other_q.copy()
+        at[match >= 0] = theirs.q[match[match >= 0]]
+        present = np.isfinite(at).all(axis=1)
         if present.any():
-            payload = None if theirs.payload_kg is None else theirs.payload_kg[match[present]]
+            other_q, payload = at, None
+            if theirs.payload_kg is not None:  # beside recordings there is one load
+                payload = np.where(match >= 0, theirs.payload_kg[match], theirs.payload_kg[0])[present]
             moment = np.full((len(readings), 3), np.nan)
-            moment[present] = base_moment(model.geometry, model.bodies, theirs.q[match[present]], model.up_M, payload)
-            other_q = np.full((len(readings), theirs.joints), np.nan)
-            other_q[present] = theirs.q[match[present]]
+            moment[present] = base_moment(model.geometry, model.bodies, at[present], model.up_M, payload)
     return MeasurementConditions(
         approach=approach,
         step=_with_derived_steps(readings.step, _steps(readings)),

@@ -203,7 +203,7 @@ def train_network(
 
 
 def training_steps(shapes: int = _CANDIDATES) -> int:
-    """Number of steps that the training of so many candidates reports: each is trained, then the best one further."""
+    """Number of steps that the training of candidates reports: each is trained, then the best one further."""
     return shapes + 1
 
 

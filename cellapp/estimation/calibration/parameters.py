@@ -277,11 +277,13 @@ def _undetermined(information: Array) -> NDArray[np.bool_]:
     held = np.zeros(len(information), dtype=bool)
     diagonal, work = np.diag(information), information.copy()
     ridge = _RIDGE + _ROUNDING * diagonal
+    # of readings without noise, what is left of a dependent column is the ridges of those that it depends on
+    enough = 1.0 + _RIDGE + _EXACT * _ROUNDING * diagonal
     while True:
         np.fill_diagonal(work, diagonal + np.where(held, _HELD, ridge))
         factor, _ = scipy.linalg.lapack.dpotrf(work, lower=1)
         own = np.diag(factor) ** 2
-        low = np.flatnonzero(own <= 1.0 + ridge)
+        low = np.flatnonzero(own <= enough)
         inexact = np.flatnonzero(own[low] > _EXACT * ridge[low])
         if not len(inexact):
             held[low] = True

@@ -232,7 +232,7 @@ class NestEstimate(Record):
 class NestsResult(Record):
     """Several SMRs on a flange.
 
-    ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
+    ``found`` are the nests by name. Of the ``stops``, those ``with_orientation`` have one that is known to
     ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
     others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
     """

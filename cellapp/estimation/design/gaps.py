@@ -18,9 +18,9 @@ GAP_OF_EVEN_STOPS = 4.0
 """Largest gap in units of that of evenly spread stops, where none is asked for. With stops at random it is about the
 natural logarithm of their number: 4.6 of 100, 6 of 400."""
 _EMPTY_SHARE = 0.02
-"""A part of the range without any candidate that is longer than this share of it cannot be reached."""
+"""Share of a joint's range above which a part without any candidate counts as one that cannot be reached."""
 _EMPTY_SPACINGS = 10.0
-"""Of few candidates: one that is longer than so many mean distances between them, which is no chance."""
+"""The same for few candidates, in mean distances between them: longer gaps do not come by chance."""
 _IMMOVABLE = 1e-12
 """Replaces a limit of zero, of a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100

@@ -48,7 +48,7 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
 
 
 def may_leave_placements_out(data: ArmData) -> bool:
-    """Whether a ball rested at so many placements that an arm is determined without one of them."""
+    """Whether a ball rested at enough placements to determine an arm without any one of them."""
     points = data.points
     return points is not None and int(points.contacts.placements(points.at).max()) + 1 >= _FEWEST_PLACEMENTS
 

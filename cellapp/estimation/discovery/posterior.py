@@ -163,7 +163,7 @@ def _penalty(score: float, rival: float, coordinates: int) -> float:
 
 
 def _log_odds_outside(found: SearchResult) -> dict[str, float]:
-    """Named effect -> log odds that a cause which the library lacks is in its place, by what all leave and it removes.
+    """Named effect -> log odds that its cause is one that the library lacks: by what it removes and what all leave.
 
     A ball in sockets is judged by what it predicts elsewhere.
     """

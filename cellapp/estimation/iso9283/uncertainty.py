@@ -33,7 +33,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 _COVERAGE = 0.9545
 _DRAWS = 1000
-"""A standard deviation of so many draws is known to 2 %."""
+"""They give a standard deviation to 2 %."""
 _PATH_DRAWS = 200
 """A path has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
 

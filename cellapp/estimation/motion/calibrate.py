@@ -169,6 +169,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     sides = [path.direction_at(time_s) for path, time_s in times]
+    travelled = [path.travel_at(time_s, path.at(time_s)[0]) for path, time_s in times]
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
@@ -176,8 +177,20 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=_stated_of(parts),
+        step=np.concatenate(travelled).reshape(n, joints),
+        other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
+
+
+def _beside(times: Sequence[tuple[JointPath, Array]]) -> Array | None:
+    """Joint positions (n, K) of the other arm at times of paths; None where no recording has them."""
+    found = [path.beside_at(time_s) for path, time_s in times]
+    joints = max((q.shape[1] for q in found if q is not None), default=0)
+    if not joints:
+        return None
+    unknown = [np.full((len(time_s), joints), np.nan) for _, time_s in times]
+    return np.concatenate([blank if q is None else q for q, blank in zip(found, unknown, strict=True)])
 
 
 def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> Array | None:

@@ -45,7 +45,7 @@ TITLES = {
     Law.INERTIA.value: "twist of a joint under its own acceleration",
     Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
 }
-"""Of effects that are none at rest."""
+"""Of effects that act in motion only."""
 
 
 def with_motion(

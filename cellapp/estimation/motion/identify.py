@@ -172,7 +172,7 @@ def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[
 
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
-    """Which points of a recording, from their distances (n,) [m] and the scatter of those learnt from, are none."""
+    """Which points are no gross errors, by their distances (n,) [m] and the scatter of those learnt from."""
     usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 

@@ -42,11 +42,13 @@ class Fading:
 
     What is kept is that of plays in parallel (Prandtl, Ishlinskii; Masing's rules follow): of half gaps w in such
     shares, ``w / reach^2 exp(-w / reach)``, that a joint at rest in the middle of all of them takes up
-    ``1 - exp(-x / reach)``.
+    ``1 - exp(-x / reach)``. ``bell``: ``exp(-(x / reach)^2)`` of it is left, anew at each turn: a gear under friction
+    that is larger while it still moves slowly (Stribeck).
     """
 
     reach: float
     kept: bool
+    bell: bool = False
 
     def shares(self) -> Array:
         """Shares (W,) of the plays of ``_WIDTHS``."""
@@ -69,6 +71,8 @@ class JointPath:
         Output of a play operator of small gap, -1 to 1, at the samples: against it a joint with lost motion lags.
     inertia : callable, optional
         Mass matrices (n, N, N) [kg m^2] at joint positions (n, N), where masses are known.
+    beside : array, shape (m, K), optional
+        Joint positions of the other arm of the cell at the samples [rad].
     """
 
     stamps: Stamps
@@ -77,6 +81,7 @@ class JointPath:
     _position: scipy.interpolate.PPoly = field(repr=False)
     _speed: scipy.interpolate.PPoly = field(repr=False)
     inertia: Callable[[Array], Array] | None = field(default=None, repr=False)
+    beside: Array | None = field(default=None, repr=False)
 
     def known(self, time_s: Array) -> NDArray[np.bool_]:
         """Whether times (n,) [s] lie between samples, and not in a gap or beside a step of the clock."""
@@ -107,6 +112,12 @@ class JointPath:
         inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
         return EvenPath(time_s, q, qdd, first, inertia)
 
+    def beside_at(self, time_s: Array) -> Array | None:
+        """Joint positions (n, K) [rad] of the other arm at times (n,) [s]; None where they were not recorded."""
+        if self.beside is None:
+            return None
+        return np.column_stack([np.interp(time_s, self.stamps.time_s, column) for column in self.beside.T])
+
     def direction_at(self, time_s: Array) -> Array:
         """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
         t = self.stamps.time_s
@@ -123,9 +134,16 @@ class JointPath:
         number = turns.number[place]
         side = turns.side[number]
         if not fading.kept:
-            return np.asarray(side * np.exp(-np.abs(q - turns.q[number]) / fading.reach))
+            travel = np.abs(q - turns.q[number]) / fading.reach
+            return np.asarray(side * np.exp(-(travel**2 if fading.bell else travel)))
         plays = np.clip(turns.plays[number], q[:, None] - _WIDTHS, q[:, None] + _WIDTHS)
         return np.asarray(side - ((q[:, None] - plays) / _WIDTHS) @ fading.shares())
+
+    def travel_at(self, time_s: Array, q: Array) -> Array:
+        """Travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them turned round, or
+        began to move after a gap of the recording: what its last motion is to a joint at rest."""
+        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
+        return np.column_stack([q[:, joint] - turns.q[turns.number[place]] for joint, turns in enumerate(self._turns)])
 
     @cached_property
     def _turns(self) -> tuple[_Turns, ...]:
@@ -173,7 +191,8 @@ def joint_path(joints: JointStream) -> JointPath:
     position = scipy.interpolate.CubicHermiteSpline(t, q, slopes)
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
-    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed)
+    beside = None if joints.other_q is None else stamps.averaged(joints.other_q)
+    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed, beside=beside)
 
 
 def play(q: Array, half_gap: Array) -> Array:

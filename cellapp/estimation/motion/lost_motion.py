@@ -1,7 +1,7 @@
 """Lost motion that a joint takes up over a reach: its reach and its kind of memory, from the residuals of a fit.
 
 Beside play or wind-up, which change at once where a joint turns round, a part fades with the travel since
-(``joint_path.Fading``). All reaches of both kinds are columns of one normal matrix; what each would take from the
+(``joint_path.Fading``). All reaches of all kinds are columns of one normal matrix; what each would take from the
 residuals, beside all that the fit has, is a small system.
 """
 
@@ -20,7 +20,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 REACHES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Reaches that are tried [rad]: 1.4 to 46 degrees."""
-ALTERNATIVES = 2 * len(REACHES)
+_KINDS = (Fading(1.0, kept=False), Fading(1.0, kept=True), Fading(1.0, kept=False, bell=True))
+ALTERNATIVES = len(_KINDS) * len(REACHES)
 """Fading parts that chance may choose from."""
 _MOST_POINTS = 8000
 _OWN_REACH = 9.0
@@ -32,43 +33,43 @@ def fading_terms(problem: Problem, solution: Solution, law: Law) -> tuple[JointT
     reach, but for joints that a reach of their own fits surely better."""
     gains = _gains(problem, solution, law)
     joints = range(problem.layout.parameters.joints)
-    kept, place = max(
-        ((kept, place) for kept in (False, True) for place in range(len(REACHES))),
+    kind, place = max(
+        ((kind, place) for kind in range(len(_KINDS)) for place in range(len(REACHES))),
         key=lambda one: gains.chi_square(one[0], [one[1]] * len(joints)),
     )
     places = [place] * len(joints)
     for joint in joints:
         tried = [[*places[:joint], own, *places[joint + 1 :]] for own in range(len(REACHES))]
-        best = max(tried, key=lambda one: gains.chi_square(kept, one))
-        if gains.chi_square(kept, best) > gains.chi_square(kept, places) + _OWN_REACH:
+        best = max(tried, key=lambda one: gains.chi_square(kind, one))
+        if gains.chi_square(kind, best) > gains.chi_square(kind, places) + _OWN_REACH:
             places = best
-    usual = gains.between(kept, place)
+    usual = gains.between(kind, place)
     return tuple(
-        JointTerm(law, joint, fading=Fading(usual if own == place else REACHES[own], kept))
+        JointTerm(law, joint, fading=replace(_KINDS[kind], reach=usual if own == place else REACHES[own]))
         for joint, own in zip(joints, places)
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Gains:
-    """Normal equations of all fading parts (2 kinds, reaches, joints) beside the parameters of a fit: ``matrix`` (K, K)
+    """Normal equations of all fading parts (kinds, reaches, joints) beside the parameters of a fit: ``matrix`` (K, K)
     and ``product`` (K,)."""
 
     matrix: Array = field(repr=False)
     product: Array = field(repr=False)
     joints: int
 
-    def chi_square(self, kept: bool, places: Sequence[int]) -> float:
+    def chi_square(self, kind: int, places: Sequence[int]) -> float:
         """What parts of these reaches, one of each joint, take from the residuals."""
-        chosen = [(int(kept) * len(REACHES) + place) * self.joints + joint for joint, place in enumerate(places)]
+        chosen = [(kind * len(REACHES) + place) * self.joints + joint for joint, place in enumerate(places)]
         product = self.product[chosen]
         return float(product @ solve_psd(self.matrix[np.ix_(chosen, chosen)], product))
 
-    def between(self, kept: bool, place: int) -> float:
+    def between(self, kind: int, place: int) -> float:
         """The reach [rad] at the top of the parabola through a place on the grid and its neighbours."""
         if not 0 < place < len(REACHES) - 1:
             return REACHES[place]
-        less, best, more = (self.chi_square(kept, [place + side] * self.joints) for side in (-1, 0, 1))
+        less, best, more = (self.chi_square(kind, [place + side] * self.joints) for side in (-1, 0, 1))
         bend = less - 2.0 * best + more
         top = 0.5 * (less - more) / bend if bend < 0.0 else 0.0
         return float(REACHES[place] * (REACHES[place + 1] / REACHES[place]) ** top)
@@ -77,8 +78,8 @@ class _Gains:
 def _gains(problem: Problem, solution: Solution, law: Law) -> _Gains:
     joints = problem.layout.parameters.joints
     tried = [
-        JointTerm(law, joint, fading=Fading(reach, kept))
-        for kept in (False, True)
+        JointTerm(law, joint, fading=replace(kind, reach=reach))
+        for kind in _KINDS
         for reach in REACHES
         for joint in range(joints)
     ]

@@ -12,7 +12,7 @@ import scipy
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
-from cellapp.robot.effects.backlash import LOAD_REACH, REACH
+from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -25,7 +25,7 @@ _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that say the same of stops, without fading parts; a lag has none."""
+"""Forms of the effects' laws that describe the same effect at stops, without fading parts; a lag has none."""
 ONLY_MOTION = {
     Law.LAG: "a delay moves nothing at rest",
     Law.TIME_CONSTANT: "a time constant moves nothing at rest",
@@ -33,6 +33,8 @@ ONLY_MOTION = {
     Law.VIBRATION: "an arm at rest does not swing",
 }
 """Why stops cannot show a law."""
+_REACHES = {(False, False): REACH, (False, True): BELL, (True, False): LOAD_REACH, (True, True): LOAD_BELL}
+"""Constants of laws at rest: under load or not, as a bell curve or not."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
 """The same of a law of a plug-in."""
 DENSE = 20
@@ -275,7 +277,7 @@ def _effect_of(
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p),
         form=_form(law, terms, dry),
         constants={
-            (LOAD_REACH if term.law is Law.WINDUP else REACH).key(term.joint): term.fading.reach
+            _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
             for term in terms
             if term.fading
         },
@@ -284,7 +286,7 @@ def _effect_of(
 
 
 def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], dry: bool) -> str:
-    """The form of the effect's law that says the same of stops; empty where none does."""
+    """The form of the effect's law that describes the same at stops; empty where none does."""
     if any(term.fading for term in terms):
         return "gradual"
     return "both" if dry else AT_REST.get(law, "") if isinstance(law, Law) else ""

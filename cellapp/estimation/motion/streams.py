@@ -29,6 +29,8 @@ class JointStream:
         Joint torques [Nm]; motor currents [A].
     joint_temperature : array, shape (n, N), or None
         Joint temperatures [degC].
+    other_q : array, shape (n, K), or None
+        Joint positions of the other arm of the cell, where it moved meanwhile [rad].
     triggers_s : array, shape (k,)
         Stamps of samples in which a pulse to the tracker began [s].
 
@@ -44,6 +46,7 @@ class JointStream:
     tau: _Floats | None = field(default=None, repr=False)
     current: _Floats | None = field(default=None, repr=False)
     joint_temperature: _Floats | None = field(default=None, repr=False)
+    other_q: _Floats | None = field(default=None, repr=False)
     triggers_s: _Floats = field(default_factory=lambda: np.empty(0), repr=False)
 
     def __post_init__(self) -> None:
@@ -52,6 +55,8 @@ class JointStream:
             raise ValueError(f"expected q of shape ({n}, joints), got {self.q.shape}")
         for name in ("q", "qd", "tau", "current", "joint_temperature"):
             _check(name, getattr(self, name), self.q.shape)
+        if self.other_q is not None:
+            _check("other_q", self.other_q, (n, self.other_q.shape[-1]))
         if not np.isfinite(self.q).all():
             raise ValueError("joint positions must be finite numbers")
 

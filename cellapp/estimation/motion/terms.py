@@ -3,7 +3,7 @@
     play       dq_j = -h_j d_j            d the direction with history (play operator): backlash
     wind-up    dq_j = -w_j d_j |tau_j|    friction that grows with the load
     fading     dq_j = -f_j e_j, -f_j e_j |tau_j|   beside both, what changes over the travel x since the joint turned
-                                          round: e = c exp(-x / reach), c by its history (``joint_path``)
+                                          round: e = c exp(-x / reach), c by its history, or a bell (``joint_path``)
     line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn
     one cycle  the same of one cycle a turn: encoder eccentricity, at all joints together
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
@@ -215,7 +215,9 @@ class JointState:
             return path.fading_at(time_s, self.q[:, joint], joint, fading)
         if self.step is None:
             return np.zeros(len(self.q))
-        return np.asarray(self.direction[:, joint] * left_by_motion(self.step[:, joint], fading.reach))
+        return np.asarray(
+            self.direction[:, joint] * left_by_motion(self.step[:, joint], fading.reach, bell=fading.bell)
+        )
 
     @cached_property
     def qdd(self) -> Array:

@@ -169,6 +169,9 @@ class Readings:
     turning_covariance_M : array, shape (n, 3, 3), or None
         Covariance of a rotation about the axes of M [rad^2], of an orientation that follows from several nests; it
         comes before ``sigma_rad``. No column: it is computed from the rows of the nests.
+    other_q : array, shape (n, K), or None
+        Joint positions of the other arm where it has no reading of its own at the stop, as in samples of recordings
+        [rad]; NaN where they are not known. No column: it is that of recordings.
     split : tuple of n (str or None), or None
         identify, train or validate.
     extras : dict
@@ -199,6 +202,7 @@ class Readings:
     distances: tuple[Distance, ...] = ()
     on_flange: FlangeTouches | None = None
     turning_covariance_M: _Floats | None = None
+    other_q: _Floats | None = None
     split: tuple[str | None, ...] | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -279,7 +283,11 @@ def joined(parts: Sequence[Readings]) -> Readings:
                 for word in ((None,) * len(part) if words is None else words)
             )
     turning = _stacked([part.turning_covariance_M for part in parts], [(len(part), 3, 3) for part in parts])
-    return Readings(**values, turning_covariance_M=turning)
+    beside = [part.other_q for part in parts]
+    others = max((0 if q is None else q.shape[1] for q in beside), default=0)
+    return Readings(
+        **values, turning_covariance_M=turning, other_q=_stacked(beside, [(len(part), others) for part in parts])
+    )
 
 
 def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:

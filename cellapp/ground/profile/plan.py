@@ -45,6 +45,8 @@ class Plan(Section):
     """Of the stops, those that visit an earlier configuration again, from the other side of every joint."""
     blocks: Annotated[int, Field(strict=True, ge=1, le=1000)] | None = None
     """Parts of the run in random order, so that drift in time is not confounded with posture; None: by the stops."""
+    other_arm: Literal["resting", "swinging"] = "resting"
+    """What the other arm does while one sweeps; swinging, it is recorded beside and not measured."""
     largest_gap: Annotated[Angle, Field(gt=0.0, le=2.0 * math.pi)] | None = None
     """Largest part of any joint's travelled range without a stop; None: as the number of stops allows."""
 

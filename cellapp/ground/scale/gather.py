@@ -104,7 +104,7 @@ def check_resources(resources: Resources) -> None:
 
 @contextmanager
 def executor_of(resources: Resources, *, missing: int, tasks: int) -> Iterator[Executor]:
-    """The place where the missing ones of so many tasks are computed. Raises ``InputError`` if it cannot be reached.
+    """Where the missing tasks of a batch are computed. Raises ``InputError`` if it cannot be reached.
 
     The only task of a batch is computed in this process; the only one that is missing is not, as it may be missing
     because it ends its process.

@@ -97,7 +97,7 @@ def _new_process() -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """Leave Ctrl-C, which reaches the whole group, to the client, and end with it even if it was killed."""
+    """Ignore Ctrl-C, which the client handles; end when the client ends, even if it was killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_client, name="client", daemon=True).start()
 

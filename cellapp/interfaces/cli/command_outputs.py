@@ -141,6 +141,6 @@ def _how(annotation: object) -> Writes | None:
 
 
 def _option(parameter: inspect.Parameter) -> str:
-    """The first word of an option as it is typed; typer keeps it where a default would stand."""
+    """The name of an option as it is typed, which typer keeps as the default of the declaration."""
     found = next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
     return str(found.default)

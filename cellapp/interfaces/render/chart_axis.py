@@ -16,7 +16,7 @@ _ROOM = 0.05
 _LARGEST = 1.0 / LEAST
 """Larger values are not drawn: sums and ratios of axes would overflow."""
 _FAR = 10.0
-"""Places beyond so many lengths of an axis are moved to there: a line that leaves the plot needs no more."""
+"""In lengths of an axis: places farther away are moved there; a line that leaves the plot needs no more."""
 _SAME = 1e-6
 """Values that differ by a smaller share are one value: the difference is rounding, and no tick could show it."""
 _LONGEST = 7

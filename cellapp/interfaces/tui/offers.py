@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
+from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
@@ -128,6 +129,24 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     text = f"{verb.summary}" + (f" {arms_words(screen.workspace)}." if verb.moves_arms else "")
     simulated = screen.workspace.kind == "simulated"
     app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
+
+
+def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
+    """Ask for the request of a verb that measures with the model in force, then do it; ``begun`` is called before."""
+    if (calibrated := screen.calibrated_run()) is None:
+        return
+    folder, results, _ = calibrated
+
+    def begin(request: Request | None) -> None:
+        if request is not None:
+            begun()
+            screen.start(work.verb_job(verb, request))
+
+    text = f"{words} {arms_words(screen.workspace)}."
+    if stale := stale_model(results):
+        text += f"\nThe model is not up to date: {stale}."
+    simulated = screen.workspace.kind == "simulated"
+    screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
 
 
 class _TouchView:

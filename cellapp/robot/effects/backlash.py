@@ -31,11 +31,16 @@ SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPIC
 SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
 REACH = Constant("reach", "rad", FIXED, "over {}", "{} deg by joint {}", float(np.degrees(1.0)), per_joint=True)
 """Travel after a turn over which a part of the lost motion changes to 1/e."""
+BELL = Constant("bell_reach", "rad", FIXED, "as a bell over {}", REACH.each, REACH.factor, per_joint=True)
+"""The same where it changes like a bell curve: friction of slow motion (Stribeck)."""
 LOAD_REACH = Constant("load_reach", "rad", FIXED, "under load over {}", REACH.each, REACH.factor, per_joint=True)
-GRADUAL = LawForm("gradual", "in part taken up gradually", (REACH,))
+LOAD_BELL = Constant("load_bell_reach", "rad", FIXED, "under load as a bell over {}", REACH.each, REACH.factor, True)
+GRADUAL = LawForm("gradual", "in part taken up gradually", (REACH, BELL))
 LOAD = LawForm("load", "in proportion to the load")
 BOTH = LawForm("both", "dry friction, and in proportion to the load")
-BOTH_GRADUAL = LawForm("gradual", "dry and under load, in part built up gradually", (REACH, LOAD_REACH))
+BOTH_GRADUAL = LawForm(
+    "gradual", "dry and under load, in part built up gradually", (REACH, BELL, LOAD_REACH, LOAD_BELL)
+)
 
 
 _USUAL_WIDTH = 0.03
@@ -56,7 +61,7 @@ class Backlash(Effect):
 
     gradual
         ``dq_j = -s_j (h_j + f_j exp(-|step_j| / r_j))``: as recordings of motion show it, with a reach r_j of each
-        joint; an unknown step counts as a long one.
+        joint, or with ``exp(-(step_j / r_j)^2)``; an unknown step counts as a long one.
     smooth
         As ``saturating``, each half play small by prior, of either sign.
 
@@ -134,7 +139,7 @@ class Backlash(Effect):
             return [
                 column
                 for j in range(context.joints)
-                for column in _gradual(context, law, REACH, j, "half_play", "rad", lag[:, j], _MOST_PLAY)
+                for column in _gradual(context, law, (REACH, BELL), j, "half_play", "rad", lag[:, j], _MOST_PLAY)
             ]
         if law.form != CONSTANT:
             lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
@@ -147,22 +152,31 @@ class Backlash(Effect):
 
 
 def _gradual(
-    context: EffectContext, law: Law, reach: Constant, joint: int, name: str, unit: str, lag: Array, most: float
+    context: EffectContext,
+    law: Law,
+    reaches: tuple[Constant, Constant],
+    joint: int,
+    name: str,
+    unit: str,
+    lag: Array,
+    most: float,
 ) -> list[EffectColumn]:
     """Column of lost motion of one joint, which lags by ``lag`` (n,) per unit, and of the part that the last motion has
-    left, where the law has a reach for it."""
+    left, where the law has one of ``reaches`` for it, the second as a bell curve."""
     found = [joint_column(f"{name}{joint + 1}", unit, joint, lag, 0.0, most)]
-    if reach.key(joint) in law.constants:
-        left = left_by_motion(context.step[:, joint], law.constants[reach.key(joint)])
+    for reach in reaches:
+        if reach.key(joint) not in law.constants:
+            continue
+        left = left_by_motion(context.step[:, joint], law.constants[reach.key(joint)], bell=reach is reaches[1])
         found.append(joint_column(f"fresh_{name}{joint + 1}", unit, joint, lag * left, -most, most, refines=True))
     return found
 
 
-def left_by_motion(step: Array, reach: float) -> Array:
+def left_by_motion(step: Array, reach: float, *, bell: bool = False) -> Array:
     """Share (n,) of gradual lost motion that a joint has not taken up after a last motion ``step`` (n,) [rad] from the
-    middle; none where the motion is unknown, zero or NaN. ``reach`` in rad."""
+    middle; none where the motion is unknown, zero or NaN. ``reach`` in rad; ``bell``: it falls like a bell curve."""
     size = np.abs(np.nan_to_num(step))
-    return np.where(size > 0.0, np.exp(-size / reach), 0.0)
+    return np.where(size > 0.0, np.exp(-((size / reach) ** (2 if bell else 1))), 0.0)
 
 
 def _step_sizes(context: EffectContext, law: Law) -> Array:
@@ -243,8 +257,9 @@ class FrictionWindup(Effect):
         for j in range(context.joints):
             if law.form == BOTH_GRADUAL:
                 dry, under = -context.approach[:, j], loaded[:, j]
-                columns += _gradual(context, law, REACH, j, "dry", "rad", dry, _MOST_PLAY)
-                columns += _gradual(context, law, LOAD_REACH, j, "windup", "rad/Nm", under, _MOST_WINDUP)
+                columns += _gradual(context, law, (REACH, BELL), j, "dry", "rad", dry, _MOST_PLAY)
+                of_load = (LOAD_REACH, LOAD_BELL)
+                columns += _gradual(context, law, of_load, j, "windup", "rad/Nm", under, _MOST_WINDUP)
                 continue
             if law.form == BOTH:
                 columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, _MOST_PLAY))

@@ -14,16 +14,14 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.onset import OnsetEffect
 from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
-    ONSET_FORM,
     WARM_UP_FORM,
     after_onset,
-    missing_for_onset,
-    onset_laws,
     run_fraction,
     run_span,
     times_known,
@@ -127,7 +125,7 @@ class BaseDrift(Effect):
         return columns
 
 
-class BaseStep(Effect):
+class BaseStep(OnsetEffect):
     """The base slips: twist ``(d, w)`` of the base frame after an onset, shift d [m] and rotation w [rad] as for drift.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. A tracker that was
@@ -152,17 +150,6 @@ class BaseStep(Effect):
         ),
     )
     look_alikes = ("base_drift", "thermal_growth", "target_slip", "joint_drift")
-    variables = frozenset({DriverVariable.TIME})
-    forms = (ONSET_FORM,)
-    free_drivers = (FreeDriver(Quantity.TIME),)
-
-    def missing_data(self, context: EffectContext) -> str:
-        """Needs times."""
-        return missing_for_onset(context)
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One for each onset."""
-        return onset_laws(context)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Six columns; after the onset where the time is unknown."""

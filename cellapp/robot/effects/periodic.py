@@ -25,15 +25,19 @@ _LARGEST = 5e-3
 _MANY = 8
 """Cycle counts from which powers of exp(i angle) are faster than a cosine each."""
 
+LINES_BESIDE_MAX = 2 * LINES_MAX
+"""Largest cycle count of a line beside free curves: four for each turn of a motor."""
 GEAR_RATIO = Constant("ratio", "", FIXED, "ratio {}")
 CURVE_LENGTH = Constant("length", "rad", FIXED, per_joint=True)
 """Correlation length of a joint's curve; its amplitude is the next constant. The search sets both by the evidence."""
 CURVE_AMPLITUDE = Constant(AMPLITUDE_NAME, "rad", FIXED, per_joint=True)
+LINE_AMPLITUDE = Constant("lines", "rad", FIXED, optional=True)
+"""Standard deviation of the prior of the lines beside curves."""
 
 TWO = LawForm("two", "two cycles per revolution")
 LINES = LawForm("lines", "single lines of the spectrum")
 GEAR = LawForm("gear", "two cycles per revolution and the lines of a gear", (GEAR_RATIO,))
-CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, CURVE_AMPLITUDE))
+CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, CURVE_AMPLITUDE, LINE_AMPLITUDE))
 
 
 ONE = LawForm("", "one cycle per revolution")
@@ -178,7 +182,14 @@ def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> 
     cycles, prior = round(law.constants[CYCLES.name]), curve_prior(law, context.joints)
     counts = dict.fromkeys(prior, range(2, cycles + 1)) if names is None else _counts_of(names, context.joints)
     sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
-    return _waves(context, counts, sd={joint: values.tolist() for joint, values in sd.items()})
+    beside = law.constants.get(LINE_AMPLITUDE.name, math.inf)
+    return _waves(context, counts, sd={joint: values.tolist() for joint, values in sd.items()}, beside=beside)
+
+
+def lines_beside(context: EffectContext, law: Law) -> list[EffectColumn]:
+    """Lines of more cycles than the curves of a law reach, of the joints that have a curve."""
+    counts = range(round(law.constants[CYCLES.name]) + 1, LINES_BESIDE_MAX + 1)
+    return _waves(context, dict.fromkeys(curve_prior(law, context.joints), counts), by_line=True)
 
 
 @lru_cache(maxsize=8192)
@@ -197,7 +208,7 @@ def _by_name(joints: int) -> Mapping[str, tuple[int, int]]:
     return {
         name: (joint, count)
         for joint in range(joints)
-        for count in range(1, 2 * LINES_MAX + 1)
+        for count in range(1, LINES_BESIDE_MAX + 1)
         for name, _ in _line(joint, count)[1]
     }
 
@@ -219,10 +230,11 @@ def _waves(
     cycles: Mapping[int, Sequence[int]],
     by_line: bool = False,
     sd: Mapping[int, Sequence[float]] | None = None,
+    beside: float = math.inf,
 ) -> list[EffectColumn]:
     """Cosine and sine of each joint's cycle counts, a block per joint or a block per line.
 
-    ``sd`` are the standard deviations of the priors of each joint's counts from 1; counts beyond have none.
+    ``sd`` are the standard deviations of the priors of each joint's counts from 1, ``beside`` that of counts beyond.
     """
     columns = []
     for joint, counts in cycles.items():
@@ -230,7 +242,7 @@ def _waves(
         priors = () if sd is None else sd.get(joint, ())
         for count, values in zip(counts, harmonics, strict=True):
             line, waves = _line(joint, count)
-            prior = priors[count - 1] if count <= len(priors) else math.inf
+            prior = priors[count - 1] if count <= len(priors) else beside
             block = line if by_line else None
             for (name, wave), offset in zip(waves, values, strict=True):
                 columns.append(

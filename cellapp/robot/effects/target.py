@@ -13,7 +13,8 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.time_functions import ONSET_FORM, after_onset, missing_for_onset, onset_laws
+from cellapp.robot.effects.onset import OnsetEffect
+from cellapp.robot.effects.time_functions import after_onset
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
@@ -23,7 +24,7 @@ RADIAL = LawForm("radial", "along the beam")
 LATERAL = LawForm("lateral", "along and across the beam")
 
 
-class TargetSlip(Effect):
+class TargetSlip(OnsetEffect):
     """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 µm
@@ -51,17 +52,6 @@ class TargetSlip(Effect):
         ),
     )
     look_alikes = ("base_step",)
-    variables = frozenset({DriverVariable.TIME})
-    forms = (ONSET_FORM,)
-    free_drivers = (FreeDriver(Quantity.TIME),)
-
-    def missing_data(self, context: EffectContext) -> str:
-        """Needs times."""
-        return missing_for_onset(context)
-
-    def laws(self, context: EffectContext) -> list[Law]:
-        """One for each onset."""
-        return onset_laws(context)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Three columns; after the onset where the time is unknown."""

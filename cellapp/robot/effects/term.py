@@ -48,7 +48,7 @@ class Displacement:
 
     @classmethod
     def total(cls, parts: Sequence[Displacement], n: int, joints: int) -> Displacement:
-        """Sum of displacements at ``n`` stops of an arm with so many joints."""
+        """Sum of displacements at ``n`` stops of an arm with ``joints`` joints."""
         return cls(
             joints=sum((one.joints for one in parts), start=np.zeros((n, joints))),
             shift_M=sum((one.shift_M for one in parts), start=np.zeros((n, 3))),

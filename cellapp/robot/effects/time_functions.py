@@ -84,13 +84,6 @@ def after_onset(context: EffectContext, law: Law) -> Array:
     )
 
 
-def missing_for_onset(context: EffectContext) -> str:
-    """What the readings lack to search for an onset; empty if nothing."""
-    if not times_known(context):
-        return "no times"
-    return "" if onset_laws(context) else f"fewer than {2 * ONSET_MARGIN} readings"
-
-
 def times_known(context: EffectContext) -> bool:
     """Whether all times are known and not all equal."""
     time_s = context.conditions.time_s

@@ -21,7 +21,7 @@ _BASE = tuple(range(len(BASE_NAMES)))
 def relocated(model: CellModel, T_new_old: Array, twists: Array | None = None) -> CellModel:
     """The cell with its tracker frame moved: ``T_new_old`` (4, 4) maps coordinates in the old frame into the new one.
 
-    ``twists`` (S, 6) are draws of the error of ``T_new_old``: velocity of what is at the new origin [m], then rotation
+    ``twists`` (S, 6) are draws of the error of ``T_new_old``: shift of the point at the new origin [m], then rotation
     [rad], both in the new frame, for each draw of the arms' posteriors. Arms without draws stay without.
     """
     station = T_new_old if model.T_M_M0 is None else T_new_old @ model.T_M_M0

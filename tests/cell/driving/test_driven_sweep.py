@@ -16,9 +16,18 @@ from pydantic import ValidationError
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.driven_sweep import _rest_of
-from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
+from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.sweeps import (
+    SWEEPS_RESULT,
+    PlannedSweep,
+    PlannedSweeps,
+    Swing,
+    read_sweeps,
+    refuse_sweep,
+)
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.cell.run.recordings import read_recordings_of, read_stream, recording_states
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
 from cellapp.ground.errors import HardwareError
@@ -63,6 +72,21 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for one in sweeps
         )
         run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=short).model_dump_json())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def swinging(planned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same plan, with the sweep of the left arm only, beside which the right one swings."""
+    folder = tmp_path_factory.mktemp("swinging") / "run"
+    folder.mkdir()
+    (folder / "run.sqlite").write_bytes((planned / "run.sqlite").read_bytes())
+    with RunFile.open(folder, write=True) as run:
+        left, right = sorted(read_sweeps(run), key=lambda one: one.arm)
+        beside = Swing.of("right", right.motion(np.zeros(6)).scaled(0.5))
+        pair = left.model_copy(update={"beside": beside})
+        assert refuse_sweep(cell_bodies(run.profile), pair.motions(at := read_planned_stops(run).targets(0)), at) == ""
+        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=(pair,)).model_dump_json())
     return folder
 
 
@@ -214,6 +238,99 @@ def test_a_doubt_in_a_sweep_stops_all_and_resuming_records_what_is_missing(plann
         assert "right" not in {arm for arm, _ in before}
         collect_run(run, opened=driven_cell(), resume=True)
         assert before < names(run) == {(one.arm, one.name) for one in read_sweeps(run)}
+
+
+def plan_of(run: RunFile) -> tuple[PlannedSweep, dict[str, np.ndarray]]:
+    (sweep,) = read_sweeps(run)
+    return sweep, dict(read_planned_stops(run).targets(0))
+
+
+def test_both_arms_are_driven_at_once_and_the_joints_of_both_recorded(swinging: Path, tmp_path: Path) -> None:
+    with copied(swinging, tmp_path) as run:
+        assert collect_run(run, opened=driven_cell()).outcome == "complete"
+        sweep, at = plan_of(run)
+        (state,) = recording_states(run)
+        columns, _ = read_stream(run, state, "joints")
+        q, other_q = (
+            np.column_stack([columns[f"{stem}{joint}"] for joint in range(1, 7)]) for stem in ("q", "other_q")
+        )
+        motions = sweep.motions(at)
+        time_s = np.linspace(0.0, PERIOD_S, 2000)
+        for name, its in (("left", q), ("right", other_q)):
+            assert np.abs(its[[0, -1]] - at[name]).max() < 2e-3, "from rest to rest at the stop"
+            assert np.ptp(its, axis=0).max() > 0.01
+        path = np.hstack([motions["left"].at(time_s), motions["right"].at(time_s)])
+        off = [np.abs(path - row).max(axis=1).min() for row in np.hstack([q, other_q])[::10]]
+        assert max(off) < 0.01, "at each sample both are at one time of their motions"
+
+
+def test_where_the_beam_breaks_both_arms_slow_down_and_go_on(
+    swinging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cells: list[Cell] = []
+    crossed_beam(monkeypatch, cells, "left", 2.0)
+    with copied(swinging, tmp_path) as run:
+        collect_run(run, opened=driven_cell(CLOCK, cells.append))
+        first, second = recording_states(run)
+        assert first.reached_s is not None
+        assert second.reached_s is None
+        _, at = plan_of(run)
+        ends = [read_stream(run, state, "joints")[0] for state in (first, second)]
+        still = [np.abs(np.diff(its["other_q1"][-20:])).max() for its in ends]
+        assert max(still) < 1e-6, "the other arm rests meanwhile"
+        assert abs(ends[0]["other_q1"][-1] - ends[1]["other_q1"][0]) < 1e-3
+        assert ends[1]["other_q1"][-1] == pytest.approx(at["right"][0], abs=2e-3)
+
+
+def broken_at(cell: Cell, name: str, of: str, action: Callable[[SimulatedArm], None]) -> None:
+    """Let something happen to arm ``of`` 2 s after arm ``name`` sets out."""
+    arm, other, plant = cell.arms[name], cell.arms[of], plant_of(cell)
+    assert isinstance(arm, SimulatedArm)
+    assert isinstance(other, SimulatedArm)
+    start = arm.start_path
+
+    def started(q: Any, period_s: float) -> None:
+        plant.schedule.at(plant.clock_s + 2.0, lambda: action(other))
+        start(q, period_s)
+
+    arm.start_path = started  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("hurt", ["left", "right"])
+def test_a_doubt_in_either_of_two_arms_stops_both(swinging: Path, tmp_path: Path, hurt: str) -> None:
+    cells: list[Cell] = []
+
+    def prepare(cell: Cell) -> None:
+        cells.append(cell)
+        broken_at(cell, "left", hurt, SimulatedArm.protective_stop)
+
+    with copied(swinging, tmp_path) as run:
+        with pytest.raises(HardwareError, match=rf"arm {hurt}: .*protective stop"):
+            collect_run(run, opened=driven_cell(CLOCK, prepare))
+        assert recording_states(run) == ()
+        _, at = plan_of(run)
+        plant = plant_of(cells[0])
+        assert not any(plant.moving(name) for name in plant.names)
+        assert all(np.abs(plant.q(name) - at[name]).max() > 1e-3 for name in at), "both were on their way"
+        collect_run(run, opened=driven_cell(), resume=True)
+        assert names(run) == {("left", "sweep-1")}
+
+
+def test_an_arm_that_falls_behind_the_other_stops_both(swinging: Path, tmp_path: Path) -> None:
+    def prepare(cell: Cell) -> None:
+        late = cell.arms["right"]
+        assert isinstance(late, SimulatedArm)
+        start = late.start_path
+
+        def started(q: np.ndarray, period_s: float) -> None:
+            start(np.concatenate([np.repeat(q[:1], 125, axis=0), q]), period_s)  # it sets out a second later
+
+        late.start_path = started  # type: ignore[method-assign]
+
+    with copied(swinging, tmp_path) as run:
+        with pytest.raises(HardwareError, match="apart from where both should be; one of them was late"):
+            collect_run(run, opened=driven_cell(CLOCK, prepare))
+        assert recording_states(run) == ()
 
 
 @pytest.mark.parametrize(("rate", "words"), [(RATE_HZ, "does not measure"), (900.0, r"collection\.motion_rate")])

@@ -16,6 +16,7 @@ from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.stop_set import StopSet
 from cellapp.cell.planning.tour import Move, TourTask, best_order
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.progress import CancelToken
 from tests.cell.planning.planned_cells import planned_twin, three_arms
 
@@ -160,7 +161,7 @@ def test_pairs_stand_together_and_an_order_is_mended() -> None:
     arrangement = arrange(stops, 3, 2, np.random.default_rng(0), CancelToken())
     assert arrangement.rows.shape == (3, 20)
     assert stops.together(arrangement.rows).all()
-    mended = repair_order(stops, arrangement, homes, homes, CancelToken())
+    mended = repair_order(stops, arrangement, homes, homes, FreeMotions(cell), CancelToken())
     assert sorted(map(tuple, mended.rows.T.tolist())) == sorted(map(tuple, arrangement.rows.T.tolist()))
     np.testing.assert_array_equal(mended.block, arrangement.block)
     copies = np.flatnonzero(mended.repeat_of >= 0)

@@ -213,6 +213,18 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
         r"j\.csv:1: q2: the column is missing; arm left has 2 joints",
     ),
     "too many joints": (lambda j, p: ({**j, "q3": j["q1"]}, p), r"j\.csv:1: q3: there are values, but arm left has 2"),
+    "too few joints of the other arm": (
+        lambda j, p: ({**j, "other_q1": j["q1"]}, p),
+        r"j\.csv:1: other_q2: the column is missing; arm right has 3 joints",
+    ),
+    "degrees of the other arm": (
+        lambda j, p: ({**j, **{f"other_q{k}": np.full(len(j["q1"]), 120.0) for k in (1, 2, 3)}}, p),
+        r"j\.csv:2: other_q1: expected .* rad .*got 120; degrees\?",
+    ),
+    "part of the other arm": (
+        lambda j, p: ({**j, **{f"other_q{k}": np.full(len(j["q1"]), [np.nan, 0.1][k < 3]) for k in (1, 2, 3)}}, p),
+        r"j\.csv:2: other_q3: the value is missing; give all joints of the other arm in a row, or none",
+    ),
     "other name": (
         lambda j, p: (j, {"time_of_day": p["time_s"], **{n: p[n] for n in ("x_m", "y_m", "z_m")}}),
         r"p\.csv:1: time_s: the column is missing; is 'time_of_day' meant\?.* the file has time_of_day, x_m, y_m, z_m",

@@ -270,6 +270,17 @@ def test_the_noise_free_plant_is_fitted_to_below_a_nanometre():
         assert np.abs(found.residuals).max() < 1e-9
 
 
+@pytest.mark.parametrize("sigma_m", [None, 1e-9])
+@pytest.mark.parametrize("offset_m", [0.0, 0.1])
+def test_readings_without_noise_determine_the_same_parameters(sigma_m, offset_m):
+    # what rounding leaves of a dependent column is more than such a small noise
+    nominal, _, q, p_M = measured(UR10, OFF_AXIS, 5, 400, sigma=0.0)
+    found = identify(nominal, q, p_M + offset_m, sigma=None if sigma_m is None else np.full(len(q), sigma_m))
+    assert len(found.names) == 27
+    assert len(found.parameter_set.merged) == len(full_set(nominal).columns) - 27
+    assert np.linalg.norm(found.residuals, axis=1).max() < 1e-8  # the tolerance of a step
+
+
 def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     # half of the readings state 2 um, half 40 um; all really scatter by 0.3 mm of unmodelled physics
     nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=16, n=300, sigma=0.3e-3)

@@ -41,20 +41,22 @@ def test_what_is_kept_is_that_of_plays_in_parallel():
         np.testing.assert_allclose((direction[:, joint] - left)[surely], truth[surely, joint], atol=0.05)
 
 
-def test_what_begins_anew_fades_with_the_travel_since_the_turn():
+@pytest.mark.parametrize("bell", [False, True])
+def test_what_begins_anew_fades_with_the_travel_since_the_turn(bell):
     motion, path = path_of(np.random.default_rng(2))
     t = np.arange(0.0, 29.9, 0.008)
     q = motion.at(t)
     for joint in range(6):
         turn, side = q[0, joint], 0.0
-        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=False))
+        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=False, bell=bell))
         for i in range(1, len(t)):
             now = np.sign(q[i, joint] - q[i - 1, joint])
             if now != side:
                 turn, side = q[i - 1, joint], now
             travel = abs(q[i, joint] - turn)
             if travel > 0.01:
-                assert left[i] == pytest.approx(side * np.exp(-travel / REACH), abs=0.02)
+                share = np.exp(-((travel / REACH) ** (2 if bell else 1)))
+                assert left[i] == pytest.approx(side * share, abs=0.02)
 
 
 def test_a_fit_shows_the_reach_and_the_kind_of_memory():
@@ -70,12 +72,13 @@ def test_a_fit_shows_the_reach_and_the_kind_of_memory():
         assert term.fading.reach == pytest.approx(REACH, rel=0.35)
 
 
-def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file():
+@pytest.mark.parametrize(("constant", "bell"), [("reach2", False), ("bell_reach2", True)])
+def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file(constant, bell):
     rng = np.random.default_rng(4)
     q, step = rng.uniform(-1.0, 1.0, (50, 6)), rng.uniform(-0.8, 0.8, (50, 6))
     step[0], step[1] = 0.0, np.nan
     approach = np.sign(np.nan_to_num(step, nan=1.0))
-    law = EFFECTS["backlash"].law("gradual", {"reach2": REACH})
+    law = EFFECTS["backlash"].law("gradual", {constant: REACH})
     names, values = ("half_play1", "half_play2", "fresh_half_play2"), np.array([30e-6, 80e-6, -60e-6])
     term = EffectTerm("backlash", names, values, np.zeros(3), ("rad",) * 3, law)
     term = term_from_json(term_to_json(term), EFFECTS)
@@ -84,7 +87,7 @@ def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file():
     context = EffectContext(q, conditions, NOMINAL, bodies, np.array([0.0, 0.0, 1.0]))
     moved = displacement([term], EFFECTS, context).joints
     state = state_at_rest(q, approach, None, step)
-    left = state.left(1, Fading(REACH, kept=True))
+    left = state.left(1, Fading(REACH, kept=not bell, bell=bell))
     assert (left[:2] == 0.0).all()
     np.testing.assert_allclose(moved[:, 0], -30e-6 * approach[:, 0], rtol=1e-12)
     np.testing.assert_allclose(moved[:, 1], -80e-6 * approach[:, 1] + 60e-6 * left, rtol=1e-12)

@@ -29,6 +29,13 @@ async def asked_for_the_twin(pilot: Pilot[None], app: CellApp, verb: str, word: 
     await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and word in shown_text(app), "the dialog")
 
 
+def begin(app: CellApp) -> None:
+    """Answer the dialog as its button does."""
+    question = app.screen
+    assert isinstance(question, VerbQuestion)
+    question.action_answer("begin")
+
+
 async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,7 +71,7 @@ async def test_the_palette_rehearses_the_profile_that_is_open() -> None:
         await asked_for_the_twin(pilot, app, "rehearse", "step")
         app.screen.query_one("#rung", Input).value = "both-arms"
         await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
-        app.screen.action_answer("begin")
+        begin(app)
         await until(pilot, lambda: "has no controller" in app.message, "the refusal of simulated arms")
 
 
@@ -78,7 +85,7 @@ async def test_the_palette_asks_the_doctor_for_a_report_to_the_authors(
         app.screen.query_one("#bundle", Input).value = "report.zip"
         app.screen.query_one("#run-folder", Input).value = "no-run"
         await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
-        app.screen.action_answer("begin")
+        begin(app)
         await until(pilot, lambda: "--run no-run: there is no run" in app.message, "the refusal")
         assert not Path("report.zip").exists()
         offers.offer_verb_of_profile(app.day_screen, DOCTOR)
@@ -86,6 +93,6 @@ async def test_the_palette_asks_the_doctor_for_a_report_to_the_authors(
             pilot, lambda: isinstance(app.screen, VerbQuestion) and "report in file" in shown_text(app), "it again"
         )
         app.screen.query_one("#bundle", Input).value = "report.zip"
-        app.screen.action_answer("begin")
+        begin(app)
         await until(pilot, lambda: "written: report.zip" in shown_text(app), "what the doctor found")
     assert zipfile.is_zipfile("report.zip")

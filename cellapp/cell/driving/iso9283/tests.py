@@ -59,7 +59,7 @@ from drivers.trackers.protocol import NotReady, Point, TrackerError
 DWELL_S = 1.0
 """Rest before each measurement: arms of this size have stopped swinging by then."""
 _MISSED_IN_A_ROW = 3
-"""So many visits without a measurement, one after the other, end the job: something covers the SMR."""
+"""Consecutive visits without a measurement after which the job ends: something covers the SMR."""
 _GROUPS = 12
 _INTERVAL_S = (300.0, 1800.0)
 """Groups of a drift test, and the limits of the time from one to the next: a few are in the first hour."""

@@ -77,7 +77,7 @@ class Hypothesis:
 
     @property
     def columns_a_candidate(self) -> int:
-        """Columns that its discriminations hold for each candidate."""
+        """Number of columns that all its discriminations hold for each candidate."""
         columns = len(self.fit.rows) + sum(len(rival.names) for rival in self.rivals)
         return columns * max(len(self.rivals), 1)
 
@@ -113,12 +113,12 @@ def _bound_precision(column: EffectColumn) -> float:
 
 
 def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
-    """The fit of what discovery accepted, with its weights, as its search left it."""
+    """The final fit of a discovery: the accepted terms with the weights of its search."""
     terms = tuple(_model_term(term, discovery.scatter_m) for term in discovery.terms)
     return refit(data, terms)
 
 
 def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
-    """An accepted term, without free part, as a term under test; ``scatter_m`` goes with the priors of smooth terms."""
+    """An accepted term, without free part, as a term under test; ``scatter_m`` scales the priors of smooth terms."""
     smooth = Smoothness(0.0, 0, Excess(scatter_m)) if term.law.form.is_smooth else None
     return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)

@@ -11,17 +11,15 @@ from dataclasses import replace
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
-from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.search.bounds import within_bounds
 from cellapp.estimation.discovery.search.review import term_score
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
+from cellapp.estimation.discovery.search.shared_lines import shared_lines
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.terms import ModelTerm, with_term, without_term
-from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.periodic import CURVE, LINES, curve_prior
-from cellapp.robot.effects.smooth import CYCLES
+from cellapp.robot.effects.periodic import CURVE, LINE_AMPLITUDE, LINES, lines_beside
 
 MANY_LINES = 10
 """Columns of a transmission error from which free curves are tried in its place: five lines, more than a drive's
@@ -110,35 +108,18 @@ def _laws_to_try(state: SearchState, number: int) -> list[CandidateLaw]:
 
 
 def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """Sharp lines of more cycles than the curves, which are smooth, reach."""
+    """Sharp lines of more cycles than the curves, which are smooth, reach; looked for once."""
     data, fit = state.data, state.fit
     term = fit.terms[number]
-    joints, cycles = curve_prior(term.law, data.context.joints), term.law.constants[CYCLES.name]
-    lines = next(law for law in EFFECTS[term.slug].laws(data.context) if law.form == LINES)
-    beyond = [
-        column
-        for column in data.columns(term.slug, lines)
-        if column.joint in joints and column.cycles is not None and column.cycles > cycles
-    ]
-    candidate = CandidateLaw(term.slug, lines, tuple(beyond), fit.displacements(beyond))
-    score = LawScan.of([candidate], fit.projector).score(0, fit.projected_residual)
-    if score is None or score.value <= max(needed, problem.threshold):
+    if LINE_AMPLITUDE.name in term.law.constants:
         return None
-    names = tuple(name for name in _confirmed_lines(state, score) if name not in term.names)
-    if not names:
+    beyond = lines_beside(data.context, term.law)
+    candidate = CandidateLaw(term.slug, term.law, tuple(beyond), fit.displacements(beyond))
+    found = shared_lines(candidate, fit.projected_residual)
+    if found is None or found.value <= max(needed, problem.threshold):
         return None
-    refined = replace(term, names=(*term.names, *names))
-    terms = with_term(fit.terms, number, refined)
-    return problem.step(term.slug, f"{EFFECTS[term.slug].title}: lines beside the curve", score.value, terms)
-
-
-def _confirmed_lines(state: SearchState, score: LawScore) -> list[str]:
-    """Names of the chosen columns whose line predicts left-out readings clearly better."""
-    candidate = score.candidate
-    lines = grouped((candidate.columns[place].block, place) for place in score.chosen)
-    return [
-        candidate.columns[place].name
-        for places in lines.values()
-        if cross_validated_gain(state.data, state.fit, candidate.rows[places]) > SCORE_MARGIN
-        for place in places
-    ]
+    names = tuple(beyond[place].name for place in found.columns)
+    constants = {**term.law.constants, LINE_AMPLITUDE.name: found.amplitude}
+    law = replace(term.law, constants=constants, tried=term.law.tried * found.tried)
+    terms = with_term(fit.terms, number, replace(term, law=law, names=(*term.names, *names)))
+    return problem.step(term.slug, f"{EFFECTS[term.slug].title}: lines beside the curve", found.value, terms)

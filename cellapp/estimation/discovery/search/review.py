@@ -26,7 +26,7 @@ from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 
 _AS_WELL = 0.5
-"""Share of the score of what it replaces that an effect must have to stand in its place: a free part is made to fit."""
+"""Share of the score of what it replaces that an effect must reach: a free part, which is made to fit, scores more."""
 _SAME_SHAPE = 0.999
 """Cosine from which two columns move the SMR alike."""
 SAME_CAUSE = 0.05

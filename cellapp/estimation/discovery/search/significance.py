@@ -24,7 +24,7 @@ simulations, enough to estimate its mean to 13 %."""
 def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulations: int, seed: tuple[int, ...]) -> Array:
     """Largest score over all candidates in each of ``simulations`` residuals of pure noise, sorted.
 
-    One block of each candidate is tried: a second one must gain so much more that it does not move high quantiles.
+    One block of each candidate is tried: the larger gain that a second one needs leaves high quantiles as they are.
     """
     y = np.random.default_rng(seed).standard_normal((len(projector.basis), simulations))
     projected = projector.project(y.T).T

@@ -222,7 +222,7 @@ def _with_contradictions(problem: SearchProblem, start: SearchState, named: Sear
 
 
 def _far_from_floor(state: SearchState) -> bool:
-    """Whether what a model leaves is so much that one more law will hardly reach the noise."""
+    """Whether the residuals are far above the noise: one more law will hardly bring them down to it."""
     left = scatter(state.data, state.fit)
     return left is None or left.ratio > _FAR
 

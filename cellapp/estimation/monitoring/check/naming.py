@@ -107,7 +107,7 @@ class Cause:
 
     @property
     def p_value(self) -> float:
-        """Chance of so much evidence for any change, while nothing has changed."""
+        """Chance of as much evidence for any change, or more, while nothing has changed."""
         return self.test.corrected(self.least_p)
 
 
@@ -176,7 +176,7 @@ class _Fit:
     station: Array
 
     def gain(self, coordinates: int) -> float:
-        """Gain of the log likelihood less that which so many numbers make without a change."""
+        """Gain of the log likelihood less the penalty (BIC) of the alternative's ``rank`` parameters."""
         return 0.5 * self.explained - 0.5 * self.rank * math.log(coordinates)
 
 

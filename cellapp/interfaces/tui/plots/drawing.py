@@ -43,7 +43,7 @@ _MARK_EVERY = 10
 _CELLS_A_MARK = 8
 """Cells for each mark of a cloud in which every point has one; in a denser one, marks would hide each other."""
 _MARKED_SHARE = 5
-"""One of so many cells of a dense cloud shows its mark."""
+"""Every fifth cell of a dense cloud shows its mark."""
 _LEAST_BAR = 6
 """Cells for the longest bar, however long the names are."""
 _EIGHTHS = " ▏▎▍▌▋▊▉"

@@ -17,7 +17,7 @@ from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
+from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
@@ -41,23 +41,11 @@ class ScreenOfResults(DayScreen):
 
 def ask_check(screen: ScreenOfResults) -> None:
     """Ask how many stops, then measure them against the calibration."""
-    if (calibrated := screen.calibrated_run()) is None:
-        return
-    folder, results, _ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.show_tab(CHECK)
-            screen.start(work.verb_job(CHECK_VERB, request))
-
-    text = (
+    words = (
         "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it is"
-        f" sure; no model is changed; {arms_words(screen.workspace)}."
+        " sure; no model is changed;"
     )
-    if stale := stale_model(results):
-        text += f"\nThe model is not up to date: {stale}."
-    simulated = screen.workspace.kind == "simulated"
-    screen.app.push_screen(VerbQuestion(CHECK_VERB, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
+    ask_of_calibrated(screen, CHECK_VERB, words, lambda: screen.show_tab(CHECK))
 
 
 def ask_iso9283(screen: ScreenOfResults) -> None:

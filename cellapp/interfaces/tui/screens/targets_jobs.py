@@ -19,7 +19,7 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words
+from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import why_not
 
@@ -61,20 +61,7 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
 def ask_locate(screen: DayScreen) -> None:
     """Ask how, then measure where the tracker stands after it was moved."""
-    if (calibrated := screen.calibrated_run()) is None:
-        return
-    folder, results, _ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.start(work.verb_job(LOCATE, request))
-
-    workspace = screen.workspace
-    text = f"{LOCATE.summary} {arms_words(workspace)}."
-    if stale := stale_model(results):
-        text += f"\nThe model is not up to date: {stale}."
-    dialog = VerbQuestion(LOCATE, text, BEGIN, {"folder": folder}, simulated=workspace.kind == "simulated")
-    screen.app.push_screen(dialog, begin)
+    ask_of_calibrated(screen, LOCATE, LOCATE.summary)
 
 
 def ask_correct(screen: DayScreen) -> None:

@@ -92,7 +92,7 @@ class StopsTable(_RowTable):
 
 
 def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
-    """Whether two plans with the same joint positions say the same of their stops; other ways come with other stops."""
+    """Whether two plans with the same joint positions have the same data of their stops, and so the same ways."""
     if one is None or other is None:
         return one is other
     return bool((one.frozen == other.frozen).all() and (one.block == other.block).all())

@@ -37,7 +37,7 @@ def library_laws(problem: Problem, fit: JointFit) -> list[CandidateLaw]:
 
 
 def even_odds(gain: float) -> float:
-    """Probability of what gains so much of the criterion, at even odds before."""
+    """Posterior probability of a term with this ``gain`` of the criterion, at even prior odds."""
     return float(scipy.special.expit(gain / 2.0))
 
 
