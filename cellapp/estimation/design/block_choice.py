@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.design.block_design import BlockDesign, Criterion, Rows, information_of
@@ -29,6 +28,9 @@ _ORDERED_AT_ONCE = 100
 """Stops that are put in order until gains are computed afresh."""
 _LEAST_FOLLOWED = 80
 """Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
+
+_REFERENCE = 5000
+"""Candidates that stand for all as the random design of reference: standard errors are then known to a percent."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,10 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before."""
+    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before.
+
+    The rows stand in random order.
+    """
 
     rows: Array
     prior: Array
@@ -78,8 +83,9 @@ class Candidates:
 
     @cached_property
     def mean_information(self) -> Array:
-        """Mean information (p, p) of a candidate."""
-        return information_of(self.rows) / max(len(self.rows), 1)
+        """Mean information (p, p) of a candidate; where there are many, of the first ones."""
+        some = self.rows[:_REFERENCE]
+        return information_of(some) / max(len(some), 1)
 
     def information(self, chosen: Rows) -> Array:
         """Information (p, p) of a design."""
@@ -149,7 +155,7 @@ def _greedy(
     chosen, information = list[int](), candidates.prior
     while len(chosen) < count:
         cancel.check()
-        subset = _drawn(free, max(effort.subset, 2 * size), rng)
+        subset = np.asarray(rng.permutation(np.flatnonzero(free))[: max(effort.subset, 2 * size)])
         design = BlockDesign(information, W)
         before = len(chosen)
         subset = subset[design.largest(candidates.rows[subset], _followed(effort, _batch(size, before)))]
@@ -198,8 +204,3 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
 def _followed(effort: Effort, batch: int) -> int:
     """Candidates that are followed while a batch of stops is chosen."""
     return max(effort.shortlist * batch, _LEAST_FOLLOWED)
-
-
-def _drawn(free: NDArray[np.bool_], size: int, rng: np.random.Generator) -> Rows:
-    """Up to ``size`` of the free candidates."""
-    return np.asarray(rng.permutation(np.flatnonzero(free))[:size])

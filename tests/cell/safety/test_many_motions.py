@@ -30,7 +30,7 @@ def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[s
 
 
 @pytest.mark.parametrize(
-    ("profile", "apart"), [(small_twin(), 0.0), (crowded(), 0.0), (small_twin(), 0.2)], ids=["twin", "crowded", "apart"]
+    ("profile", "apart"), [(small_twin(), 0.0), (small_twin(), 0.3), (crowded(), 0.0)], ids=["twin", "apart", "crowded"]
 )
 def test_many_motions_are_judged_as_one_by_one(profile, apart, monkeypatch) -> None:
     cell = replace(cell_bodies(profile), apart=apart)
