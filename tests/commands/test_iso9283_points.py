@@ -20,6 +20,7 @@ from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Outputs
 from tests.commands.test_iso9283 import asked, left_alone
+from tests.estimation.iso9283.test_driving import only_paths
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]
@@ -30,6 +31,7 @@ def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Re
     folder = tmp_path_factory.mktemp("iso") / "run"
     with pytest.MonkeyPatch.context() as patch, RunFile.create(folder, left_alone()) as run:
         patch.setattr(reach, "_SEEDS", 4)
+        only_paths(patch, "rectangle")
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
         yield iso9283_run(run, asked(run, tests=tests, cycles=3, drift_minutes=0.5)), folder
 

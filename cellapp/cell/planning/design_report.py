@@ -40,7 +40,7 @@ def design_result(
     return PlanDesignResult(
         arms=arms,
         correlations=correlations(profile, cell_bodies(profile), asked),
-        travel=travel_time(profile, asked, rng),
+        travel=travel_time(profile, asked, designed.finder, rng),
         detours=sum(bool(legs) for legs in asked.legs),
         blocks=len(np.unique(asked.block)),
         repeats=int(np.sum(asked.repeat_of >= 0)),

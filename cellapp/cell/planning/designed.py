@@ -12,6 +12,7 @@ from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.planning.within_reach import hubs_of, within_reach
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, sample_spacing
@@ -37,11 +38,12 @@ _FEW_HARD = 0.01
 
 @dataclass(frozen=True, eq=False)
 class DesignedStops:
-    """A designed plan, a sentence on each chosen stop that was given up, and the candidates of each arm."""
+    """A designed plan, a sentence on each chosen stop that was given up, candidates by arm, and what found ways."""
 
     stops: PlannedStops
     given_up: tuple[str, ...]
     pools: Mapping[str, CandidatePool]
+    finder: TransitPlanner
 
 
 def design_stops(
@@ -82,7 +84,8 @@ def design_stops(
     spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
     rows = select_stops(profile, pools, count + spares, rng, listener, cancel, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools)
+    finder = TransitPlanner(profile, cell, rng)
+    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, finder, rng, listener, cancel), pools, finder)
 
 
 def _in_order(
@@ -91,6 +94,7 @@ def _in_order(
     chosen: Mapping[str, Array],
     count: int,
     kept: PlannedStops | None,
+    finder: TransitPlanner,
     rng: np.random.Generator,
     listener: Listener,
     cancel: CancelToken,
@@ -112,7 +116,7 @@ def _in_order(
         first += missing
         if missing and all(len(q) for q in part.values()):
             here = None if stops is None or not len(stops) else stops.q
-            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here)
+            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here, finder)
             given_up += more.given_up
             stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
     reached = 0 if stops is None else len(stops)

@@ -12,7 +12,6 @@ from cellapp.cell.planning.design_records import FactorCorrelation, TravelTime
 from cellapp.cell.planning.duration import home_s, stop_times_of
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
 from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
-from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
@@ -58,7 +57,7 @@ def correlations(
     return tuple(found)
 
 
-def travel_time(profile: Profile, stops: PlannedStops, rng: np.random.Generator) -> TravelTime:
+def travel_time(profile: Profile, stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> TravelTime:
     """Time in motion of a plan, and of the same pairs, approaches and dwells in random order.
 
     In random order too the gate refuses some straight ways: what detours add there is taken from a sample of ways.
@@ -69,15 +68,14 @@ def travel_time(profile: Profile, stops: PlannedStops, rng: np.random.Generator)
         order = straight.take(rng.permutation(len(stops)))
         random_s.append(float(stop_times_of(profile, order).moving_s.sum()) + home_s(profile, order))
     planned_s = float(stop_times_of(profile, stops).moving_s.sum()) + home_s(profile, stops)
-    detours_s = len(stops) * _added_by_a_detour_s(profile, stops, rng)
+    detours_s = len(stops) * _added_by_a_detour_s(stops, finder, rng)
     return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
 
 
-def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.Generator) -> float:
+def _added_by_a_detour_s(stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> float:
     """Mean time that ways between random stops take longer than straight ones [s]; those not found are left out."""
     if len(stops) < 2:
         return 0.0
-    finder = TransitPlanner(profile, cell_bodies(profile), rng)
     number = min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))
     pairs = [rng.choice(len(stops), 2, replace=False).tolist() for _ in range(number)]
     motions = [(stops.targets(here), stops.targets(there)) for here, there in pairs]

@@ -49,6 +49,7 @@ def sequenced(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
     after: Mapping[str, Array] | None = None,
+    finder: TransitPlanner | None = None,
 ) -> Sequenced:
     """Pair the chosen stops of all arms, order them, plan their factors and ways.
 
@@ -67,6 +68,8 @@ def sequenced(
     after : mapping, optional
         Arm -> stops (k, N) that exist already: the way begins at the last one. As many stops are planned as are
         chosen, without reserves.
+    finder : TransitPlanner, optional
+        Of the same cell, which remembers what it knows; a new one if not given.
 
     Raises
     ------
@@ -78,7 +81,8 @@ def sequenced(
     home: Configuration | None = homes if set(homes) == set(cell.arms) else None
     begun = after is not None and len(next(iter(after.values()))) > 0
     start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
-    job = _Job(profile, cell, home, TransitPlanner(profile, cell, rng), rng, listener, cancel or CancelToken(), [])
+    finder = finder or TransitPlanner(profile, cell, rng)
+    job = _Job(profile, cell, home, finder, rng, listener, cancel or CancelToken(), [])
     q = {name: _reached(profile, cell, name, rows, job.finder, job.given_up) for name, rows in chosen.items()}
     if not min(map(len, q.values())):
         raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(job.given_up[:1])}".strip())

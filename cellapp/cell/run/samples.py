@@ -26,7 +26,6 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
             "approach": its.approach.tolist(),
             "p_M": its.p_M.tolist(),
             "split": its.split,
-            "step": None if its.step is None else its.step.tolist(),
             **({} if its.other_q is None else {"other_q": its.other_q.tolist()}),
         }
         for arm, its in samples.items()
@@ -48,7 +47,6 @@ def known_readings(run: RunFile, arm: str) -> Readings:
         approach=np.array(kept["approach"], dtype=np.int8),
         p_M=np.array(kept["p_M"]),
         sigma_m=None if kept["sigma_m"] is None else np.array(kept["sigma_m"]),
-        step=np.array(kept["step"]) if kept.get("step") is not None else None,
         other_q=np.array(kept["other_q"]) if "other_q" in kept else None,
         split=tuple(kept["split"]),
     )

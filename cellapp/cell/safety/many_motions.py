@@ -144,7 +144,7 @@ def _free(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Arra
     apart = np.ones(len(rows), dtype=np.bool_)
     for first, second in combinations(paths.values(), 2):
         left = np.flatnonzero(apart)
-        apart[left] = _stay_apart(first.take(left), second.take(left), cell.clearance)
+        apart[left] = _stay_apart(first.take(left), second.take(left), cell.clearance + cell.apart)
     free = np.zeros(len(next(iter(q_to.values()))), dtype=np.bool_)
     free[rows[apart]] = True
     return free

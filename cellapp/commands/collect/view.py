@@ -26,7 +26,7 @@ def view(result: CollectResult, request: Request | None = None) -> View:
 def stored_view(state: CollectionResult) -> View:
     """How a run was collected so far, and how far its references moved."""
     ranges = residual_range_words(state)
-    drawn = (*_drift_charts(state), *_sweep_charts(state))
+    drawn = (*_drift_charts(state), *([] if state.sweep is None else [sweep_chart(state.sweep)]))
     return View((*([ranges] if ranges else []), *collection_tables(state), *drawn))
 
 
@@ -51,10 +51,6 @@ def _drift_charts(state: CollectionResult) -> list[Chart]:
     """Reference drift over the run with its limit; empty if nothing was measured twice."""
     twice = any(len(rows) > 1 for rows in drift_by_reference(state.references).values())
     return [drift_chart(state.references, state.drift_limit_mm)] if twice else []
-
-
-def _sweep_charts(state: CollectionResult) -> list[Chart]:
-    return [] if state.sweep is None else [sweep_chart(state.sweep)]
 
 
 def collect_lines(result: CollectResult) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -119,7 +119,7 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
     ]
     states = []
     for target in targets:
-        state = TargetState(_about(target, commands))
+        state = TargetState(tuple(entry for entry in commands.get(target.name, ()) if same_target(target, entry)))
         for measured, pairs, rule in pushes:
             found = tuple(
                 one for one in measured.get(target.name, ()) if same_target(_with_tolerance(target, one), one)
@@ -284,7 +284,3 @@ def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
         return one
     verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)
     return one.model_copy(update={"tolerance_mm": tolerance_mm, "verdict": verdict})
-
-
-def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:
-    return tuple(entry for entry in stored.get(target.name, ()) if same_target(target, entry))

@@ -21,6 +21,7 @@ from cellapp.commands.report.run import PageWriter
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.control import JobControl
+from cellapp.ground.memory import give_back
 from cellapp.ground.progress import Listener, ignore
 
 
@@ -75,10 +76,12 @@ def run_whole(
         running_job(run, control, "run", listener) as listener,
     ):
         note_profile(run, profile_path)
+        give_back()  # candidates of the plan
         collected = collect_planned(run, listener, control, ask if profile.loads == 1 else with_loads, hung=hung)
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)
+        give_back()
         if targets:
             notes += push_targets(run, targets, listener, control, ask, verify=True).notes
         write_page(run)

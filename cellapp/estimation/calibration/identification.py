@@ -20,11 +20,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.estimate import Eliminated, Estimate
 from cellapp.estimation.calibration.gauss_newton import Minimum, damped_step, minimise
-from cellapp.estimation.calibration.linear import inverse_diagonal, inverse_psd
+from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.normal_equations import (
     EffectColumns,
-    NormalEquations,
     Observations,
     normal_equations,
     parameter_scale,
@@ -297,22 +297,6 @@ def _check_count(n: int, precision: Array) -> None:
 
 
 @dataclass(frozen=True)
-class _Estimate:
-    """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
-
-    ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors. ``moved_m`` is
-    how far the values are from those of the normal matrix [m at arm's length].
-    """
-
-    values: Array
-    normal: NormalEquations
-    weights: Array | None
-    precision: Array
-    variance: float = 1.0
-    moved_m: float = 0.0
-
-
-@dataclass(frozen=True)
 class _Problem:
     """The least-squares problem of ``identify``, for ``gauss_newton.minimise``."""
 
@@ -339,17 +323,24 @@ class _Problem:
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
-    def at_start(self) -> _Estimate:
+    @property
+    def keeps_matrix(self) -> bool:
+        """Whether the normal matrix is kept from step to step."""
+        return self.robust == "none" and self.effect_count >= _MANY_EFFECTS
+
+    def at_start(self) -> Estimate:
         values = self.start.vector()[list(self.parameters.columns)]
         effects = self.observations.effects
         of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
         return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
 
-    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> _Estimate:
+    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> Estimate:
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
-        return _Estimate(values, normal, weights, precision)
+        keeps = self.keeps_matrix and self.sigma_is_exact
+        eliminated = Eliminated.of(normal, precision, len(self.parameters.columns)) if keeps else None
+        return Estimate(values, normal, weights, precision, eliminated=eliminated)
 
-    def reweighted(self, point: _Estimate) -> _Estimate:
+    def reweighted(self, point: Estimate) -> Estimate:
         if self.robust != "none":
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
             weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
@@ -360,7 +351,11 @@ class _Problem:
         # large, they dominate; near it they only determine what the readings do not.
         if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
             return point
-        by_priors = self._by_priors(point)
+        if point.eliminated is None:
+            by_priors = point.by_priors
+        else:  # of the geometry
+            priors = point.geometric_priors(len(self.parameters.columns))
+            by_priors = priors * point.eliminated.variances(priors)
         precision = point.precision.copy()
         for spread in self.spreads:
             places = spread.places
@@ -373,35 +368,40 @@ class _Problem:
         freedom = self._degrees_of_freedom(point, by_priors)
         return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
-    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
+    def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
         b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
         unit = point.normal.unit
-        step = damped_step(_posterior_precision(point, point.variance), unit * b, damping)
+        if point.eliminated is not None and damping == 0.0:
+            step = point.eliminated.solve(unit * b, point.geometric_priors(len(self.parameters.columns)))
+        else:
+            step = damped_step(point.posterior_precision(point.variance), unit * b, damping)
         return unit * step, step
 
-    def moved(self, point: _Estimate, step: Array) -> _Estimate:
+    def moved(self, point: Estimate, step: Array) -> Estimate:
         values = point.values + step
-        if self.robust != "none" or self.effect_count < _MANY_EFFECTS:
+        if not self.keeps_matrix:
             return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
         normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
         moved_m = point.moved_m + float(np.max(np.abs(step * normal.scale)))
         return replace(point, values=values, normal=normal, moved_m=moved_m)
 
-    def objective(self, point: _Estimate) -> float:
+    def objective(self, point: Estimate) -> float:
         return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
 
-    def result(self, minimum: Minimum[_Estimate]) -> Identification:
+    def result(self, minimum: Minimum[Estimate]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
-        freedom = self._degrees_of_freedom(point, self._by_priors(point))
+        covariance = point.covariance(1.0) if self.sigma_is_exact else None
+        by_priors = point.by_priors if covariance is None else point.precision * np.diag(covariance)
+        freedom = self._degrees_of_freedom(point, by_priors)
         variance = max(normal.cost / freedom, _SMALLEST)
-        covariance = _covariance(point, 1.0 if self.sigma_is_exact else variance)
+        if covariance is None:
+            covariance = point.covariance(variance)
         chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
-        to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
-        in_table = covariance if chosen is self.parameters else to_table @ covariance @ to_table.T
-        of_geometry = kept[: len(chosen.columns)]
-        gram = normal.gram[of_geometry[:, None], of_geometry]
+        to_table, kept = chosen.from_estimated(self.parameters)
+        in_table = covariance if chosen is self.parameters else _in_table(_in_table(covariance, to_table).T, to_table)
+        gram, size = normal.gram[kept[:, None], kept], len(self.parameters.columns)
         scale = parameter_scale(np.diag(gram), n, chosen)
         turned = self.observations.angles.turned
         return Identification(
@@ -416,7 +416,7 @@ class _Problem:
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
-            values=self.mean[kept] + to_table @ (point.values - self.mean),
+            values=_in_table(point.values - self.mean, to_table) + np.concatenate([self.mean[kept], self.mean[size:]]),
             standard_errors=np.sqrt(np.diag(in_table)),
             covariance=in_table,
             effect_values=effect_values,
@@ -441,38 +441,24 @@ class _Problem:
             prior_sd = 1.0 / np.sqrt(self.precision[:size])
         return determined_set(self.parameters, information[:size, :size], prior_sd)
 
-    def _by_priors(self, point: _Estimate) -> Array:
-        """Share (k,) of each parameter that its prior, and not the readings, determines."""
-        if not point.precision.any():
-            return point.precision
-        variances = inverse_diagonal(_posterior_precision(point, point.variance))
-        return np.asarray(point.precision * point.normal.unit**2 * variances)
-
-    def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
+    def _degrees_of_freedom(self, point: Estimate, by_priors: Array) -> float:
         """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
 
 
-def _freedom_of_turns(point: _Estimate, turned: NDArray[np.bool_] | None) -> float:
+def _in_table(values: Array, to_table: Array) -> Array:
+    """``values`` (K + m, ...) of estimated parameters as those of a table (k + m, ...), by its matrix (k, K)."""
+    size = to_table.shape[1]
+    return np.concatenate([to_table @ values[:size], values[size:]])
+
+
+def _freedom_of_turns(point: Estimate, turned: NDArray[np.bool_] | None) -> float:
     """Degrees of freedom of the orientations: their coordinates less the parameters that they determine."""
     if turned is None or point.normal.of_turns is None:
         return 0.0
     some = turned if point.weights is None else turned & (point.weights > _LEAST_WEIGHT)
     unit = point.normal.unit
     information = point.normal.of_turns * (unit * unit[:, None]) / point.variance
-    determined = float(np.sum(inverse_psd(_posterior_precision(point, point.variance)) * information))
+    determined = float(np.sum(inverse_psd(point.posterior_precision(point.variance)) * information))
     return max(1.0, 3.0 * np.count_nonzero(some) - determined)
-
-
-def _covariance(point: _Estimate, variance: float) -> Array:
-    """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
-    unit = point.normal.unit
-    return inverse_psd(_posterior_precision(point, variance)) * (unit * unit[:, None])
-
-
-def _posterior_precision(point: _Estimate, variance: float) -> Array:
-    """Precision (k, k) of the parameters, each in its ``unit``."""
-    H = point.normal.scaled_A / variance
-    H.flat[:: len(H) + 1] += point.precision * point.normal.unit**2
-    return H

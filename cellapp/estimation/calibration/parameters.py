@@ -130,17 +130,13 @@ class ParameterSet:
         vector, columns, dropped = geometry.vector(), list(self.columns), list(self.dropped)
         return np.asarray(vector[columns] + self.shares @ (vector - nominal.vector())[dropped])
 
-    def from_estimated(self, estimated: ParameterSet, effects: int = 0) -> tuple[Array, NDArray[np.intp]]:
-        """Matrix from deviations of all ``estimated`` parameters to those of this set, and the places of these.
-
-        Both are followed by ``effects`` parameters of effects: the matrix is (k + effects, K + effects).
-        """
+    def from_estimated(self, estimated: ParameterSet) -> tuple[Array, NDArray[np.intp]]:
+        """Matrix (k, K) from deviations of all ``estimated`` parameters to those of this set, and places of these."""
         place = {column: i for i, column in enumerate(estimated.columns)}
-        size, k = len(estimated.columns), len(self.columns)
-        kept = np.array([*(place[column] for column in self.columns), *range(size, size + effects)], dtype=np.intp)
-        matrix = np.eye(size + effects)[kept]
+        kept = np.array([place[column] for column in self.columns], dtype=np.intp)
+        matrix = np.eye(len(place))[kept]
         if self is not estimated:
-            matrix[:k, [place[column] for column in self.dropped]] = self.shares
+            matrix[:, [place[column] for column in self.dropped]] = self.shares
         return matrix, kept
 
 

@@ -168,7 +168,7 @@ def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
     held_out[readings.in_split("validate")] = True
     if held_out.sum() < 3 or (~held_out).sum() < _FEWEST:
         held_out = np.arange(len(readings)) % 5 == 0
-    stated = _parameters(arm.bodies)
+    stated = np.column_stack([arm.bodies.masses, arm.bodies.masses[:, None] * arm.bodies.centers]).ravel()
     faults = _joint_faults(rows, stated, kind)
     usable = np.array([not fault for fault in faults])
     wrong = np.zeros(len(readings), dtype=bool)
@@ -217,11 +217,6 @@ def _rows(arm: ArmModel, readings: Readings, measured: Array) -> _Rows:
     payload = -loads.joint_torques()
     direction = readings.approach.astype(np.float64)
     return _Rows(measured, direction, regressor.reshape(n, joints, 4 * joints), payload)
-
-
-def _parameters(bodies: Bodies) -> Array:
-    """Mass and first moment of each body, (4 N,)."""
-    return np.column_stack([bodies.masses, bodies.masses[:, None] * bodies.centers]).ravel()
 
 
 def _bodies(stated: Bodies, parameters: Array) -> Bodies:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.design.block_design import BlockDesign, Criterion, Rows, information_of
@@ -149,7 +148,7 @@ def _greedy(
     chosen, information = list[int](), candidates.prior
     while len(chosen) < count:
         cancel.check()
-        subset = _drawn(free, max(effort.subset, 2 * size), rng)
+        subset = np.asarray(rng.permutation(np.flatnonzero(free))[: max(effort.subset, 2 * size)])
         design = BlockDesign(information, W)
         before = len(chosen)
         subset = subset[design.largest(candidates.rows[subset], _followed(effort, _batch(size, before)))]
@@ -198,8 +197,3 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
 def _followed(effort: Effort, batch: int) -> int:
     """Candidates that are followed while a batch of stops is chosen."""
     return max(effort.shortlist * batch, _LEAST_FOLLOWED)
-
-
-def _drawn(free: NDArray[np.bool_], size: int, rng: np.random.Generator) -> Rows:
-    """Up to ``size`` of the free candidates."""
-    return np.asarray(rng.permutation(np.flatnonzero(free))[:size])

@@ -32,7 +32,7 @@ from cellapp.robot.kinematics.transforms import Array
 WORST_POWER = 12.0
 """h: with it the largest of some hundred uncertainties decides, and those within a few per cent of it count too."""
 _ROWS_AT_ONCE = 6000
-"""Rows of an information matrix that are brought to double precision at once."""
+"""Rows that are brought to another precision, or multiplied, at once."""
 _LEFT_OUT = 0.02
 """Share of the trace of C W C that is left out in the first look at all candidates."""
 _FIRST_ORDER = 2
@@ -240,8 +240,13 @@ class BlockDesign:
         values, vectors = np.linalg.eigh(self._matrices()[1])
         needed = len(values) - int(np.searchsorted(np.cumsum(values), _LEFT_OUT * values.sum()))
         root = (vectors[:, -needed:] * np.sqrt(values[-needed:])).astype(np.float32)
-        seen = rows.reshape(-1, rows.shape[2]).astype(np.float32, copy=False) @ root
-        score = np.einsum("rk,rk->r", seen, seen).reshape(-1, 3).sum(axis=1)
+        flat = rows.reshape(-1, rows.shape[2])
+        squares = np.empty(len(flat), dtype=np.float32)
+        for first in range(0, len(flat), _ROWS_AT_ONCE):
+            part = slice(first, first + _ROWS_AT_ONCE)
+            seen = flat[part].astype(np.float32, copy=False) @ root
+            squares[part] = np.einsum("rk,rk->r", seen, seen)
+        score = squares.reshape(-1, 3).sum(axis=1)
         return np.argpartition(-score, count)[:count]
 
     def track(self, rows: Array) -> None:

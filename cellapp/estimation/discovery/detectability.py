@@ -14,7 +14,6 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import smallest_detectable
 from cellapp.estimation.discovery.search.state import SearchResult
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.transforms import Array
 
 _BARELY_VISIBLE = 0.03
 """Visible share below which an effect is reported as invisible under this plan: it would need to be 30 times as large
@@ -38,7 +37,7 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     ``scan`` is that of all effects that the final model does not have.
     """
     fit = found.fit if found.fit.terms else found.geometry_only
-    noise_mm = 1e3 * _noise_m(fit.white[:, :, fit.positions])
+    noise_mm = 1e3 * (1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.positions]) ** 2))))
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in found.absent:
@@ -90,8 +89,3 @@ def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
             if (known is None or size < known.value) and len(sizes) < _MOST_SIZES:
                 sizes[column.name] = SmallestSize(value=size, unit=column.unit)
     return _Detectable(share, sizes, least_rms)
-
-
-def _noise_m(white: Array) -> float:
-    """Standard uncertainty [m] that the mean weight of a coordinate stands for."""
-    return 1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", white) ** 2)))

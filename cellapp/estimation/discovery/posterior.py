@@ -212,10 +212,10 @@ def _share_of_a_larger(fit: JointFit, number: int) -> float:
 
     Such a term may be what the law of the larger one leaves over. That both depend on the configuration says nothing.
     """
-    own, removed = fit.terms[number], fit.removed_square(number)
+    own, least = fit.terms[number], math.inf
     if not own.is_library_effect:
-        return math.inf
-    least = math.inf
+        return least
+    removed = fit.removed_square(number)
     for other, term in enumerate(fit.terms):
         if other == number or not term.is_library_effect:
             continue

@@ -15,6 +15,9 @@ from cellapp.robot.effects import EFFECTS
 _FLOOR = 1.05
 """Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
 stops scatters it by 4 %."""
+_FAR = 5.0
+"""Scatter over the stated noise from which it is more than the repeatability of an arm: 75 µm of a coordinate beside
+the 15 µm of a tracker. Readings that are too few to show structure then lack something all the same."""
 _SAMPLING_ERRORS = 2.5
 """Standard errors of the held-out rms by which it may pass the floor: a chance of 0.6 %."""
 
@@ -42,7 +45,7 @@ def verdict(
         return "unknown effect", f"{also}something that the library does not have: {described}"
     closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
-    if not closed and has_structure(structure):
+    if not closed and (has_structure(structure) or _far_off(scatter, structure)):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
         return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:
@@ -64,8 +67,15 @@ def _left(
         return gap
     if has_structure(structure):
         return f"{structure.sentence}; {gap}"
+    if _far_off(scatter, structure):
+        return f"readings scatter {scatter.ratio:.0f} times as stated and are too few to look for effects; {gap}"
     without = "but without structure" if structure.tests else "and are too few to test for structure"
     return f"readings scatter {scatter.ratio:.2f} times as stated {without}: repeatability or noise; {gap}"
+
+
+def _far_off(scatter: Scatter | None, structure: RemainingStructure) -> bool:
+    """Whether readings that are too few to show structure scatter more than an arm repeats."""
+    return scatter is not None and not structure.tests and scatter.ratio > _FAR
 
 
 def sampling_allowance(held_out: int) -> float:

@@ -2,7 +2,7 @@
 
 The search of readings (stops, or samples of the recordings) knows all effects of the library. Recordings show those of
 the joints far better: every reversal, dense lines, and what only motion has. Where the arm with the effects that
-recordings show predicts held-out readings better, it is the model from then on.
+recordings show predicts held-out readings better, it is the model from then on; both are judged by the same ones.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Estimate
@@ -68,21 +69,29 @@ def with_motion(
     Cancelled
         On request.
     """
-    conditions = conditions_of_arms(calibrated, readings)
     arms = dict(found.arms)
     for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
         started = time.perf_counter()
         arm = recorded_arm(profile, name, stops[name], its)
         motion = effects_in_motion(arm, told)
-        held_out = HeldOut.of(readings[name], conditions[name])
-        if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
-            joints = readings[name].joints
-            samples = samples_of(motion.fit, joints, motion.joints_at_rest)
-            held_out = HeldOut.of(samples, measurement_conditions(samples))
+        held_out = _held_out(name, motion, calibrated, stops, readings[name].joints)
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})
     return replace(found, arms=arms, model=model)
+
+
+def _held_out(
+    name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings], joints: int
+) -> HeldOut:
+    """Held-out stops of an arm, and samples of the held-out blocks that stand for poses at rest: without what only
+    motion has, and with the travel of each joint since it turned round as its last motion."""
+    samples = samples_of(motion.fit, joints, motion.joints_at_rest)
+    if not len(stops[name]):
+        return HeldOut.of(samples, measurement_conditions(samples))
+    apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))
+    known = {**stops, name: joined([stops[name], replace(samples, configuration=apart)])}
+    return HeldOut.of(known[name], conditions_of_arms(calibrated, known)[name])
 
 
 def _with_effects(
@@ -90,7 +99,7 @@ def _with_effects(
 ) -> Discovery:
     """The discovery of one arm with what motion shows, and with its model where that predicts better."""
     model = _model(calibrated, motion)
-    used = bool(motion.terms) and len(held_out) > 0 and held_out.rms_mm(model) < found.result.heldout_mm.after
+    used = bool(motion.terms) and len(held_out) > 0 and held_out.rms_mm(model) < held_out.rms_mm(found.model)
     shown = MotionDiscoveryResult(
         effects=tuple(_result(effect) for effect in motion.effects),
         heldout_mm=BeforeAfter(before=motion.heldout_before_mm, after=motion.heldout_after_mm),

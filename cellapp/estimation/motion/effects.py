@@ -199,9 +199,8 @@ class _Search:
         rest = tuple(term for term in state.problem.layout.terms if term not in fading)
         values = np.delete(state.solution.values, places_of(state, fading))
         self.told(f"reach of {law.value.replace('_', ' ')}")
-        even = self._plain(state)
-        problem = even.problem.without_terms().with_terms(rest)
-        better = fading_terms(problem, replace(even.solution, values=values), law)
+        problem = state.problem.without_terms().with_terms(rest)
+        better = fading_terms(problem, replace(state.solution, values=values), law)
         if set(better) == set(fading):
             return state, steps
         terms = tuple(term for term in known if not term.fading) + better
@@ -410,8 +409,7 @@ class _Search:
         fades = any(term.fading for term in terms_of(law, steps))
         if not fades and (law is Law.PLAY or (law is Law.WINDUP and not plain)):
             self.told(f"reach of {law.value.replace('_', ' ')}")
-            even = self._plain(state)  # weighed by what points are worth as they are
-            fading = fading_terms(even.problem, even.solution, law)
+            fading = fading_terms(state.problem, state.solution, law)
             yield (*plain, *fading), self.alternatives * ALTERNATIVES
 
     def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:

@@ -24,6 +24,9 @@ _POLL_S = 0.1
 """How soon the thread notices that the application ends."""
 _PASTE_RESTS_S = 0.5
 """A pasted text that pauses for so long is over: if its end was lost, keys must not be taken for text for ever."""
+_ALONE = (b"\x03", b"\x1b")
+"""Ctrl-C and Escape as a person types them: nothing else comes with them. After a pause they are no pasted text, even
+where this thread had no processor to notice the pause."""
 _READ = 4096
 _NICENESS = -10
 _LEFT_BUTTON = 1
@@ -56,6 +59,8 @@ class UrgentDriver(LinuxDriver):
                 if not data:
                     cast(Host, self._app).close_terminal()
                     return
+                if self._pasting and data in _ALONE and time.monotonic() - read_s > _PASTE_RESTS_S:
+                    self._parse(parser, BRACKETED_PASTE_END)
                 self._parse(parser, decode(data))
                 wait_s, read_s = constants.ESCAPE_DELAY, time.monotonic()
             else:

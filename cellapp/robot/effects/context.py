@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.robot.effects.column import Wave
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
 from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
 from cellapp.robot.kinematics.transforms import Array, turned_rows
@@ -110,6 +111,7 @@ class EffectContext:
     up_M: Array
     smr_normal: Array | None = None
     q_actual: Array | None = None
+    _waves: dict[tuple[int, Wave], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def joints(self) -> int:
@@ -123,6 +125,12 @@ class EffectContext:
     def posture(self) -> Array:
         """Best known joint positions (n, N) [rad]: actual where known, else as read."""
         return self.q if self.q_actual is None else self.q_actual
+
+    def wave(self, joint: int, wave: Wave) -> Array:
+        """A wave at the angles (n,) of a joint (from 0) as read; many columns have the same ones."""
+        if (joint, wave) not in self._waves:
+            self._waves[joint, wave] = wave(self.q[:, joint])
+        return self._waves[joint, wave]
 
     @cached_property
     def approach(self) -> Array:

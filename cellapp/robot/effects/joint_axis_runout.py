@@ -83,5 +83,5 @@ class JointAxisRunout(Effect):
                     continue
                 way, refining = ("axial", ()) if letter == "z" else ("radial", (1,))
                 blocks = {n: f"joint {j + 1} {way} {n} cycles" for n in BEARING_CYCLES}
-                columns += error_motions(context, j, name, "m", moved, blocks, _MOST_SHIFT, refining)
+                columns += error_motions(context, j, name, "m", moved, blocks, _MOST_SHIFT, refining, names)
         return columns

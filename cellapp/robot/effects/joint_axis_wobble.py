@@ -97,7 +97,7 @@ class JointAxisWobble(Effect):
                     columns += smooth_motions(context, law, j, name, "rad", tilted, _MOST_TILT)
                 elif law.form == HARMONICS:
                     blocks = {n: f"joint {j + 1} {n} cycles" for n in BEARING_CYCLES}
-                    columns += error_motions(context, j, name, "rad", tilted, blocks, _MOST_TILT, refining=(1,))
+                    columns += error_motions(context, j, name, "rad", tilted, blocks, _MOST_TILT, (1,), names)
                 else:
                     columns += _two_cycles(context, j, name, tilted)
         return columns
@@ -111,7 +111,7 @@ def _two_cycles(context: EffectContext, joint: int, name: str, tilted: Array) ->
             f"{name}_{label}",
             "rad",
             Channel.AXIS,
-            tilted * wave(context.q[:, joint])[:, None],
+            tilted * context.wave(joint, wave)[:, None],
             -_MOST_TILT,
             _MOST_TILT,
             index=joint,
@@ -130,20 +130,25 @@ def error_motions(
     blocks: Mapping[int, str],
     largest: float,
     refining: Collection[int] = (),
+    names: Collection[str] | None = None,
 ) -> list[EffectColumn]:
     """Cosine and sine of some cycles per revolution of a joint (from 0), times an SMR shift ``moved`` (n, 3) per unit.
 
-    ``blocks`` names the block of each cycle count. Counts in ``refining`` are no effect alone.
+    ``blocks`` names the block of each cycle count. Counts in ``refining`` are no effect alone. With ``names``
+    only columns of these names are made.
     """
     columns = []
     for n, block in blocks.items():
         for wave in (Wave(n, sine=False), Wave(n, sine=True)):
+            own = f"{name}_{'sin' if wave.sine else 'cos'}{n}"
+            if names is not None and own not in names:
+                continue
             columns.append(
                 shift_column(
-                    f"{name}_{'sin' if wave.sine else 'cos'}{n}",
+                    own,
                     unit,
                     Channel.AXIS,
-                    moved * wave(context.q[:, joint])[:, None],
+                    moved * context.wave(joint, wave)[:, None],
                     -largest,
                     largest,
                     block,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from cellapp.cell.driving import sweeping
 from cellapp.cell.driving.collect import collect_run
@@ -30,6 +31,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile.plan import Plan
 from cellapp.ground.progress import Progress, SweepLive
 from cellapp.ground.results import CALIBRATE
 from tests.twin import small_twin
@@ -107,6 +109,16 @@ def test_a_cell_without_room_for_a_sweep_is_refused() -> None:
     home = {name: np.array(arm.home)[None] for name, arm in profile.arms.items()}
     with pytest.raises(InputError, match="no sweep keeps clear"):
         plan_sweeps(profile.model_copy(update={"arms": narrow}), straight_stops(home))
+
+
+def test_who_cannot_swing_beside_is_refused() -> None:
+    profile = small_twin(2, plan={"method": "random", "other_arm": "swinging"})
+    alone = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
+    home = {"left": np.array(profile.arms["left"].home)[None]}
+    with pytest.raises(InputError, match=r"plan\.other_arm: swinging is for cells of two arms, this one has 1"):
+        plan_sweeps(alone, straight_stops(home))
+    with pytest.raises(ValidationError, match="'resting' or 'swinging'"):
+        Plan.model_validate({"other_arm": "dancing"})
 
 
 def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_path: Path) -> None:

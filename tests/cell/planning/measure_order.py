@@ -16,6 +16,7 @@ import numpy as np
 from cellapp.cell.planning.factor_correlations import correlations, travel_time
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.sequence import sequenced
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from tests.cell.planning.planned_cells import refusals
@@ -36,9 +37,11 @@ def measure(path: Path, stops: int, seed: int) -> str:
     cell, homes = cell_bodies(profile), home_positions(profile)
     chosen = draw_stops(cell, profile, int(_MORE * stops), np.random.default_rng(seed))
     began = time.process_time()
-    found = sequenced(profile, cell, chosen, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    finder = TransitPlanner(profile, cell, rng)
+    found = sequenced(profile, cell, chosen, rng, finder=finder)
     took_s = time.process_time() - began
-    travel = travel_time(profile, found.stops, np.random.default_rng(seed))
+    travel = travel_time(profile, found.stops, finder, np.random.default_rng(seed))
     worst = max(correlations(profile, cell, found.stops), key=lambda one: abs(one.correlation))
     refused = refusals(cell, found.stops, homes, homes)
     return (

@@ -13,6 +13,7 @@ from cellapp.cell.planning.factor_correlations import correlations, travel_time
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequenced
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import visible_stops
 from cellapp.ground.errors import InputError
@@ -100,7 +101,8 @@ def test_factors_of_a_hundred_stops_correlate_little() -> None:
 
 def test_the_order_saves_travel() -> None:
     profile, stops = large()
-    travel = travel_time(profile, stops, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    travel = travel_time(profile, stops, TransitPlanner(profile, cell_bodies(profile), rng), rng)
     assert travel.saved > 0.2  # blocks of 25 stops; with 400 stops more than a third
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,9 +29,12 @@ def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[s
     return start, end
 
 
-@pytest.mark.parametrize("profile", [small_twin(), crowded()], ids=["twin", "crowded"])
-def test_many_motions_are_judged_as_one_by_one(profile, monkeypatch) -> None:
-    cell = cell_bodies(profile)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("profile", "apart"), [(small_twin(), 0.0), (small_twin(), 0.3), (crowded(), 0.0)], ids=["twin", "apart", "crowded"]
+)
+def test_many_motions_are_judged_as_one_by_one(profile, apart, monkeypatch) -> None:
+    cell = replace(cell_bodies(profile), apart=apart)
     start, end = motions(cell, 160)
     of = [({name: q[k] for name, q in start.items()}, {name: q[k] for name, q in end.items()}) for k in range(160)]
     expected = np.array([not refuse_motion(cell, *motion) for motion in of])

@@ -41,6 +41,7 @@ def accepted(*rivals: RunnerUp) -> AcceptedEffect:
         ([], 0.12, Scatter(1.2, 0.0), STRUCTURE, "unknown effect"),
         ([], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
         ([], 0.3, FAR_ABOVE, NONE, "nothing missing"),
+        ([], 0.3, FAR_ABOVE, UNTESTED, "nothing missing"),
         ([], 0.3, None, NONE, "nothing missing"),
         ([], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.1, NOISE, NONE, "explained"),
@@ -62,3 +63,9 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
     assert ("still depends on time" in sentence) == (word == "unknown effect")
     scatters = scatter is not None and after_mm > 0.1 and structure is not STRUCTURE
     assert ("times as stated" in sentence) == scatters
+
+
+def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missing() -> None:
+    found, sentence = verdict([], 0.1, 1.3, 10, Scatter(50.0, 0.0), UNTESTED)
+    assert found == "unknown effect"
+    assert "scatter 50 times as stated and are too few to look for effects" in sentence

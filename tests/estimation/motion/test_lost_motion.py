@@ -59,6 +59,19 @@ def test_what_begins_anew_fades_with_the_travel_since_the_turn(bell):
                 assert left[i] == pytest.approx(side * share, abs=0.02)
 
 
+def test_the_travel_of_a_joint_begins_anew_where_it_turns_round():
+    motion, path = path_of(np.random.default_rng(5))
+    t = np.arange(0.5, 29.9, 0.008)
+    q, direction = motion.at(t), path.direction_at(t)
+    travel = path.travel_at(t, q)
+    surely, side = np.abs(direction) > 0.999, np.sign(direction)
+    assert (np.sign(travel)[surely] == side[surely]).all()
+    goes_on = surely[1:] & surely[:-1] & (side[1:] == side[:-1])
+    np.testing.assert_allclose(np.diff(travel, axis=0)[goes_on], np.diff(q, axis=0)[goes_on], atol=1e-12)
+    turned = surely & (np.abs(travel) < 2e-3)
+    assert turned.sum() > 12, "each joint has turned round"
+
+
 def test_a_fit_shows_the_reach_and_the_kind_of_memory():
     rng = np.random.default_rng(3)
     arm = replace(true_arm(rng, half_play=[120e-6] * 6), reach=REACH)

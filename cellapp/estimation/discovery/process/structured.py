@@ -1,7 +1,7 @@
 """Fit of the structured process to what a model leaves: hyperparameters by evidence, components that it needs, terms.
 
 1. All components that the data allow start together, with their slower waves; amplitudes, length scales and the noise
-   maximise the evidence, and amplitudes that do nothing are dropped.
+   maximise the evidence. Amplitudes that do nothing are dropped, and components that lack as much as they would need.
 2. The readings are weighed by the stated uncertainty and the scatter that this finds; the rest is fitted, all waves.
 3. Components that the evidence does not need are removed, the least needed first, and the others fitted again.
 4. The rest become smooth terms of the model, which is then fitted jointly with the geometry.
@@ -17,8 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.readings_noise import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component, components
 from cellapp.estimation.discovery.process.evidence import (
@@ -100,6 +101,14 @@ class StructuredProcess:
         values, gram = self.values.without(component), self.gram.take(taken)
         return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
 
+    def without_hopeless(self, needed: float) -> StructuredProcess:
+        """The process without the components that lack as much as they would need to stay, the weakest first."""
+        process, gains = self, self.gains()
+        while gains and min(gains) <= -needed:
+            process = process.without(gains.index(min(gains)))
+            gains = process.gains()
+        return process
+
     def refitted(self, evaluations: int) -> StructuredProcess:
         """The process with hyperparameters fitted again from where they are."""
         values, log_evidence = most_evident(self.components, self.gram, self.values, evaluations)
@@ -134,6 +143,7 @@ def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[Structured
     if not candidates:
         return None
     screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
+    screened = screened.without_hopeless(needed)
     if not screened.components:
         return None
     weighed = _weighed(data, fit, screened)

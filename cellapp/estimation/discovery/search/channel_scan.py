@@ -92,18 +92,20 @@ class ChannelScan:
         """Score (channels, families) of each law, without the price of choosing it; minus infinity where it is
         invisible or has too many columns."""
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
-        for numbers, functions in families.batches():
-            for row, channel in enumerate(chosen):
-                if len(self.directions[channel]) * functions.shape[1] > MOST_COLUMNS:
-                    continue
-                values[row, numbers] = self._scores(functions, self.directions[channel])
+        batches = families.batches()
+        for row, channel in enumerate(chosen):
+            directions = self.directions[channel]
+            # of the distinct functions: families share many, and one large product is faster than many small ones
+            explained = [families.distinct @ one.behind for one in directions]
+            for numbers, places in batches:
+                if len(directions) * places.shape[1] <= MOST_COLUMNS:
+                    those = [one[places] for one in explained]
+                    values[row, numbers] = self._scores(families.distinct[places], directions, those)
         return values
 
-    def _scores(self, functions: Array, directions: Sequence[_Direction]) -> Array:
-        """Scores (b,) of the laws of b families of functions (b, k, n) in one channel."""
+    def _scores(self, functions: Array, directions: Sequence[_Direction], explained: Sequence[Array]) -> Array:
+        """Scores (b,) of the laws of b families of functions (b, k, n) in one channel; f C_d (b, k, p) is known."""
         size = functions.shape[1]
-        flat = functions.reshape(-1, functions.shape[2])  # one large product is faster than many small ones
-        explained = [(flat @ one.behind).reshape(*functions.shape[:2], -1) for one in directions]
         gram = np.empty((len(functions), len(directions) * size, len(directions) * size))
         squares = np.empty((len(functions), len(directions) * size))
         for i, one in enumerate(directions):
@@ -126,29 +128,33 @@ class ChannelScan:
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """Families with their functions, each (k, n)."""
+    """The ``distinct`` functions (u, n) of some families, and the places of each family's among these."""
 
-    members: tuple[FunctionFamily, ...]
-    functions: tuple[Array, ...]
+    distinct: Array
+    places: tuple[NDArray[np.intp], ...]
 
     @classmethod
     def of(cls, data: ArmData, members: Sequence[FunctionFamily]) -> Families:
         """Evaluate the functions at the readings."""
         table = FunctionTable(data.context)
-        values = [table.functions(one.drivers, one.constants).values() for one in members]
-        return cls(tuple(members), tuple(np.array(list(one)) for one in values))
+        found: dict[bytes, tuple[int, Array]] = {}
+        places = [
+            np.array([found.setdefault(f.tobytes(), (len(found), f))[0] for f in of_one.values()], dtype=np.intp)
+            for of_one in (table.functions(one.drivers, one.constants) for one in members)
+        ]
+        return cls(np.array([f for _, f in found.values()]), tuple(places))
 
     @property
     def sizes(self) -> NDArray[np.intp]:
         """Number of functions of each."""
-        return np.array([len(one) for one in self.functions], dtype=np.intp)
+        return np.array([len(one) for one in self.places], dtype=np.intp)
 
-    def batches(self) -> list[tuple[NDArray[np.intp], Array]]:
-        """Numbers of families of equal size, and their functions (b, k, n)."""
+    def batches(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Numbers of families of equal size, and the places of their functions (b, k)."""
         found = []
         for size in np.unique(self.sizes):
             numbers = np.flatnonzero(self.sizes == size)
             for begin in range(0, len(numbers), _FAMILIES_AT_ONCE):
                 some = numbers[begin : begin + _FAMILIES_AT_ONCE]
-                found.append((some, np.stack([self.functions[k] for k in some])))
+                found.append((some, np.stack([self.places[k] for k in some])))
         return found

@@ -41,13 +41,19 @@ _SELECTED = 5
 little."""
 
 
-def with_data_driven_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with data-driven terms; None where none holds."""
-    driven = _with_term(problem, state)
+def with_data_driven_terms(problem: SearchProblem, state: SearchState, lead: float = 0.0) -> SearchState | None:
+    """The state with data-driven terms; None where none holds, or as many as the best would not make up for a ``lead``.
+
+    The lead is that of another model.
+    """
+    scores = _best_scores(problem, state)
+    if not scores or _MOST_TERMS * max(score.value for score in scores) <= _PROMISE * lead:
+        return None
+    driven = _with_term(problem, state, scores)
     for _ in range(_MOST_TERMS - 1):
         if driven is None or floor_reached(driven):
             break
-        further = _with_term(problem, driven)
+        further = _with_term(problem, driven, _best_scores(problem, driven))
         if further is None:
             break
         driven = further
@@ -85,10 +91,10 @@ def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
     return own and moves == {(form.channel.channel, joint)} and EFFECTS[term.slug].variables == form.variables
 
 
-def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the data-driven term that explains most of the residual; None where none holds."""
+def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
+    """The state with the first of some data-driven terms that holds; None where none does."""
     data, fit = state.data, state.fit
-    score = next((one for one in _best_scores(problem, state) if _holds(problem, state, one)), None)
+    score = next((one for one in scores if _holds(problem, state, one)), None)
     if score is None:
         return None
     law = score.candidate.law

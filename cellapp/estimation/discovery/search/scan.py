@@ -80,15 +80,18 @@ class LawScan:
     def of(cls, candidates: Sequence[CandidateLaw], projector: NuisanceProjector) -> LawScan:
         """Project all columns of the candidates."""
         first = np.concatenate([[0], np.cumsum([len(one.columns) for one in candidates])]).astype(np.intp)
-        rows = np.concatenate([one.rows for one in candidates]) if candidates else np.zeros((0, len(projector.basis)))
-        # parts of the one array: the candidates' own ones are not needed any more
-        parts = [rows[begin:end] for begin, end in pairwise(first.tolist())]
-        candidates = tuple(replace(one, rows=part) for one, part in zip(candidates, parts, strict=True))
+        rows = np.empty((int(first[-1]), len(projector.basis)))
+        # parts of the one array: the candidates' own ones are given up as they are copied
+        own = list(candidates)
+        del candidates
+        for number, (begin, end) in enumerate(pairwise(first.tolist())):
+            rows[begin:end] = own[number].rows
+            own[number] = replace(own[number], rows=rows[begin:end])
         projected = projector.project(rows)
-        norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
+        norms = np.maximum(np.sqrt(np.einsum("md,md->m", rows, rows)), SMALLEST)  # no array of all squares
         by_size = grouped(
             (len(block), (number, block))
-            for number, one in enumerate(candidates)
+            for number, one in enumerate(own)
             for block in one.blocks
             if not one.refines(block)
         )
@@ -98,7 +101,7 @@ class LawScan:
             places = np.array([block for _, block in entries], dtype=np.intp)
             groups.append(_block_group(rows, projected, norms, first, owner, places))
         share = visible_norms(rows, projected) / norms
-        return cls(candidates, rows, projected, first[:-1], share, tuple(groups))
+        return cls(tuple(own), rows, projected, first[:-1], share, tuple(groups))
 
     def place(self, number: int) -> slice:
         """Where the columns of a candidate are in ``rows``, ``projected`` and ``visible_share``."""

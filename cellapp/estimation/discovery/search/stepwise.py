@@ -126,7 +126,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
 
     Rivals that the data cannot distinguish from a name stand beside it in one answer set, and count with it. A rival
     may take the place of what is dropped, and is held to the same. A name gives way to a more probable rival where the
-    search without it ends in a model that is no worse.
+    search without it ends in a model that is no worse; else no rival in its place can score more than that leaves.
     """
     while True:
         scan = remaining_scan(found)
@@ -136,12 +136,18 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             for number, (probability, led) in enumerate(_probability_of_answers(found, probable))
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
+        reviews = list(found.reviews)
         for probability, number in sorted(doubtful):
             without, rest = _searched_without(problem, state, number)
-            if probability < _EVEN_ODDS or criterion(rest.fit) <= criterion(state.fit):
+            worse = criterion(rest.fit) - criterion(state.fit)
+            if probability < _EVEN_ODDS or worse <= 0.0:
                 break
+            most = reviews[number].score - worse
+            alternatives = {slug: min(score, most) for slug, score in reviews[number].alternatives.items()}
+            reviews[number] = replace(reviews[number], alternatives=alternatives)
         else:
-            return replace(found, remaining=scan, posteriors=probable)
+            found = replace(found, reviews=tuple(reviews))
+            return replace(found, remaining=scan, posteriors=posteriors_of(found, scan) if doubtful else probable)
         improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
         found = replace(_result(problem, state, found.geometry_only, found.scan), improbable=improbable)
@@ -208,7 +214,7 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
         return best
     # where one unknown law replaces all names, names beside it would only share it
     bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
-    driven = [with_data_driven_terms(problem, state) for state in bases]
+    driven = [with_data_driven_terms(problem, one, criterion(one.fit) - criterion(best.fit)) for one in bases]
     return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.review import review
-from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
+from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.chain import smr_positions
@@ -84,6 +85,19 @@ def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
     assert [term.slug for term in found.fit.terms] == ["backlash"], "no search without it ends as well"
     assert found.improbable == {}
+
+
+def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def led(*args: Any) -> Review:
+        found = review(*args)
+        rival = RunnerUp(effect="friction_windup", statistic=found.score + 20.0, distinguishable=False)
+        return replace(found, rivals=(rival,), alternatives={rival.effect: rival.statistic})
+
+    monkeypatch.setattr(stepwise, "review", led)
+    (found,) = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}).reviews
+    assert found.alternatives["friction_windup"] < found.score
 
 
 def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
