@@ -28,8 +28,6 @@ from drivers.arms.simulated import SimulatedArm
 from tests.cell.planning.hand_made import drivable_stops
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 5
 STEP = np.array([0.04, -0.03, 0.02, -0.02, 0.03, 0.05])
 """Last motion to every stop of the arm left; of the right one the opposite."""

@@ -35,8 +35,6 @@ from tests.cell.driving.test_session import Bench, Person
 from tests.cell.run.two_arm_cell import two_arms
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 8
 SCHEMA_2 = Path(__file__).parents[2] / "fixtures" / "run-schema-2"
 

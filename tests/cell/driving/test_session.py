@@ -30,8 +30,6 @@ from drivers.trackers.protocol import TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import plant_of, small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS, RESERVE = 8, 3
 Act = Callable[["Bench"], None]
 

@@ -34,8 +34,6 @@ from tests.arms import OFF_AXIS, STATION, UR10, at_station, dh, true_geometry
 from tests.cell.exports import readers
 from tests.drivers.arms.test_ur_probe import ask, emulated
 
-pytestmark = pytest.mark.fast
-
 CELL_FORMATS = formats_of(CellFormat)
 FORMATS = formats_of(ExportFormat)
 

@@ -20,8 +20,6 @@ from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.progress import CancelToken
 from tests.cell.planning.planned_cells import planned_twin, three_arms
 
-pytestmark = pytest.mark.fast
-
 
 def task_of(time_s: np.ndarray, sizes: list[int], pair_cost: np.ndarray | None = None, **rest) -> TourTask:
     arms, blocks, m, _ = time_s.shape
@@ -152,7 +150,6 @@ def test_number_of_blocks(asked: int | None, stops: int, blocks: int) -> None:
     assert block_count(asked, stops) == blocks
 
 
-@pytest.mark.slow
 def test_pairs_stand_together_and_an_order_is_mended() -> None:
     """Three arms; a mended order has the same pairs, in the same blocks, with no more refused ways."""
     profile = three_arms(18)

@@ -20,8 +20,6 @@ from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from tests.interfaces.cli.test_cli import exit_code
 from tests.twin import PROFILES, small_twin, with_arms
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(scope="module", autouse=True)
 def few_draws():
@@ -66,7 +64,6 @@ def test_the_workspace_is_where_the_arm_is(view: ViewResult) -> None:
         assert np.linalg.norm(centres - base.position, axis=1).max() < 1.6 + arm.edge_m
 
 
-@pytest.mark.slow
 def test_it_is_the_same_each_time_and_can_be_cancelled(view: ViewResult) -> None:
     heard: list[Progress] = []
     assert view_workspace(small_twin(), heard.append) == view
@@ -94,7 +91,6 @@ def test_in_a_good_cell_the_mounting_is_not_to_blame(view: ViewResult) -> None:
         assert worst.constraint in {"own bodies", "floor"}
 
 
-@pytest.mark.slow
 def test_a_tracker_that_stands_too_high_is_told_to_come_down() -> None:
     high = with_tracker_at(small_twin(), 3.0, 0.0, 3.0, elevation=(-0.6, 0.96))
     view = view_workspace(high)
@@ -109,7 +105,6 @@ def test_a_tracker_that_stands_too_high_is_told_to_come_down() -> None:
         assert "raise or lower the tracker" in " ".join(arm_sentences(name, arm))
 
 
-@pytest.mark.slow
 def test_an_smr_that_looks_at_its_own_arm_is_told_to_be_turned() -> None:
     smr = small_twin().arms["left"].smr.model_copy(update={"normal": (0.0, 0.0, -1.0)})
     view = view_workspace(with_arms(small_twin(), smr=smr))
@@ -154,7 +149,6 @@ def test_a_chart_without_places_says_so(view: ViewResult) -> None:
     assert "does not say where base and tracker are" in chart.message
 
 
-@pytest.mark.slow
 def test_the_command_prints_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "view.json"
     with pytest.MonkeyPatch.context() as patch:

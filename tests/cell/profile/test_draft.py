@@ -31,8 +31,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 SHIPPED = sorted(PROFILES.glob("*.yaml"))
 
 

@@ -13,8 +13,6 @@ from cellapp.cell.profile.starters import starter_profiles, write_starter
 from cellapp.ground.errors import InputError
 from cellapp.ground.starters import offered_profiles, starters_folder
 
-pytestmark = pytest.mark.fast
-
 NAMES = [path.stem for path in offered_profiles(starters_folder())]
 
 

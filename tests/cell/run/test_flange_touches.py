@@ -27,7 +27,6 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.cell.run.csv_rows import Rows, written
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
 TWIN = PROFILES / "twin.yaml"
 
 
@@ -151,7 +150,6 @@ def test_both_reasons_are_said_where_neither_tie_can_be_made(
     assert notes[1].startswith("pair: 2 touches of sockets on a flange leave a direction open")
 
 
-@pytest.mark.slow
 def test_touches_are_recorded_by_the_command_and_change_what_a_calibration_rests_on(
     profile: Profile, readings: dict[str, Readings], tmp_path: Path
 ) -> None:

@@ -13,8 +13,6 @@ from cellapp.cell.safety.many_motions import FreeMotions, free_motions
 from tests.cell.safety.test_obstacles import crowded, random_stops
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Short and long motions; with a position that is no number, and a target outside the limits."""
@@ -29,7 +27,6 @@ def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[s
     return start, end
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("profile", "apart"), [(small_twin(), 0.0), (small_twin(), 0.3), (crowded(), 0.0)], ids=["twin", "apart", "crowded"]
 )

@@ -16,8 +16,6 @@ from cellapp.ground.scale.executor import Resources
 from cellapp.interfaces.cli.app import app
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 
 def test_the_cost_of_many_tasks_follows_from_those_in_a_store(tmp_path: Path) -> None:
     store = tmp_path / "store.sqlite"

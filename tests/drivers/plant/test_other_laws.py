@@ -12,8 +12,6 @@ from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES
 from drivers.plant.random_functions import RandomField, RandomPaths
 
-pytestmark = pytest.mark.fast
-
 STOPS, DURATION_S = 30, 9000.0
 STIFF = [5e4, 4e4, 3e4, 1e4, 1e4, 1e4]
 WOUND = {"friction": [4.0] * 6, "load_friction": [0.0] * 6, "stiffness": STIFF}

@@ -10,8 +10,6 @@ from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import PACKETS_HZ, Packet, TargetLost, Track, TrackerError, stream_of
 from drivers.trackers.simulated import SimulatedTracker
 
-pytestmark = pytest.mark.fast
-
 INTERVAL_S = 0.004
 WAY = np.array([0.2, 0.1, -0.1, 0.1, 0.1, -0.2])
 CLOCK = Imperfections(clock_offset_s=512.0, clock_rate=20e-6, packet_jitter_s=0.04)
@@ -68,7 +66,6 @@ def test_packets_come_late_and_at_most_fifty_a_second(plant):
     assert 0.0 <= np.mean(track.time_s - at_s) < 5e-3
 
 
-@pytest.mark.slow
 def test_a_slow_receiver_loses_points_and_they_are_counted(plant):
     _, track, _, _, _ = swung(plant, Imperfections(saturated=0.2))
     whole = round(np.ptp(track.device_time_s) / INTERVAL_S) + 1

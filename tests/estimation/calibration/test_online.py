@@ -18,8 +18,6 @@ from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry
 from tests.series import Array, Series, series, twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 150
 
 

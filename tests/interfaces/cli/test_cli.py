@@ -162,7 +162,6 @@ def work(made: Path, tmp_path: Path) -> Path:
 # -- every command once -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 def test_the_steps_one_by_one(made: Path) -> None:
     results = {path.stem.partition("-")[2]: json.loads(path.read_text()) for path in made.glob("*.json")}
     assert {step: (result["schema"], result["version"]) for step, result in results.items()} == {

@@ -20,8 +20,6 @@ from cellapp.interfaces.cli.program import wants_json
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.twin import write_profile
 
-pytestmark = pytest.mark.fast
-
 
 def test_version(call: Any) -> None:  # noqa: F811
     ended = call("--version")
@@ -36,7 +34,6 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
     assert short.out == long.out
 
 
-@pytest.mark.slow
 def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_them() -> None:
     asked = "import sys; sys.argv = ['cellapp', '--help']; from cellapp.interfaces.cli{} import main; main()"
     loaded = "import atexit, sys; atexit.register(lambda: print({*sys.modules} & {'pydantic', 'numpy'} or 'light')); "
@@ -78,7 +75,6 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
     jsonschema.validate(ended.json, json_schemas(written_results(VERBS))["cellapp-error"])
 
 
-@pytest.mark.slow
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
     from typer.main import get_command
 
@@ -121,7 +117,6 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
 
 
-@pytest.mark.slow
 def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []

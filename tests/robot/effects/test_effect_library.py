@@ -14,8 +14,6 @@ from cellapp.robot.effects.data_driven import channels, data_driven_form, variab
 from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
 from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of()
 CONDITIONS: Any = CONTEXT.conditions
 

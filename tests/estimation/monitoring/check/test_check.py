@@ -16,7 +16,6 @@ from cellapp.robot.kinematics.chain import Geometry, parameter_names
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from tests.estimation.monitoring.check.conftest import SimulatedCell, free, moved_base, with_parameter
 
-pytestmark = pytest.mark.fast
 PLANNED = 16
 
 
@@ -75,7 +74,6 @@ def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str
     assert found.arms["right"].left_mm < 0.02
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("word", "joint"), [("theta5", 5), ("theta6", 6)])
 def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
     probed: SimulatedCell, word: str, joint: int
@@ -156,7 +154,6 @@ def test_of_one_arm_a_moved_tracker_and_a_moved_base_are_the_same(single: Simula
     assert any("base of arm only" in note for note in found.notes)
 
 
-@pytest.mark.slow
 def test_tracker_that_was_set_up_anew_is_no_change(pair: SimulatedCell) -> None:
     shift, turn = [0.02, -0.03, 0.01], [0.01, 0.02, -0.01]
     moved = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}
