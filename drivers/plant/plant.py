@@ -15,14 +15,7 @@ from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
 from drivers.plant.lines import carry, inverse
-from drivers.plant.mechanism import (
-    NO_DEFLECTION,
-    Deflection,
-    Load,
-    Mechanism,
-    Posture,
-    combined,
-)
+from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, Posture, combined
 from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule

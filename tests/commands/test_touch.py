@@ -66,7 +66,6 @@ def refused(result: Result, words: str, code: int = 2) -> None:
     assert result.exception.exit_code == code
 
 
-@pytest.mark.fast
 def test_lines_are_recorded_undone_and_gone_on_with(touch: Touch, tmp_path: Path) -> None:
     said = touch(typed=["front_0", "", "front_1", "undo", "front_1", "end", "never read"])
     assert said.exit_code == 0
@@ -87,7 +86,6 @@ def test_lines_are_recorded_undone_and_gone_on_with(touch: Touch, tmp_path: Path
     assert np.all(np.diff(its.time_s) >= 0.0)
 
 
-@pytest.mark.fast
 def test_a_wrong_name_is_asked_about(touch: Touch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     led_to(monkeypatch, [*["far"] * 3, *["near"] * 4, "near"])
     said = touch(typed=["far"] * 3 + ["near"] * 3 + ["far", "no", "far", "yes"])
@@ -145,7 +143,6 @@ def test_what_a_driver_says_names_the_arm(
         read("a", 0)
 
 
-@pytest.mark.fast
 def test_bad_inputs_are_refused(touch: Touch, tmp_path: Path) -> None:
     refused(touch("--point", " "), "the name of the socket is empty")
     refused(touch("--point", "undo"), "it is a word of this command")

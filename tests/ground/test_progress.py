@@ -6,7 +6,8 @@ import threading
 
 import pytest
 
-from cellapp.ground.progress import Progress, SharedProgress, StateChange, eta_words, in_lines, with_eta
+from cellapp.ground.pace import eta_words, in_lines, with_eta
+from cellapp.ground.progress import Progress, SharedProgress, StateChange
 
 pytestmark = pytest.mark.fast
 

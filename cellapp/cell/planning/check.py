@@ -12,8 +12,9 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_stop
 from cellapp.cell.safety.hidden import why_hidden
 from cellapp.ground.errors import InputError
+from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore, with_eta
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 
 _PROGRESS_EVERY = 10

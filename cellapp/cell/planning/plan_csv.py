@@ -291,7 +291,7 @@ class _Points:
         for column in _OF_STOP[1:]:  # each arm has a dwell of its own
             said = {getattr(points[STOP], column) for points in arms.values() if STOP in points} - {None}
             if len(said) > 1:
-                self._problems.add(line, column, f"the arms of configuration {number} do not say the same")
+                self._problems.add(line, column, f"the arms of configuration {number} have different values")
         source = self._agreed(number, "repeat_of")
         if source is not None and (source not in self.by_stop or source == number):
             text = f"configuration {number} repeats {source}, which is no other configuration of this file"

@@ -61,13 +61,7 @@ from cellapp.cell.run.rows import (
     select_stages,
     utc_now,
 )
-from cellapp.cell.run.schema import (
-    read_meta,
-    read_profile,
-    schema_version,
-    upgrade,
-    write_new,
-)
+from cellapp.cell.run.schema import read_meta, read_profile, schema_version, upgrade, write_new
 from cellapp.cell.run.sqlite_file import (
     FILE_NAME,
     UNFINISHED,
@@ -229,7 +223,7 @@ class RunFile:
         """
         for arm in plans:
             self._check_arm(arm)
-        check_plan(plans, {arm: self._joints(arm) for arm in plans})
+        check_plan(plans, {arm: len(self.profile.arms[arm].type.joints) for arm in plans})
         with self.change() as connection:
             before = select_plan(connection, list(self.profile.arms))
             changed, planned = changed_stops(before, plans), range(min(map(len, plans.values()), default=0))
@@ -283,7 +277,7 @@ class RunFile:
     def _add(self, batches: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
         for arm, readings in batches.items():
             self._check_arm(arm)
-            check_readings(arm, self._joints(arm), readings)
+            check_readings(arm, len(self.profile.arms[arm].type.joints), readings)
         with self.change() as connection:
             for arm, readings in batches.items():
                 try:
@@ -309,7 +303,9 @@ class RunFile:
         """All rows of one arm as they were measured or imported, one a nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
-            found = with_distances(connection, select_readings(connection, arm, self._joints(arm)))
+            found = with_distances(
+                connection, select_readings(connection, arm, len(self.profile.arms[arm].type.joints))
+            )
             return with_flange_touches(connection, arm, found)
 
     def _in_one_frame(self, readings: Readings) -> Readings:
@@ -365,7 +361,7 @@ class RunFile:
         with self.change() as connection:
             connection.execute("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", (json.dumps(list(names)),))
 
-    # -- events and documents ----------------------------------------------------------------------------------------
+    # -- events, documents and stages --------------------------------------------------------------------------------
 
     def log(self, level: str, text: str, time_s: float | None = None) -> None:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
@@ -391,8 +387,6 @@ class RunFile:
         """A stored document, or None."""
         with self.look() as connection:
             return select_document(connection, name)
-
-    # -- stages ------------------------------------------------------------------------------------------------------
 
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
         """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
@@ -466,9 +460,6 @@ class RunFile:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
-
-    def _joints(self, arm: str) -> int:
-        return len(self.profile.arms[arm].type.joints)
 
     def _check_arm(self, arm: str) -> None:
         if arm not in self.profile.arms:

@@ -47,9 +47,10 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
+from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.progress import Listener, ignore
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
@@ -159,7 +160,7 @@ def _touches_of_run(profile: Profile, folder: Path) -> tuple[dict[str, Readings]
     for name, its in touches.items():
         if name not in profile.arms or its.joints != len(profile.arms[name].type.joints):
             raise InputError(
-                f"{folder}: arm '{name}' is none of the run to be checked; its arms are {', '.join(profile.arms)}"
+                f"{folder}: arm '{name}' is not in the run to be checked; its arms are {', '.join(profile.arms)}"
             )
     return touches, []
 

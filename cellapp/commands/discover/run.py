@@ -27,8 +27,9 @@ from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel

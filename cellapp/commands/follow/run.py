@@ -26,7 +26,8 @@ from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.progress import Listener, Progress, ignore, with_eta
+from cellapp.ground.pace import with_eta
+from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.ground.results import FOLLOW, PATH
 from cellapp.robot.model import CellModel
 

@@ -35,8 +35,9 @@ from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
+from cellapp.ground.progress import Cancelled, Listener, ignore
 from cellapp.ground.results import ISO9283
 
 _NO_ORIENTATION = (

@@ -29,8 +29,9 @@ from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
+from cellapp.ground.progress import Cancelled, Listener, ignore
 from cellapp.ground.results import PUSH, VERIFY
 
 

@@ -51,7 +51,7 @@ def signature_sentences(result: SignatureResult) -> list[str]:
     """How the tables came about, and every change that was said to be proven."""
     earlier = ", ".join(f"{name}: {stops}" for name, stops in result.earlier_stops.items())
     said = [
-        f"Earlier calibration from so many stops: {earlier}. Without: calibrate and discover on the new stops alone."
+        f"Stops of the earlier calibration: {earlier}. Without: calibrate and discover on the new stops alone."
         " With: calibrate with the earlier run as prior; searched: then discover. Exact: the earlier values are kept,"
         " only base and tool are identified. Worst: the largest ratio of searched to without; worse: draws with a ratio"
         " above 1. Errors are means over stops that were not learned from."

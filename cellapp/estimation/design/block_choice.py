@@ -29,9 +29,6 @@ _ORDERED_AT_ONCE = 100
 _LEAST_FOLLOWED = 80
 """Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
 
-_REFERENCE = 5000
-"""Candidates that stand for all as the random design of reference: standard errors are then known to a percent."""
-
 
 @dataclass(frozen=True)
 class Effort:
@@ -70,10 +67,7 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before.
-
-    The rows stand in random order.
-    """
+    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before."""
 
     rows: Array
     prior: Array
@@ -83,9 +77,8 @@ class Candidates:
 
     @cached_property
     def mean_information(self) -> Array:
-        """Mean information (p, p) of a candidate; where there are many, of the first ones."""
-        some = self.rows[:_REFERENCE]
-        return information_of(some) / max(len(some), 1)
+        """Mean information (p, p) of a candidate."""
+        return information_of(self.rows) / max(len(self.rows), 1)
 
     def information(self, chosen: Rows) -> Array:
         """Information (p, p) of a design."""

@@ -155,7 +155,7 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
         columns=tuple(columns),
         sizes=[term.size for term in fit.terms],
         covariance=covariance,
+        noise=noise_of(data),
         seed=(data.profile.seed, _DRAW_SEED),
-        **noise_of(data),
     )
     return replace(model, posterior=draws)

@@ -209,7 +209,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
-    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).get("noise_rad")
+    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).rad
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)

@@ -19,6 +19,7 @@ from cellapp.estimation.calibration.arm_identification import excess_of
 from cellapp.estimation.calibration.identification import Identification, identify
 from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.calibration.normal_equations import EffectColumns
+from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
@@ -31,7 +32,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
 
 _WEIGHING_ROUNDS = 3
 """Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
@@ -40,8 +41,6 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
 much, relatively, an effect of 0.3 mm by 0.3 µm."""
-_ALIKE_AXES = 0.01
-"""Share by which the noise of orientations about its axes differs before it is stated axis by axis."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -286,38 +285,15 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.covariance[np.ix_(kept, kept)],
+        noise=noise_of(data, max(found.scale, 1.0)),
         seed=(data.profile.seed, _DRAW_SEED),
-        **noise_of(data, max(found.scale, 1.0)),
     )
     return replace(fit.model, posterior=draws)
 
 
-def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, Any]:
-    """Standard deviations of a coordinate and of a component of an orientation that weigh the readings, times a scale.
-
-    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured, with ``noise_axes_rad`` (3,) where these
-    have covariances of their own.
-    """
-    return noise_by_kind(data.sigma, data.turned, scale)
-
-
-def noise_by_kind(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> dict[str, Any]:
-    """The same of readings that ``sigma`` (n,) or (n, 3, 3) weighs, of which ``turned`` (n,) are orientations."""
-    if turned is None:
-        return {"noise_m": math.sqrt(mean_variance(sigma)) * scale}
-    variances = mean_variance(sigma[~turned]), mean_variance(sigma[turned])
-    found = {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
-    if sigma.ndim == 1:
-        return found
-    axes = np.sqrt(np.linalg.eigvalsh(sigma[turned]).mean(axis=0)) * scale
-    return found if np.ptp(axes) <= _ALIKE_AXES * axes[-1] else {**found, "noise_axes_rad": axes}
-
-
-def mean_variance(sigma: Array) -> float:
-    """Mean variance of a coordinate [m^2] of standard uncertainties (n,) or covariances (n, 3, 3)."""
-    if sigma.ndim == 1:
-        return float(np.mean(sigma**2))
-    return float(np.mean(np.trace(sigma, axis1=1, axis2=2))) / 3.0
+def noise_of(data: ArmData, scale: float = 1.0) -> ReadingsNoise:
+    """The noise that weighs the readings, times a scale."""
+    return readings_noise(data.sigma, data.turned, scale)
 
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:

@@ -15,8 +15,8 @@ from cellapp.estimation.calibration.measurement_conditions import conditions_of_
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, determined_set
 from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.estimation.calibration.records import ArmPriorResult
-from cellapp.estimation.discovery.joint_fit import noise_by_kind
 from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.prior.linear_model import Measured
@@ -164,8 +164,8 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
         columns=found.prior.columns,
         sizes=[len(term.names) for term in model.effects],
         covariance=found.covariance,
+        noise=readings_noise(found.measured.sigma, found.measured.turned),
         seed=(seed, _DRAW_SEED),
-        **noise_by_kind(found.measured.sigma, found.measured.turned),
     )
     return replace(
         model,

@@ -31,7 +31,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
     # Textual reads keys from standard input and draws on standard error
     if not all(stream is not None and stream.isatty() for stream in (sys.__stdin__, sys.__stderr__)):
         raise InputError(
-            "the terminal application needs a terminal, and standard input or error is none here; 'cellapp run PROFILE'"
+            "the terminal application needs a terminal: standard input or error is not one; 'cellapp run PROFILE'"
             " does the day unattended, 'cellapp --help' lists all commands"
         )
     os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # which Textual reads when it is imported

@@ -19,7 +19,8 @@ from textual.message import Message
 
 from cellapp.commands.record import Request, Verb, View
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Listener, Progress, with_eta
+from cellapp.ground.pace import with_eta
+from cellapp.ground.progress import Listener, Progress
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result

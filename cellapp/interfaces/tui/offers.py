@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
-from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
@@ -133,6 +132,8 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
 
 def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
     """Ask for the request of a verb that measures with the model in force, then do it; ``begun`` is called before."""
+    from cellapp.commands.compensate.target_list import stale_model  # numerics, which no start waits for
+
     if (calibrated := screen.calibrated_run()) is None:
         return
     folder, results, _ = calibrated

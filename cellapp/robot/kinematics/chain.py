@@ -150,9 +150,7 @@ class Geometry:
 def nominal_geometry(rows: Array, tool: Array, T_M_B: Array | None = None) -> Geometry:
     """Geometry from D-H rows (N, 4): theta, d, a, alpha [rad, m], tool (3,) [m] and base (4, 4); all beta are zero."""
     geometry = Geometry(
-        base=np.zeros(6),
-        rows=np.column_stack([rows, np.zeros(len(rows))]),
-        tool=np.asarray(tool, dtype=np.float64),
+        base=np.zeros(6), rows=np.column_stack([rows, np.zeros(len(rows))]), tool=np.asarray(tool, dtype=np.float64)
     )
     return geometry if T_M_B is None else geometry.with_T_M_B(T_M_B)
 

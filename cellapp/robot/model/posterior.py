@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,19 @@ _DIGITS = 4
 """Significant digits of a draw in JSON: its scatter is known to one."""
 
 
+class ReadingsNoise(NamedTuple):
+    """Standard deviations of measured coordinates about the true predictions.
+
+    ``m`` is that of a coordinate [m], ``rad`` that of a component of an orientation [rad], None where none was
+    measured, and ``axes_rad`` (3,) those about the axes that are known best to least, where these differ, as of several
+    SMRs on a flange.
+    """
+
+    m: float
+    rad: float | None = None
+    axes_rad: Array | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class PosteriorDraws:
     """Deviations of the fitted parameters from their estimate in S draws, and the scatter of the readings.
@@ -38,12 +51,8 @@ class PosteriorDraws:
         In the parameters' units.
     terms : tuple of array, shape (S, m)
         One for each term of the model, in the order of its names.
-    noise_m : float
-        Standard deviation of a measured coordinate about the true prediction [m].
-    noise_rad : float, optional
-        The same of each component of a measured orientation [rad]; None where none was measured.
-    noise_axes_rad : array, shape (3,), optional
-        The same about the axes that are known best to least, where these differ, as of several SMRs on a flange.
+    noise_m, noise_rad, noise_axes_rad
+        See ``ReadingsNoise``.
     """
 
     columns: tuple[int, ...]
@@ -59,10 +68,8 @@ class PosteriorDraws:
         columns: tuple[int, ...],
         sizes: Sequence[int],
         covariance: Array,
-        noise_m: float,
+        noise: ReadingsNoise,
         seed: Sequence[int],
-        noise_rad: float | None = None,
-        noise_axes_rad: Array | None = None,
     ) -> PosteriorDraws:
         """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -74,7 +81,7 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad, noise_axes_rad)
+        return cls(columns, parts[0], tuple(parts[1:]), *noise)
 
     def of_columns(self, end: int) -> PosteriorDraws:
         """The draws of the geometric parameters before ``end``, and of all terms; without noise of orientations."""

@@ -46,6 +46,7 @@ def searched(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> 
 POINTS = hnp.arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: 0.25 * k))
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(points=POINTS, turned=st.floats(-1e-6, 1e-6))
 @example(points=np.zeros((4, 3)), turned=0.0)

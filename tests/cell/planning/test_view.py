@@ -94,6 +94,7 @@ def test_in_a_good_cell_the_mounting_is_not_to_blame(view: ViewResult) -> None:
         assert worst.constraint in {"own bodies", "floor"}
 
 
+@pytest.mark.slow
 def test_a_tracker_that_stands_too_high_is_told_to_come_down() -> None:
     high = with_tracker_at(small_twin(), 3.0, 0.0, 3.0, elevation=(-0.6, 0.96))
     view = view_workspace(high)

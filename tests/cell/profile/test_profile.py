@@ -337,6 +337,7 @@ def test_short_forms_of_numbers(twin: Path) -> None:
     assert profile_from_json(profile_to_json(profile)) == profile
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     offset=st.tuples(*[st.floats(-10.0, 10.0)] * 3),

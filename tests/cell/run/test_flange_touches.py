@@ -151,6 +151,7 @@ def test_both_reasons_are_said_where_neither_tie_can_be_made(
     assert notes[1].startswith("pair: 2 touches of sockets on a flange leave a direction open")
 
 
+@pytest.mark.slow
 def test_touches_are_recorded_by_the_command_and_change_what_a_calibration_rests_on(
     profile: Profile, readings: dict[str, Readings], tmp_path: Path
 ) -> None:

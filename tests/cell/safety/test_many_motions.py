@@ -29,6 +29,7 @@ def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[s
     return start, end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("profile", "apart"), [(small_twin(), 0.0), (small_twin(), 0.3), (crowded(), 0.0)], ids=["twin", "apart", "crowded"]
 )

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.tolerance import length_bounds
 from cellapp.cell.targets.turn_prediction import _with_noise
-from cellapp.estimation.discovery.joint_fit import noise_by_kind
+from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
 
 pytestmark = pytest.mark.fast
@@ -36,6 +36,6 @@ def test_the_noise_by_axis_is_stored_and_stated_where_it_differs() -> None:
     assert "noise_axes_rad" not in posterior_to_json(replace(DRAWS, noise_axes_rad=None))
     turned = np.array([False, True])
     sigma = np.array([1e-10 * np.eye(3), np.diag(AXES**2)])
-    np.testing.assert_allclose(noise_by_kind(sigma, turned)["noise_axes_rad"], AXES)
-    assert "noise_axes_rad" not in noise_by_kind(np.array([1e-5, 4e-5]), turned)
-    assert "noise_axes_rad" not in noise_by_kind(np.array([1e-10 * np.eye(3)] * 2), turned)
+    np.testing.assert_allclose(readings_noise(sigma, turned).axes_rad, AXES)
+    assert readings_noise(np.array([1e-5, 4e-5]), turned).axes_rad is None
+    assert readings_noise(np.array([1e-10 * np.eye(3)] * 2), turned).axes_rad is None

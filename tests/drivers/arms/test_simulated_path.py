@@ -64,6 +64,7 @@ def test_a_path_is_followed_late_and_to_its_end(plant, arm):
     assert np.abs(followed.q[:-1] - path).max() > 3e-3
 
 
+@pytest.mark.slow
 @given(
     away=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
     speed=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),

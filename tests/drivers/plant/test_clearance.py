@@ -23,6 +23,7 @@ def _slow(a, b, c, d, count=201):
     return np.linalg.norm(p[:, None] - q[None], axis=-1).min()
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(points=coordinates)
 def test_segment_distances_are_those_of_their_nearest_points(points):

@@ -68,6 +68,7 @@ def test_packets_come_late_and_at_most_fifty_a_second(plant):
     assert 0.0 <= np.mean(track.time_s - at_s) < 5e-3
 
 
+@pytest.mark.slow
 def test_a_slow_receiver_loses_points_and_they_are_counted(plant):
     _, track, _, _, _ = swung(plant, Imperfections(saturated=0.2))
     whole = round(np.ptp(track.device_time_s) / INTERVAL_S) + 1

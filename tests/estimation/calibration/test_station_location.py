@@ -23,7 +23,7 @@ from cellapp.robot.kinematics.chain import BASE_NAMES, JointAngles, base_twists,
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
 from cellapp.robot.model.relocation import relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
 
@@ -55,7 +55,7 @@ def identified(nominal, truth, rng, seed):
         nominal, q, smr_positions(truth, q) + rng.normal(0.0, SIGMA_M, (60, 3)), sigma=np.full(60, SIGMA_M)
     )
     covariance = found.estimated_covariance
-    draws = PosteriorDraws.of_covariance(found.estimated.columns, [], covariance, SIGMA_M, (seed,))
+    draws = PosteriorDraws.of_covariance(found.estimated.columns, [], covariance, ReadingsNoise(SIGMA_M), (seed,))
     return arm_model(found.geometry, nominal, draws)
 
 

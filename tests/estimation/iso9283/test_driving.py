@@ -152,7 +152,6 @@ def test_a_found_base_is_where_its_fit_says_it_is() -> None:
     assert np.sqrt(np.mean(off**2)) < 4.0 * sigma  # joint zeros of the true arm turn its base for the fit
 
 
-@pytest.mark.fast
 def test_repeatability_is_that_of_the_joints() -> None:
     """The plant's joints stop with normal errors of a known size: RP is that of the positions which they give."""
     task = task_of(cell_of(one_arm(), noise=False, repeatability=REPEATABILITY_RAD), "pose", cycles=30)

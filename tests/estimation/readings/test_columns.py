@@ -13,6 +13,7 @@ import pytest
 
 from cellapp.cell.run import (
     RunFile,
+    arm_cells,
     csv_export,
     csv_import,
     import_csv,
@@ -53,7 +54,7 @@ def toy_columns(monkeypatch: pytest.MonkeyPatch) -> None:
         Column("torque_nm", "Nm", ("torque",), "joints", check=above_zero, since=2),
         Column("humidity", "", ("humidity",), fill=0.5, allowed=(0.25, 0.5, 0.75), expected="a quarter"),
     )
-    for module in (readings, readings_table, schema, csv_import, csv_export):
+    for module in (readings, readings_table, schema, arm_cells, csv_import, csv_export):
         monkeypatch.setattr(module, "COLUMNS", (*COLUMNS, *toys))
     monkeypatch.setattr(readings, "Readings", ToyReadings)
 
@@ -114,7 +115,8 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
 
 def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:
     names = {column.name for column in COLUMNS}
-    assert names == set(Readings.__dataclass_fields__) - {"extras", "distances", "on_flange", "turning_covariance_M"}
+    beside = {"extras", "distances", "on_flange", "turning_covariance_M", "other_q"}  # not of a table's row
+    assert names == set(Readings.__dataclass_fields__) - beside
     assert names - {"configuration"} == set(Reading.__dataclass_fields__) - {"extras"}
     csv_names = [name for column in COLUMNS for name in column.csv_names(7)]
     assert len(csv_names) == len(set(csv_names))

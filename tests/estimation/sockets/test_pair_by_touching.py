@@ -46,6 +46,7 @@ def test_exact_touches_give_the_exact_transform(common: int) -> None:
     assert found.identification.converged
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_many_repetitions() -> None:
     rng = np.random.default_rng(1)
     drawn = [tie(5, noise=NOISE_M * np.sqrt(2.0) * rng.standard_normal((5, 3))) for _ in range(300)]

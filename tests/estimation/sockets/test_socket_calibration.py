@@ -45,7 +45,6 @@ def test_the_base_is_none_of_the_parameters() -> None:
     assert np.isfinite(found.identification.standard_errors).all()
 
 
-@pytest.mark.fast
 def test_without_a_distance_the_scale_is_said_to_be_unseen() -> None:
     arm = led(1, gauge_m=0.4)
     found, notes = calibrate_arm(panda(), "left", replace(arm.readings, distances=()))

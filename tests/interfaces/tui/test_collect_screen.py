@@ -369,9 +369,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[HeldJob, dict[str, Any]
     return calls
 
 
-async def begin_and_end(pilot: Pilot[None], app: CellApp, held: HeldJob) -> None:
-    await until(pilot, held.reached.is_set, "the job")
-    await finished(pilot, app, held)
+async def begin_and_end(pilot: Pilot[None], app: CellApp, asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
+    """The job that was asked for last begins, and is let go on to its end."""
+    await until(pilot, lambda: asked and asked[-1][0].reached.is_set(), "the job")
+    await finished(pilot, app, asked[-1][0])
 
 
 async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
@@ -389,7 +390,7 @@ async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob
         await pilot.press("n")
         assert not app.jobs.running
         await pilot.press("b", "b")
-        await begin_and_end(pilot, app, asked[-1][0])
+        await begin_and_end(pilot, app, asked)
         assert asked[-1][1] == {"folder": run, "resume": False}
 
 
@@ -402,7 +403,7 @@ async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str
         await pilot.press("d")
         assert app.screen is app.day_screen
         await pilot.press("b", "enter")
-        await begin_and_end(pilot, app, asked[0][0])
+        await begin_and_end(pilot, app, asked)
         assert asked[0][1] == {"folder": run, "resume": True}
 
 
@@ -416,7 +417,7 @@ async def test_real_arms_ask_with_their_first_path_instead(
         await show_collect(pilot, app, run)
         await pilot.press("b")
         assert not isinstance(app.screen, Choice)
-        await begin_and_end(pilot, app, asked[0][0])
+        await begin_and_end(pilot, app, asked)
 
 
 async def test_a_complete_run_leads_on(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
@@ -467,7 +468,7 @@ async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(
         await pilot.press("d")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("b")
-        await begin_and_end(pilot, app, asked[0][0])
+        await begin_and_end(pilot, app, asked)
         assert asked[0][1] == {"folder": far, "resume": True, "accept_drift": True}
 
 

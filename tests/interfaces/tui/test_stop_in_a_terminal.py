@@ -44,12 +44,14 @@ class Held:
         """What reached the brakes."""
         return self._file.read_text("utf-8").splitlines() if self._file.exists() else []
 
-    def press(self, keys: str | bytes, calls: int) -> None:
-        """Press keys; the brakes are then called as often as is said, and no more."""
-        before = len(self.calls())
-        self.terminal.send(keys)
-        assert comes_about(lambda: len(self.calls()) >= before + calls, time.monotonic() + WAIT_S), f"{keys!r}"
-        self.stays(before + calls)
+    def press(self, keys: str | bytes, calls: int, times: int = 1) -> None:
+        """Press keys, one time after the other; the brakes are called as often as is said each time, and no more."""
+        due = len(self.calls())
+        for _ in range(times):
+            due += calls
+            self.terminal.send(keys)
+            assert comes_about(lambda: len(self.calls()) >= due, time.monotonic() + WAIT_S), f"{keys!r}"  # noqa: B023
+        self.stays(due)
 
     def stays(self, calls: int, for_s: float = QUIET_S) -> None:
         """Watch for a while that the brakes are not called any more."""
@@ -95,8 +97,7 @@ def test_each_press_stops_once_at_every_place(running: Held, place: str) -> None
     for key, sent in KEYS.items():
         running.terminal.send(there.keys)
         running.says(there.words)
-        running.press(sent, 1)
-        running.press(sent, 1)  # a second press is another one
+        running.press(sent, 1, times=2)  # a second press is another one
         if key == "mouse":
             running.terminal.send(sent.lower())
         running.terminal.send(there.back)

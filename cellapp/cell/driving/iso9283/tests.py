@@ -479,6 +479,5 @@ class _Session:
 
 
 def _raise_if_not_ready(error: Exception) -> None:
-    """A tracker that is not ready measures nothing at the next position either."""
     if isinstance(error, NotReady):
-        raise HardwareError(str(error)) from error
+        raise HardwareError(str(error)) from error  # it measures nothing at the next position either

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.commands.trials.benchmark.methods.registry import answer_of
+from cellapp.commands.trials.benchmark.methods.answer import answer_of
 from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer
 from cellapp.commands.trials.league.series import SERIES, Entrant, Rows, SeriesTexts, draw_rows, parse_entrants

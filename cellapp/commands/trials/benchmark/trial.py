@@ -11,7 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED, answer_of
+from cellapp.commands.trials.benchmark.methods.answer import answer_of
+from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
 from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.real import REAL_ANSWERS, RealQuestion
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score

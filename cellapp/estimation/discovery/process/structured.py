@@ -17,8 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.readings_noise import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component, components
 from cellapp.estimation.discovery.process.evidence import (

@@ -3,7 +3,8 @@
 Elastic joints come first where they hold: every arm with gears has them, and at few places bending links and the base
 look alike. Another effect is added only if it predicts places that were left out, and most of them: with g the decrease
 of the sum of squares at each left-out placement, sum g > t (sum g^2)^1/2. The sum over m placements that gain alike is
-m^1/2 times the root, that of one placement alone is equal to it.
+m^1/2 times the root, that of one placement alone is equal to it. An effect may show little at some placements: it is
+also added if none of them contradicts it, and those beside the best one have very strong evidence for it.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import may_leave_placements_out, placement_gains
 from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, SearchStep
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.search.tuning import apply_step
 from cellapp.robot.effects.joint_compliance import JointCompliance
+from cellapp.robot.kinematics.transforms import Array
 
 _FIRST = JointCompliance.slug
 _MOST_EFFECTS = 3
@@ -72,11 +74,18 @@ def _best_elsewhere(problem: SearchProblem, state: SearchState, scores: Sequence
         term = step.terms[-1]
         columns = state.data.columns(term.slug, term.law, term.names)
         gains = placement_gains(state.data, state.fit, state.fit.displacements(columns))
-        if gains.sum() > _CLEAR * np.linalg.norm(gains):
+        if _holds_elsewhere(gains):
             found.append((float(gains.sum()), step))
     if not found:
         return None
     return _applied(problem, state, max(found, key=lambda one: one[0])[1])
+
+
+def _holds_elsewhere(gains: Array) -> bool:
+    """Whether most left-out placements gain, or some do and none contradicts, from what each gains (m,)."""
+    most = gains.sum() > _CLEAR * np.linalg.norm(gains)
+    none_against = gains.min() > -SCORE_MARGIN and gains.sum() - gains.max() > SCORE_MARGIN
+    return bool(most or none_against)
 
 
 def _applied(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState | None:

@@ -153,4 +153,4 @@ def _certificate_words(workspace: Workspace) -> str:
     """What a person must know before a certificate is written."""
     complaints = () if workspace.overview is None else workspace.overview.complaints
     marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
-    return f"What was measured in {workspace.folder}, judged by its tolerances; what nobody gave is named.{marks}"
+    return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"

@@ -67,7 +67,6 @@ def crosstalk(q):
     return bent
 
 
-@pytest.mark.fast
 def test_families_score_as_their_laws_do_one_by_one():
     data, fit = readings_with(lambda q: 1e-4 * np.sin(q + q[:, ::-1]), np.zeros_like)
     chosen = channels(6)

@@ -75,6 +75,7 @@ def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str
     assert found.arms["right"].left_mm < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("word", "joint"), [("theta5", 5), ("theta6", 6)])
 def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
     probed: SimulatedCell, word: str, joint: int
