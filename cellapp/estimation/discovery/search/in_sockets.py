@@ -3,8 +3,8 @@
 Elastic joints come first where they hold: every arm with gears has them, and at few places bending links and the base
 look alike. Another effect is added only if it predicts places that were left out, and most of them: with g the decrease
 of the sum of squares at each left-out placement, sum g > t (sum g^2)^1/2. The sum over m placements that gain alike is
-m^1/2 times the root, that of one placement alone is equal to it. An effect may show little at some placements: it is
-also added if none of them contradicts it, and those beside the best one have very strong evidence for it.
+m^1/2 times the root, that of one placement alone is equal to it. An effect may show much more at some placements: it is
+also added if more than half of them have very strong evidence for it, and the rest together none against it.
 """
 
 from __future__ import annotations
@@ -82,10 +82,10 @@ def _best_elsewhere(problem: SearchProblem, state: SearchState, scores: Sequence
 
 
 def _holds_elsewhere(gains: Array) -> bool:
-    """Whether most left-out placements gain, or some do and none contradicts, from what each gains (m,)."""
+    """Whether most left-out placements gain, alike or beyond doubt, from what each gains (m,)."""
     most = gains.sum() > _CLEAR * np.linalg.norm(gains)
-    none_against = gains.min() > -SCORE_MARGIN and gains.sum() - gains.max() > SCORE_MARGIN
-    return bool(most or none_against)
+    beyond_doubt = np.mean(gains > SCORE_MARGIN) > 0.5 and gains[gains < 0.0].sum() > -SCORE_MARGIN
+    return bool(most or beyond_doubt)
 
 
 def _applied(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState | None:
