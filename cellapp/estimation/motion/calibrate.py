@@ -38,6 +38,12 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up
 
 _SAMPLES = 1500
 """Samples of an arm's recordings that stand for readings where none was taken at rest."""
+_PAST_PLAY_RAD = 1e-3
+"""Travel since a turn after which a joint has taken up any play: before, its side is none that a joint at rest has."""
+_MOVES_RAD = 0.02
+"""A joint that moves by less has no sides to be told apart."""
+_TRIED = 3
+"""Points that are looked at for each sample."""
 
 
 @dataclass(frozen=True)
@@ -162,9 +168,8 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
     for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
-            rows = np.flatnonzero(chosen)
-            rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.intp)] if len(rows) else rows
-            parts.append((word, one, rows))
+            rows = _past_turns(one, _thinned(np.flatnonzero(chosen), _TRIED * most))
+            parts.append((word, one, _thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
@@ -181,6 +186,19 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
+
+
+def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.intp)] if len(rows) else rows
+
+
+def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those of the points at which no joint has just turned round; all of them where there is none."""
+    path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
+    q = path.at(time_s)[0]
+    moves = np.ptp(q, axis=0) > _MOVES_RAD if len(q) else np.zeros(q.shape[1], dtype=np.bool_)
+    past = (np.abs(path.travel_at(time_s, q)) > _PAST_PLAY_RAD)[:, moves].all(axis=1)
+    return rows[past] if past.any() else rows
 
 
 def _beside(times: Sequence[tuple[JointPath, Array]]) -> Array | None:

@@ -36,6 +36,8 @@ def test_the_noise_by_axis_is_stored_and_stated_where_it_differs() -> None:
     assert "noise_axes_rad" not in posterior_to_json(replace(DRAWS, noise_axes_rad=None))
     turned = np.array([False, True])
     sigma = np.array([1e-10 * np.eye(3), np.diag(AXES**2)])
-    np.testing.assert_allclose(readings_noise(sigma, turned).axes_rad, AXES)
+    axes_rad = readings_noise(sigma, turned).axes_rad
+    assert axes_rad is not None
+    np.testing.assert_allclose(axes_rad, AXES)
     assert readings_noise(np.array([1e-5, 4e-5]), turned).axes_rad is None
     assert readings_noise(np.array([1e-10 * np.eye(3)] * 2), turned).axes_rad is None
