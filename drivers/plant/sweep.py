@@ -150,8 +150,8 @@ def _at(times: Array, time_s: Array, table: Array) -> Array:
 def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array, Array]:
     """Times (n,) and positions before the gears (n, N) of joints that follow commands, with a rest at both ends."""
     time_s = np.arange(0.0, len(commanded) * cycle_s + 2.0 * _REST_S, _STEP_S)
-    at = np.arange(len(commanded)) * cycle_s + _REST_S
-    goal = np.column_stack([np.interp(time_s, at, column) for column in commanded.T])
+    at = np.arange(len(commanded), dtype=np.float64) * cycle_s + _REST_S
+    goal = _at(time_s, at, commanded)
     keep = float(np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
     q = goal - start  # at rest before it begins: two equal lags one after the other are critically damped
     for _ in range(2):

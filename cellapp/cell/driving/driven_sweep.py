@@ -24,6 +24,7 @@ from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover
 from cellapp.cell.driving.reaction import StopReaction, cause_of
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.ground.control import JobControl
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import Arm, ArmError, PathFollower
@@ -246,7 +247,7 @@ class SweepDriver:
 
 def _on_stamps(joints: JointRecord, other: JointRecord, later_s: float) -> Array:
     """Joint positions (n, K) [rad] of another arm at the stamps of ``joints``; its clock is ``later_s`` [s] behind."""
-    return np.column_stack([np.interp(joints.time_s, other.time_s + later_s, column) for column in other.q.T])
+    return rows_at(joints.time_s, other.time_s + later_s, other.q)
 
 
 def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:

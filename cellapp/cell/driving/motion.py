@@ -272,8 +272,8 @@ class Mover:
         self._record_foreign_steps(start)
         self._departure = dict(start)  # straight back there is another way, which the gate checks as any motion
         expected_s = max(len(q) * period_s for q, period_s in paths.values())
-        begin_at, end_at = (vectors({name: its[row] for name, (its, _) in paths.items()}) for row in (0, -1))
-        self._emit(MotionBegun(self.stop, begin_at, end_at, expected_s))
+        ends = {name: q[-1] for name, (q, _) in paths.items()}
+        self._emit(MotionBegun(self.stop, vectors({name: start[name] for name in paths}), vectors(ends), expected_s))
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
             self._confirm_links()
             self._reaction.check()

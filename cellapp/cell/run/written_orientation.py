@@ -15,7 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, short
+from cellapp.cell.run.arm_cells import ArmCells
+from cellapp.cell.run.csv_text import CsvTable, Problems
 from cellapp.estimation.readings.columns import Fault
 from cellapp.ground.errors import InputError
 
@@ -188,27 +189,17 @@ def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
         return table, notes
     own = [table.cells[name] for name in written.columns]
     if written.form.rotations is not None:
-        values = np.column_stack([_numbers(table, name) for name in written.columns])
+        cells = ArmCells(table, range(len(table.lines)), Problems(table.place))
+        values = np.column_stack([cells.numbers(name, required=False) for name in written.columns])
+        cells.problems.check()
         found, fault = written.quaternions(values)
         if fault is not None:
             where = f"{table.place(table.lines[fault.row])}: {written.columns[fault.place or 0]}"
             raise InputError(f"{where}: {fault.text}")
         own = [tuple("" if math.isnan(value) else repr(value) for value in column) for column in found.T.tolist()]
-    cells = {name: its for name, its in table.cells.items() if name not in written.columns}
-    cells |= dict(zip(QUATERNION, own, strict=True))
-    return replace(table, names=tuple(cells), cells=cells), [written.said]
-
-
-def _numbers(table: CsvTable, name: str) -> Array:
-    """The numbers (n,) of a column, NaN for an empty cell. Raises ``InputError`` with the first that is none."""
-    values = np.full(len(table.lines), np.nan)
-    for row, text in enumerate(map(str.strip, table.cells[name])):
-        if text:
-            values[row] = float(text) if NUMBER.fullmatch(text) else math.nan
-            if not math.isfinite(values[row]):
-                where = f"{table.place(table.lines[row])}: {name}"
-                raise InputError(f"{where}: expected a finite number such as 0.25, got '{short(text)}'")
-    return values
+    columns = {name: its for name, its in table.cells.items() if name not in written.columns}
+    columns |= dict(zip(QUATERNION, own, strict=True))
+    return replace(table, names=tuple(columns), cells=columns), [written.said]
 
 
 def _plain(name: str) -> str:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from cellapp.cell.safety.gate import CellBodies, Gate, refuse_motion
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 
 _CHORD_RAD = 0.05
@@ -58,5 +59,5 @@ def refuse_paths(
 
 def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:
     """Largest distance of each joint (N,) [rad] from the straight motions between ``rows`` of ``q`` (m, N)."""
-    chords = np.column_stack([np.interp(travelled, travelled[rows], column) for column in q[rows].T])
+    chords = rows_at(travelled, travelled[rows], q[rows])
     return np.asarray(np.abs(q - chords).max(axis=0))

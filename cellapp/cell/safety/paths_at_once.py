@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.cell.safety.gate import CellBodies
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 
 MOST_APART_M = 0.05
@@ -54,7 +55,7 @@ def on_rows(q: Array, period_s: float, wanted_s: float) -> Array:
         return q
     time_s = np.arange(len(q)) * period_s
     times = np.arange(int(np.ceil(time_s[-1] / wanted_s)) + 1) * wanted_s
-    return np.column_stack([np.interp(times, time_s, column) for column in q.T])
+    return rows_at(times, time_s, q)
 
 
 def equally_long(paths: Mapping[str, Array]) -> dict[str, Array]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.motion.responses import EvenPath, even_grid
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
 from cellapp.estimation.motion.streams import JointStream
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 
 _WINDOW_S = 0.2
@@ -114,9 +115,7 @@ class JointPath:
 
     def beside_at(self, time_s: Array) -> Array | None:
         """Joint positions (n, K) [rad] of the other arm at times (n,) [s]; None where they were not recorded."""
-        if self.beside is None:
-            return None
-        return np.column_stack([np.interp(time_s, self.stamps.time_s, column) for column in self.beside.T])
+        return None if self.beside is None else rows_at(time_s, self.stamps.time_s, self.beside)
 
     def direction_at(self, time_s: Array) -> Array:
         """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""

@@ -27,6 +27,7 @@ from cellapp.robot.effects.time_functions import (
     warm_up_laws,
     with_default,
 )
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 
 LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
@@ -208,7 +209,7 @@ def _lagged_temperatures(context: EffectContext, law: Law, joints: Array, air: A
     order = np.argsort(record.time_s, kind="stable")
     timed = np.isfinite(conditions.time_s)
     at = conditions.time_s[timed]
-    now = np.column_stack([np.interp(at, record.time_s[order], one[order]) for one in behind.T])
+    now = rows_at(at, record.time_s[order], behind[order])
     ends[timed], air[timed] = now[:, :-1], now[:, -1]
     return ends, air
 

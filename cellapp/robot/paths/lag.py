@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.paths.timing import Rates, Trajectory
@@ -58,7 +59,7 @@ def rehearsed(sent: Trajectory, time_s: Array, q: Array, rates: Rates) -> Trajec
     if len(time_s) < _FEWEST:
         return None
     later = sent.time_s + _delay_s(sent, time_s, q)
-    reached = np.column_stack([np.interp(later, time_s, column) for column in q.T])
+    reached = rows_at(later, time_s, q)
     missed = gaussian_filter1d(reached - sent.q, _SMOOTHED_S / sent.period_s, axis=0, mode="nearest")
     from_ends_s = np.minimum(sent.time_s, np.minimum(sent.duration_s, time_s[-1]) - sent.time_s)
     x = np.clip(from_ends_s / _TAPERED_S, 0.0, 1.0)
@@ -82,4 +83,4 @@ def _delay_s(sent: Trajectory, time_s: Array, q: Array) -> float:
 
 def _at(sent: Trajectory, time_s: Array) -> Array:
     """Positions (n, N) [rad] that were to be reached at times (n,)."""
-    return np.column_stack([np.interp(time_s, sent.time_s, column) for column in sent.q.T])
+    return rows_at(time_s, sent.time_s, sent.q)
