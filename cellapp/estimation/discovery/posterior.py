@@ -239,11 +239,7 @@ def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> 
 
 def remaining_scan(found: SearchResult) -> LawScan:
     """Scan of all effects of the library that the final model does not have."""
-    if found.remaining is not None:
-        return found.remaining
-    if not found.fit.terms:
-        return found.scan
-    return LawScan.of(found.fit.candidates(found.data, found.absent), found.fit.projector)
+    return SearchState(found.data, found.fit).scan(found.absent)
 
 
 def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:

@@ -106,8 +106,7 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
         return Review(term, score, problem.p_value(score), ())
     residual = fit.residual_without(number)
     others = [slug for slug in problem.slugs if slug not in state.slugs]
-    scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
-    best = best_law_of_each_effect(scan.ranked(residual))
+    best = best_law_of_each_effect(state.scan(others).behind_of(residual.projector).ranked(residual))
     rivals = [
         RunnerUp(
             effect=rival.slug,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.estimation.design.information import VISIBLE, NuisanceProjector, detectable_size, visible_norms
+from cellapp.estimation.design.information import VISIBLE, NuisanceProjector, detectable_size
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.robot.kinematics.transforms import Array
 
@@ -57,8 +57,8 @@ def corrected_p_value(null_maxima: Array, score: float) -> float:
 def smallest_detectable(scan: LawScan, number: int, threshold: float) -> Mapping[str, float]:
     """Smallest size of each single column of a candidate that would pass ``threshold``; infinite where invisible."""
     one, place = scan.candidates[number], scan.place(number)
-    norms = visible_norms(scan.rows[place], scan.projected[place])
-    needed = threshold + math.log(scan.rows.shape[1]) + choice_price(one.law)
+    norms = np.sqrt(scan.behind.squares[place])
+    needed = threshold + math.log(scan.behind.rows.shape[1]) + choice_price(one.law)
     return {
         column.name: detectable_size(norm, needed) if share > VISIBLE else math.inf
         for column, norm, share in zip(one.columns, norms.tolist(), scan.visible_share[place].tolist(), strict=True)

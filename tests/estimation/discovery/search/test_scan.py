@@ -20,7 +20,7 @@ def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
     one = problem(0)
     y = one.noise()
     joint = np.linalg.lstsq(np.hstack([one.design, one.first.rows.T]), y, rcond=None)[0][-3:]
-    projected = one.scan.projected[one.scan.place(0)]
+    projected = one.projector.project(one.first.rows)
     alone = np.linalg.lstsq(projected.T, one.visible(y), rcond=None)[0]
     np.testing.assert_allclose(alone, joint, atol=1e-12)
 
@@ -45,7 +45,7 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
     y = one.visible(one.first.rows[2] * 0.3 + one.noise())
     best = one.ranked(y)[0]
     assert (best.slug, best.names) == ("first", ("c",))
-    projected = one.scan.projected[one.scan.place(0)][[2]]
+    projected = one.projector.project(one.first.rows[[2]])
     left = y - projected.T @ np.linalg.lstsq(projected.T, y, rcond=None)[0]
     assert best.value == pytest.approx(-N * np.log(left @ left / (y @ y)) - np.log(N), rel=1e-9)
     assert one.residual(y).bic_gain(one.first.rows[[2]]) == pytest.approx(best.value, rel=1e-9)
