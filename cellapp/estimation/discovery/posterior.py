@@ -48,7 +48,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
-from cellapp.estimation.discovery.candidates import best_law_of_each_effect
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
@@ -250,7 +249,7 @@ def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
     than not.
     """
     fit, residual = found.fit, found.fit.projected_residual
-    best = best_law_of_each_effect(scan.ranked(residual))
+    best = scan.best_of_each_effect(residual)
     scores = {score.slug: score.value for score in best}
     likely = [score for score in best if score.value > found.threshold - SCORE_MARGIN]
     gain = gain_beside_free_parts(SearchState(found.data, fit)) if likely else None

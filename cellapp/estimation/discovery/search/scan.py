@@ -137,15 +137,30 @@ class LawScan:
         Blocks that only refine others join ``with_refinements`` alone: a name is given for an effect's main blocks. Of
         each effect only the laws with the best single blocks are selected in full.
         """
+        numbers = self._ahead(residual)
+        found = [self.score(number, residual, with_refinements=with_refinements, least=least) for number in numbers]
+        return sorted((one for one in found if one is not None), key=lambda score: -score.value)
+
+    def best_of_each_effect(self, residual: ProjectedResidual, least: float = -math.inf) -> list[LawScore]:
+        """The best law of each effect, as ``ranked``: laws that cannot be better than one before are not selected."""
+        best: dict[str, LawScore] = {}
+        for number in self._ahead(residual):
+            slug = self.candidates[number].slug
+            known = best.get(slug)
+            one = self.score(number, residual, with_refinements=False, least=least if known is None else known.value)
+            if one is not None and (known is None or one.value > known.value):
+                best[slug] = one
+        return sorted(best.values(), key=lambda score: -score.value)
+
+    def _ahead(self, residual: ProjectedResidual) -> list[int]:
+        """The laws of each effect with the best single blocks, the best first."""
         ahead = self.best_block_scores(residual.projected[:, None], np.array([residual.square]))[:, 0]
         by_slug = grouped(
             (self.candidates[number].slug, number)
             for number in np.argsort(-ahead, kind="stable").tolist()
             if np.isfinite(ahead[number])
         )
-        numbers = [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
-        found = [self.score(number, residual, with_refinements=with_refinements, least=least) for number in numbers]
-        return sorted((one for one in found if one is not None), key=lambda score: -score.value)
+        return [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
 
     def score(
         self,

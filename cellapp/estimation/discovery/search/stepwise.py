@@ -16,7 +16,7 @@ from functools import cache, partial
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
+from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, reweighted
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
@@ -236,7 +236,7 @@ def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: Se
     lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
-    scores = best_law_of_each_effect(named.scan(problem.slugs).ranked(named.fit.projected_residual, least=0.0))
+    scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
     return lead > sum(max(score.value, 0.0) for score in scores)
 
 
