@@ -41,7 +41,7 @@ class NuisanceProjector:
 
         ``gram`` (p, p) is X^T X, where it is known.
         """
-        return cls(orthonormal_basis(np.ascontiguousarray(rows.T), precision, gram))
+        return cls(orthonormal_basis(rows, precision, gram))
 
     @property
     def effective_parameters(self) -> float:
