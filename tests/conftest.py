@@ -33,7 +33,7 @@ LONG_COMMANDS = "--long-commands"
 LONG_TESTS = "--long-tests"
 _COUNTED = "documented "
 """What properties of tests begin with whose numbers are added up for the end of the session."""
-_COLLECTED_AFTER = (20_000, 20, 50)
+_COLLECTED_AFTER = (20_000, 10, 10)
 """Thresholds of Python's collector: by its own (700, 10, 10) it takes a fifth of the time of tests of screens."""
 
 
