@@ -33,7 +33,7 @@ from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.review import review, reviewed
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
-from cellapp.estimation.discovery.search.smooth_terms import with_smooth_terms
+from cellapp.estimation.discovery.search.smooth_terms import with_one_drift, with_smooth_terms
 from cellapp.estimation.discovery.search.state import (
     SCORE_MARGIN,
     Posteriors,
@@ -203,6 +203,8 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
     beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
     if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
+    drift = with_one_drift(problem, named)
+    named = named if drift is None else best_state([named, drift])  # one cause is one unknown
     instead = in_place_of_names(problem, start, named)
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
@@ -210,7 +212,7 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
     free = _with_free_functions(problem, before_names(), named)
     if best_state([best, free]) is not best:
         best = free
-    if floor_reached(best):
+    if floor_reached(best) and best is not free:  # a free function reaches it whatever the cause
         return best
     # where one unknown law replaces all names, names beside it would only share it
     bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
