@@ -59,7 +59,18 @@ def current_outputs() -> CommandOutputs:
 
 
 class Commands(typer.Typer):
-    """A group of commands, each of which has ``--force`` where it has an option that writes."""
+    """A group of commands, each of which has ``--force`` where it has an option that writes.
+
+    All commands are registered before the first call: that builds their parameters, and further calls use them again.
+    """
+
+    @functools.cached_property
+    def _built(self) -> Callable[..., Any]:
+        return typer.main.get_command(self)
+
+    def __call__(self, *args: Any, **settings: Any) -> Any:
+        """Parse the arguments and call the command."""
+        return self._built(*args, **settings)
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[[CommandFunction], CommandFunction]:
         """As that of ``typer.Typer``."""

@@ -8,6 +8,7 @@ import re
 import shutil
 import sqlite3
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,7 @@ from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
+from tests.interfaces.tui.idle import wait_for_idle
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,
@@ -307,7 +309,9 @@ async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
         await ended(pilot, app)
 
 
-async def test_a_flood_of_events_keeps_the_keys_answered() -> None:
+async def test_a_flood_of_events_keeps_the_keys_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("app", "pilot"):  # it is never idle
+        monkeypatch.setattr(f"textual.{module}.wait_for_idle", partial(wait_for_idle, max_sleep=0.2))
     app = CellApp(PROFILES)
     job = MovingJob(flood=True)
     async with app.run_test(size=SMALL) as pilot:
@@ -318,13 +322,13 @@ async def test_a_flood_of_events_keeps_the_keys_answered() -> None:
         await until(pilot, lambda: view.rows.counts["debug"] > 500, "the flood")
         for key, shown in (("g", "plots"), ("t", "stops"), ("t", "collected"), ("t", "log")):
             await pilot.press(key)
-            assert app.screen.has_class(shown)
+            await until(pilot, lambda shown=shown: app.screen.has_class(shown), shown)  # type: ignore[misc]
             assert app.jobs.running
         await pilot.press("slash", *"event 7", "enter")
-        assert view.wanted == "event 7"
+        await until(pilot, lambda: view.wanted == "event 7", "the filter")
         assert not job.brakes
         await pilot.press("escape")
-        assert [verb for verb, _ in job.brakes] == ["stop"]
+        await until(pilot, lambda: [verb for verb, _ in job.brakes] == ["stop"], "the stop")
         await pilot.press("x")
         await ended(pilot, app)
 
