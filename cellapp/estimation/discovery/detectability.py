@@ -81,7 +81,7 @@ def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
         place = scan.place(number)
         share = max(share, float(scan.visible_share[place].max(initial=0.0)))
         size_of = smallest_detectable(scan, number, needed)
-        rms = np.sqrt(np.mean(scan.rows[place] ** 2, axis=1)).tolist()
+        rms = np.sqrt(np.mean(scan.behind.rows[place] ** 2, axis=1)).tolist()
         for column, displaced in zip(candidate.columns, rms, strict=True):
             size = size_of[column.name]
             if not math.isfinite(size):

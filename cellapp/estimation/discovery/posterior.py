@@ -53,7 +53,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
-from cellapp.estimation.discovery.candidates import best_law_of_each_effect
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
@@ -258,11 +257,7 @@ def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> 
 
 def remaining_scan(found: SearchResult) -> LawScan:
     """Scan of all effects of the library that the final model does not have."""
-    if found.remaining is not None:
-        return found.remaining
-    if not found.fit.terms:
-        return found.scan
-    return LawScan.of(found.fit.candidates(found.data, found.absent), found.fit.projector)
+    return SearchState(found.data, found.fit).scan(found.absent)
 
 
 def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
@@ -273,7 +268,7 @@ def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
     than not.
     """
     fit, residual = found.fit, found.fit.projected_residual
-    best = best_law_of_each_effect(scan.ranked(residual))
+    best = scan.best_of_each_effect(residual)
     scores = {score.slug: score.value for score in best}
     likely = [score for score in best if score.value > found.threshold - SCORE_MARGIN]
     gain = gain_beside_free_parts(SearchState(found.data, fit)) if likely else None
