@@ -53,6 +53,9 @@ _OF_READINGS = {"robot": "arm", "temperature": "temperature_c", "temp": "tempera
 _POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+_LEAST_FAMILY = 4
+"""Columns that differ in their last number only, from which these are the joints' positions if no others may be."""
+_LAST_NUMBER = re.compile(r"(.*?)(\d+)([^\d]*)")
 _PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Joints of a UR arm in its controller's order: messages of ROS name them, in another order, and the pendant does."""
 _OF_ROBOT = {"tcp", "robot", "flange", "tool"}
@@ -116,6 +119,9 @@ def understood(
         _Read(name, None, -1) if name in own else nothing if name in orientation else _read(name, kind) or nothing
         for name in names
     ]
+    if kind == "joints" and not any(re.fullmatch(r"q\d+", one.name) for one in read):
+        numbered = _family(names)
+        read = [_read(numbered[name], kind) or nothing if name in numbered else one for name, one in zip(names, read)]
     places: dict[str, list[int]] = {}
     for place, one in enumerate(read):
         if one is not nothing:
@@ -161,6 +167,23 @@ def _read(name: str, kind: str) -> _Read | None:
             return joint
     other = _OF_READINGS.get(name.strip().lower()) if kind == "readings" else None
     return None if other is None else _Read(other)
+
+
+def _family(names: Sequence[str]) -> Mapping[str, str]:
+    """What the columns that differ in their last number only are as joints, if one such family may be that."""
+    families: dict[tuple[str, str], dict[int, str]] = {}
+    for name in names:
+        if match := _LAST_NUMBER.fullmatch(name.strip().lower()):
+            families.setdefault((match[1], match[3]), {})[int(match[2])] = name
+    no_positions = _COMMANDED.union(*_OF_JOINTS.values())
+    found = [
+        {name: f"joint_{number}{suffix.lstrip('])} _')}" for number, name in its.items()}
+        for (prefix, suffix), its in families.items()
+        if len(its) >= _LEAST_FAMILY
+        and sorted(its) in (list(range(len(its))), list(range(1, len(its) + 1)))
+        and not no_positions & set(_words(prefix + suffix))
+    ]
+    return found[0] if len(found) == 1 else {}
 
 
 def _without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:

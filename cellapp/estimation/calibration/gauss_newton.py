@@ -66,7 +66,7 @@ class Minimum(Generic[Point]):
 def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_iterations: int) -> Minimum[Point]:
     """Iterate from ``start`` until the next step is at most ``tolerance``.
 
-    That last step is not taken, so that residuals, Jacobian and parameters of the result belong together.
+    That last step is not taken, so that residuals, gradient and parameters of the result belong together.
     """
     point = problem.reweighted(start)
     sizes: list[float] = []

@@ -49,6 +49,9 @@ _LEAST_WEIGHT = 1e-3
 _SAME_JACOBIAN = 1e-3
 """Change of the parameters [m at arm's length] up to which the normal matrix of many effects is kept: it changes by
 about as much, relatively. The gradient is that of the present values, so that the solution is the same."""
+_SAME_MATRIX = 1e-4
+"""The same without effects: the last evaluation of a geometry then needs residuals and gradient alone. The matrix, from
+which uncertainties follow, changes by 1e-5 there."""
 _MANY_EFFECTS = 200
 """Columns of effects from which the normal matrix is kept: those of smooth functions, which priors hold. The lines of a
 law without priors may be nearly singular with few readings, and another matrix then leads elsewhere."""
@@ -325,8 +328,12 @@ class _Problem:
 
     @property
     def keeps_matrix(self) -> bool:
-        """Whether the normal matrix is kept from step to step."""
+        """Whether the normal matrix of many effects is kept from step to step."""
         return self.robust == "none" and self.effect_count >= _MANY_EFFECTS
+
+    def _same_matrix(self, moved_m: float) -> bool:
+        """Whether the normal matrix serves at a distance [m] from where it was made."""
+        return self.keeps_matrix or (self.robust == "none" and not self.effect_count and moved_m <= _SAME_MATRIX)
 
     def at_start(self) -> Estimate:
         values = self.start.vector()[list(self.parameters.columns)]
@@ -379,10 +386,10 @@ class _Problem:
 
     def moved(self, point: Estimate, step: Array) -> Estimate:
         values = point.values + step
-        if not self.keeps_matrix:
+        moved_m = point.moved_m + float(np.max(np.abs(step * point.normal.scale)))
+        if not self._same_matrix(moved_m):
             return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
         normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
-        moved_m = point.moved_m + float(np.max(np.abs(step * normal.scale)))
         return replace(point, values=values, normal=normal, moved_m=moved_m)
 
     def objective(self, point: Estimate) -> float:

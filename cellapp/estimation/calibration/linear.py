@@ -74,26 +74,27 @@ def inverse_diagonal(gram: Array) -> Array:
     return np.asarray(inverse.diagonal())
 
 
-def orthonormal_basis(design: Array, precision: Array | None = None, gram: Array | None = None) -> Array:
+def orthonormal_basis(rows: Array, precision: Array | None = None, gram: Array | None = None) -> Array:
     """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
 
     Parameters
     ----------
-    design : array, shape (d, p)
-        Columns X.
+    rows : array, shape (p, d)
+        Columns X as rows.
     precision : array, shape (p,), optional
         Diagonal of P: inverse prior variances, zero without a prior.
     gram : array, shape (p, p), optional
         X^T X, where it is known.
     """
-    scale = 1.0 / np.maximum(np.linalg.norm(design, axis=0), _SMALLEST)
-    scaled = design * scale
-    gram = scaled.T @ scaled if gram is None else gram * (scale[:, None] * scale)
+    gram = rows @ rows.T if gram is None else gram
+    scale = 1.0 / np.maximum(np.sqrt(gram.diagonal()), _SMALLEST)
+    gram = gram * (scale[:, None] * scale)
     if precision is not None:
-        gram = gram + np.diag(precision * scale**2)
-    factor = cholesky(gram)
-    if factor is not None:
-        return np.ascontiguousarray(scipy.linalg.solve_triangular(factor, scaled.T, lower=True, check_finite=False).T)
+        gram.flat[:: len(gram) + 1] += precision * scale**2
+    factor, scaled = cholesky(gram), (rows * scale[:, None]).T
+    if factor is not None:  # X in the order of LAPACK, without a copy
+        solve = scipy.linalg.blas.dtrsm
+        return np.asarray(solve(1.0, factor, scaled, side=1, lower=1, trans_a=1, overwrite_b=1))
     values, vectors = _significant(gram)
     return np.asarray(scaled @ (vectors / np.sqrt(values)))
 

@@ -286,7 +286,7 @@ def with_gradient(
         white = observations.whiten(r, first, last)
         cost += float(np.vdot(white, white))
         weighed = observations.weigh(white, first, last)
-        b[:size] += np.einsum("akn,an->k", J, weighed)
+        b[:size] += J.swapaxes(0, 1).reshape(size, -1) @ weighed.ravel()
         if effects is not None:
             _, by_joint = joint_jacobian(geometry, angles)
             torque = np.einsum("ajn,an->jn", by_joint, weighed)

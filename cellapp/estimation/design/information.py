@@ -41,7 +41,7 @@ class NuisanceProjector:
 
         ``gram`` (p, p) is X^T X, where it is known.
         """
-        return cls(orthonormal_basis(np.ascontiguousarray(rows.T), precision, gram))
+        return cls(orthonormal_basis(rows, precision, gram))
 
     @property
     def effective_parameters(self) -> float:
@@ -61,13 +61,44 @@ class NuisanceProjector:
         """M (d, d)."""
         return np.asarray(np.eye(len(self.basis)) - self.basis @ self.basis.T)
 
+    def kernel(self, first: Array, second: Array | None = None) -> Array:
+        """K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g of n points that move these by u and v (a, n).
 
-def visible_norms(rows: Array, projected: Array) -> Array:
-    """Roots (m,) of b^T M b for rows b and their projections M b, both (m, d).
+        ``second`` is v; u itself if not given. Many functions share one motion, so that K spares their projections.
+        """
+        second = first if second is None else second
+        n = first.shape[1]
+        of_second = np.einsum("ibj,bj->ij", self._matrix.reshape(-1, len(second), n), second)
+        return np.asarray(np.einsum("aij,ai->ij", of_second.reshape(len(first), n, n), first))
 
-    With priors M is no projection, and |M b| would be too small.
-    """
-    return np.asarray(np.sqrt(np.maximum(np.einsum("md,md->m", rows, projected), 0.0)))
+    def behind(self, rows: Array) -> Behind:
+        """Rows (m, d) behind the parameters."""
+        return Behind(rows, rows @ self.basis)
+
+
+@dataclass(frozen=True, eq=False)
+class Behind:
+    """Rows B (m, d) behind a model's parameters by ``explained`` B Q (m, k): M B^T, as large as B, is not kept."""
+
+    rows: Array
+    explained: Array
+
+    def take(self, places: slice | NDArray[np.intp]) -> Behind:
+        """Some of the rows."""
+        return Behind(self.rows[places], self.explained[places])
+
+    def gram(self, other: Behind | None = None) -> Array:
+        """B M C^T of these rows (..., m, d) and other ones; of these alone if not given."""
+        other = other or self
+        products = self.rows @ other.rows.swapaxes(-1, -2)
+        products -= self.explained @ other.explained.swapaxes(-1, -2)
+        return np.asarray(products)
+
+    @cached_property
+    def squares(self) -> Array:
+        """b^T M b (m,) of each row: with priors M is no projection, and |M b|^2 would be too small."""
+        squares = np.einsum("md,md->m", self.rows, self.rows) - np.einsum("mk,mk->m", self.explained, self.explained)
+        return np.asarray(np.maximum(squares, 0.0))
 
 
 def visible_root(gram: Array, norms: Array) -> tuple[Array, NDArray[np.intp]]:

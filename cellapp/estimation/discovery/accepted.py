@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, identification_without
+from cellapp.estimation.discovery.joint_fit import JointFit, fitted_model, identification_without
 from cellapp.estimation.discovery.movement import term_movements
 from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
 from cellapp.estimation.discovery.records import (
@@ -48,7 +48,7 @@ def accepted_effects(
         if described is not None:
             term = replace(term, note=described.sentence)
         near = identification_without(fit, number)
-        without = fit_terms(found.data, without_term(fit.terms, number), near).model
+        without = fitted_model(found.data, without_term(fit.terms, number), near)
         evidence = Evidence(
             statistic=review.score,
             corrected_p=review.p_value,

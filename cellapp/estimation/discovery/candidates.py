@@ -87,14 +87,6 @@ class LawScore:
         return self.candidate.rows[list(self.chosen)]
 
 
-def best_law_of_each_effect(scores: Sequence[LawScore]) -> list[LawScore]:
-    """The first score of each effect; ``scores`` are sorted, best first."""
-    best: dict[str, LawScore] = {}
-    for score in scores:
-        best.setdefault(score.slug, score)
-    return list(best.values())
-
-
 def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors: Array) -> set[str]:
     """Blocks with a value (m,) outside its column's physical bounds by more than its standard error (m,) allows."""
     return {

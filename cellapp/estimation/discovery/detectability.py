@@ -12,7 +12,7 @@ from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.records import AbsentEffect, SmallestSize
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import smallest_detectable
-from cellapp.estimation.discovery.search.state import SearchResult
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.robot.effects import EFFECTS
 
 _BARELY_VISIBLE = 0.03
@@ -38,6 +38,8 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     """
     fit = found.fit if found.fit.terms else found.geometry_only
     noise_mm = 1e3 * (1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.positions]) ** 2))))
+    # the score of a name that is as likely there as not
+    needed = found.threshold + (SCORE_MARGIN if found.data.points is None else 0.0)
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in found.absent:
@@ -45,7 +47,7 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
         if lacking := "no tracker" if blind else EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
-        one = _detectable(scan, slug, found.threshold)
+        one = _detectable(scan, slug, needed)
         hidden = one.visible_share <= _BARELY_VISIBLE
         how_much = "all" if one.visible_share <= VISIBLE else "nearly all"
         (invisible if hidden else not_found).append(
@@ -64,7 +66,7 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     return tuple(invisible), tuple(not_found)
 
 
-def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
+def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
     """Visible share and smallest sizes of one effect, over the laws of its simplest form that the data allow.
 
     A refined form may show where the effect itself does not: a scale error that bends with the range of the beam.
@@ -78,8 +80,8 @@ def _detectable(scan: LawScan, slug: str, threshold: float) -> _Detectable:
             continue
         place = scan.place(number)
         share = max(share, float(scan.visible_share[place].max(initial=0.0)))
-        size_of = smallest_detectable(scan, number, threshold)
-        rms = np.sqrt(np.mean(scan.rows[place] ** 2, axis=1)).tolist()
+        size_of = smallest_detectable(scan, number, needed)
+        rms = np.sqrt(np.mean(scan.behind.rows[place] ** 2, axis=1)).tolist()
         for column, displaced in zip(candidate.columns, rms, strict=True):
             size = size_of[column.name]
             if not math.isfinite(size):

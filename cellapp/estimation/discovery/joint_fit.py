@@ -241,9 +241,22 @@ class JointFit:
 
 def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:
     """Fit geometry and terms to all readings and linearise there; from ``near``, if a fit of these terms is known."""
-    found, columns = _identify(data, terms, near)
+    return _linearised(data, terms, *_identify(data, terms, near))
+
+
+def fitted_model(data: ArmData, terms: ModelTerms, near: Identification) -> ArmModel:
+    """The model of ``fit_terms`` alone."""
+    found, _ = _identify(data, terms, near)
+    return _fitted_model(data, found, terms, _layout(data, found, terms))
+
+
+def _layout(data: ArmData, found: Identification, terms: ModelTerms) -> TermLayout:
     points = 0 if data.points is None else len(data.points)
-    layout = TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
+    return TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
+
+
+def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns: tuple[EffectColumn, ...]) -> JointFit:
+    layout = _layout(data, found, terms)
     white = whitening(data.sigma)
     linear = LinearModel.of(
         found.geometry, data.readings.q, white, found.parameter_set.columns, columns, data.conditions.R_M_S
@@ -299,11 +312,12 @@ def noise_of(data: ArmData, scale: float = 1.0) -> ReadingsNoise:
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     """Fit terms with weights of their own; effects are evaluated at the geometry that this finds, or very near it."""
     here, near = reweighted(data, terms)
-    fit = fit_terms(here, terms, near)
-    if sum(fit.identification.steps) <= _SAME_COLUMNS:
-        return here.beginning_at(fit.model), fit
-    here = here.at(fit.model)
-    return here, fit_terms(here, terms, fit.identification)
+    found, columns = _identify(here, terms, near)
+    if sum(found.steps) > _SAME_COLUMNS:
+        here = here.at(_fitted_model(here, found, terms, _layout(here, found, terms)))
+        return here, fit_terms(here, terms, found)
+    fit = _linearised(here, terms, found, columns)
+    return here.beginning_at(fit.model), fit
 
 
 def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identification | None]:

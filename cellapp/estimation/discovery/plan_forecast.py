@@ -254,7 +254,7 @@ def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
     scan = LawScan.of(fit.candidates(data, [slug for slug in EFFECTS if slug != UNKNOWN]), fit.projector)
     null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, (data.profile.seed, _SEED))
     threshold = score_threshold(null_maxima, settings.false_alarm)
-    nothing_found = SearchResult(data, fit, fit, scan, (), (), (), threshold)
+    nothing_found = SearchResult(data, fit, fit, (), (), (), threshold)
     invisible, visible = detectability(nothing_found, scan)
     found = {one.effect: (True, one) for one in visible} | {one.effect: (False, one) for one in invisible}
     return [found[slug] for slug in EFFECTS if slug in found]

@@ -6,13 +6,13 @@ residuals are
 
     r = X b + Z u + B a + n
 
-with the fit's columns X and parameters b; laws Z of joints that the fit does not have (one to three cycles a turn, and
-compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the path,
-a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in bands
-of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson, Biometrika
-58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed. It
-may be that nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable each is; the
-variances are the means over both.
+with the fit's columns X and parameters b; laws Z of joints that the fit does not have (one to three cycles a turn,
+play, compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the
+path, a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in
+bands of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson,
+Biometrika 58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has
+absorbed. It may be that nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable
+each is; the variances are the means over both.
 
 The clocks are the generalised least squares estimate under this covariance. The arm stays the least squares estimate,
 which predicts best; its covariance is that under the same residuals ("sandwich").
@@ -170,7 +170,8 @@ def _laws(problem: Problem) -> tuple[JointTerm, ...]:
     own = {replace(term, law=Law.LINE) if term.law is Law.ONE_CYCLE else term for term in problem.layout.terms}
     lines = [JointTerm(Law.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
     elastic = [JointTerm(Law.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
-    return tuple(term for term in (*lines, *elastic) if term not in own)
+    lost = [JointTerm(Law.PLAY, joint) for joint in joints]  # against the motion, as a delay
+    return tuple(term for term in (*lines, *elastic, *lost) if term not in own)
 
 
 def _functions_of_posture(q: Array) -> tuple[Array, Array]:

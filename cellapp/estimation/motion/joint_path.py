@@ -29,7 +29,10 @@ BEND_S = 0.02
 _PLAY = 5e-5
 """Half gap of the play operator that gives the direction of motion [rad]: above the noise of an encoder, and passed
 within a few samples of any sweep."""
-
+_BEGUN = 1e-3
+"""Travel of a joint [rad] after which it has crossed its gap."""
+_SLOWEST_S = 2.0
+"""Longest wait for the last joint to do so after the first: joints may move one after the other."""
 
 _WIDTHS = np.geomspace(0.008, 3.2, 14)
 """Half gaps [rad] of plays in parallel, of which lost motion with memory is made."""
@@ -92,6 +95,21 @@ class JointPath:
         after = np.clip(place, 1, len(t) - 1)
         short = t[after] - t[after - 1] <= self.stamps.longest_s
         return np.asarray(inside & short & (self.stamps.segment[after] == self.stamps.segment[after - 1]))
+
+    def begun(self, time_s: Array) -> NDArray[np.bool_]:
+        """Whether the joints have begun to move, at times (n,) [s], since the recording began or went on after a gap.
+
+        On which side of their lost motion they rest before that is not on record: a gap hides the last motion. Joints
+        that do not move before the next gap are not waited for.
+        """
+        t, q = self.stamps.time_s, self._position(self.stamps.time_s)
+        begun = np.ones(len(t), dtype=np.bool_)
+        for first, last in _runs(self.stamps):
+            moved = np.abs(q[first:last] - q[first]) > _BEGUN
+            starts = t[first + moved.argmax(axis=0)[moved.any(axis=0)]]
+            if len(starts):
+                begun[first:last] = t[first:last] >= min(starts.max(), starts.min() + _SLOWEST_S)
+        return begun[np.clip(np.searchsorted(t, time_s, side="right") - 1, 0, len(t) - 1)]
 
     def segment_at(self, time_s: Array) -> NDArray[np.intp]:
         """Segment of the controller's clock at times (n,) [s]."""

@@ -119,7 +119,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
             " stamps that are counted at a nominal rate"
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
-    known = path.known(time - start.offset_s) & ~beside
+    known = path.known(time - start.offset_s) & path.begun(time - start.offset_s) & ~beside
     held_out = points.held_out
     track = Track(
         recording.name,

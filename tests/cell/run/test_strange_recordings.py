@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cellapp.cell.run.column_names import understood
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.ground.errors import InputError
 from tests.cell.run.recorded_motion import joint_columns, point_columns
@@ -80,6 +81,16 @@ def test_files_of_other_programs_are_understood(case: str, tmp_path: Path) -> No
 
 
 @pytest.mark.fast
+def test_one_family_of_numbered_columns_are_the_joints() -> None:
+    own = {"time_s", "q1", "q2", "q3", "q4"}
+    traced = [f"AxisQMsr_LBR_7_R800_1[{number}]" for number in range(1, 8)]
+    assert understood(("Zeit [ms]", *traced), "joints", own).names == ("time_s", *(f"q{n}" for n in range(1, 8)))
+    assert understood(("t", *(f"Krc.{n} [deg]" for n in range(4))), "joints", own).factors["q4"] == np.pi / 180.0
+    for other in ("tau_x1_", "b"):  # torques are none; of two families either may be
+        names = ("t", *(f"{other}{n}" for n in range(4)), *(f"c{n}" for n in range(4 * (other == "b"))))
+        assert not {"q1", "q2"} & set(understood(names, "joints", own).names)
+
+
 def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path) -> None:
     points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
     one, notes = read(tmp_path, text_of("t,A1,A2", joints(1e3 * STAMPS, np.degrees(SURE / 10))), points)

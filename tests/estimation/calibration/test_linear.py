@@ -36,7 +36,7 @@ def test_a_redundant_column_gives_the_solution_of_least_norm(design: np.ndarray)
     wanted = np.linalg.lstsq(redundant, y, rcond=None)[0]
     np.testing.assert_allclose(solve_psd(gram, redundant.T @ y), wanted, atol=1e-9)
     np.testing.assert_allclose(inverse_psd(gram), np.linalg.pinv(gram, rcond=1e-10, hermitian=True), atol=1e-9)
-    Q = orthonormal_basis(redundant)
+    Q = orthonormal_basis(redundant.T)
     assert Q.shape == (60, 5)
     np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
     np.testing.assert_allclose(Q @ (Q.T @ redundant), redundant, atol=1e-9)
@@ -44,6 +44,6 @@ def test_a_redundant_column_gives_the_solution_of_least_norm(design: np.ndarray)
 
 def test_priors_enter_the_basis(design: np.ndarray) -> None:
     precision = np.array([0.0, 3.0, 0.0, 50.0, 1.0])
-    Q = orthonormal_basis(design, precision)
+    Q = orthonormal_basis(design.T, precision)
     wanted = design @ np.linalg.solve(design.T @ design + np.diag(precision), design.T)
     np.testing.assert_allclose(Q @ Q.T, wanted, atol=1e-12)

@@ -9,7 +9,6 @@ from cellapp.estimation.design.information import (
     VISIBLE,
     NuisanceProjector,
     detectable_size,
-    visible_norms,
     visible_root,
 )
 
@@ -53,6 +52,6 @@ def test_the_root_makes_visible_directions_orthonormal_and_drops_the_others() ->
 
 def test_the_detectable_size_has_the_needed_noncentrality() -> None:
     nuisance, rows = rows_of(2, 10, 1)
-    projected = NuisanceProjector.of(nuisance).project(rows)
-    size = detectable_size(float(visible_norms(rows, projected)[0]), 25.0)
-    assert size**2 * float(rows[0] @ projected[0]) == pytest.approx(25.0)
+    projector = NuisanceProjector.of(nuisance)
+    size = detectable_size(float(np.sqrt(projector.behind(rows).squares[0])), 25.0)
+    assert size**2 * float(rows[0] @ projector.project(rows[0])) == pytest.approx(25.0)

@@ -1,18 +1,12 @@
-"""Candidate laws: columns of either kind are whitened alike; a law keeps its best score."""
+"""Candidate laws: columns of either kind are whitened alike."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.candidates import (
-    CandidateLaw,
-    LawScore,
-    best_law_of_each_effect,
-    whitened_displacements,
-)
+from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.robot.effects import Channel, EffectColumn
-from tests.estimation.discovery.linear_problem import PLAIN
 
 pytestmark = pytest.mark.fast
 
@@ -31,11 +25,3 @@ def test_joint_offsets_and_smr_shifts_are_whitened_alike() -> None:
     np.testing.assert_allclose(rows[0].reshape(3, n), np.einsum("acn,nc->an", white, shift), atol=1e-12)
     wanted = np.einsum("acn,cn->an", white, by_joint[:, 2] * offset)
     np.testing.assert_allclose(rows[1].reshape(3, n), wanted, atol=1e-12)
-
-
-def test_the_best_law_of_each_effect_comes_first() -> None:
-    def score(slug: str, value: float) -> LawScore:
-        return LawScore(CandidateLaw(slug, PLAIN.law(), (), np.zeros((0, 3))), value, (), 0.0)
-
-    found = best_law_of_each_effect([score("one", 9.0), score("two", 8.0), score("one", 7.0)])
-    assert [(one.slug, one.value) for one in found] == [("one", 9.0), ("two", 8.0)]

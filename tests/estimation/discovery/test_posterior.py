@@ -18,6 +18,7 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Review
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.robot.effects import Channel, EffectColumn
+from cellapp.robot.effects.periodic import LINES
 from tests.estimation.discovery.linear_problem import PLAIN, problem
 
 pytestmark = pytest.mark.fast
@@ -88,13 +89,43 @@ def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
     np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
 
 
+def found_by(reviews, points=None) -> Any:
+    data, fit = SimpleNamespace(points=points), SimpleNamespace(terms=[None])
+    return SimpleNamespace(fit=fit, data=data, reviews=reviews, threshold=THRESHOLD)
+
+
+def test_a_name_just_above_the_threshold_is_less_likely_than_not(monkeypatch):
+    """Effects so small are rarer than noise of that score; a ball in sockets is judged by what it predicts."""
+    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
+    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: math.inf)
+
+    def accepted(score, points=None):
+        reviews = posterior.cautious_reviews(found_by([review("backlash", score, base_step=score - 6.0)], points))
+        return posteriors(reviews, {}, THRESHOLD, COORDINATES).terms[0]
+
+    assert accepted(THRESHOLD + 6.0) < 0.2
+    assert accepted(THRESHOLD + 6.0, points=np.zeros(3)) > 0.8
+    assert accepted(THRESHOLD + 30.0) > 0.9
+
+
+def cycles_of(*counts: int) -> Any:
+    """A fit with one term of lines at some cycle counts of joint 1."""
+    columns = [SimpleNamespace(joint=0, cycles=count) for count in counts for _ in range(2)]
+    term = ModelTerm("transmission_error", LINES.law(), ())
+    return SimpleNamespace(terms=[term], term_columns=lambda number: columns)
+
+
+def test_a_row_of_the_lowest_cycles_of_a_joint_is_a_free_function():
+    assert posterior._is_free_function(cycles_of(2, 3, 4, 5), 0)
+    assert not posterior._is_free_function(cycles_of(2, 4, 50, 100, 150), 0)
+
+
 def test_a_rival_loses_what_the_effect_loses_beside_a_larger_one(monkeypatch):
     """Else a worse rival would take the place of what other laws may have left over."""
     monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
     monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: 0.01)
     reviews = [review("backlash", 637.0, friction_windup=580.0)]
-    found: Any = SimpleNamespace(fit=SimpleNamespace(terms=[None]), data=None, reviews=reviews, threshold=THRESHOLD)
-    (cautious,) = posterior.cautious_reviews(found)
+    (cautious,) = posterior.cautious_reviews(found_by(reviews))
     assert THRESHOLD < cautious.score < 637.0
     assert cautious.alternatives["friction_windup"] == pytest.approx(cautious.score - 57.0)
 

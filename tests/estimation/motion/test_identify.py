@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
+from cellapp.estimation.motion.discrepancy import allow_for_missing
+from cellapp.estimation.motion.fit import solve
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_fit, motion_problem
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.stamps import read_stamps
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.estimation.motion.simulated import SEVEN, UR10, record, sweep, true_arm
 
@@ -221,6 +224,19 @@ def test_blocks_that_the_file_holds_out_are_kept_apart(case):
 
 
 @pytest.mark.fast
+def test_play_that_a_fit_does_not_have_is_no_delay():
+    """Both act against the motion: without play among what may lack, the delay is off by ten standard errors."""
+    rng = np.random.default_rng(29)
+    arm = true_arm(rng, half_play=rng.uniform(0.0, 15e-6, 6))
+    recording = record(rng, arm, sweep(rng, 6, base_hz=0.03), seconds=100.0, slow=0.0)
+    its = RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True)
+    problem, rows = motion_problem(its, ignore_words)
+    rigid = problem.without_terms()
+    fit = motion_fit(rigid, allow_for_missing(rigid, solve(rigid, rows)))
+    assert clock_holds(fit.clocks["sweep"], 0.0178, -18.0)
+    assert fit.clocks["sweep"].offset_standard_error_s < 5e-6
+
+
 def test_what_little_excitation_leaves_open_is_said(case):
     arm, motion, _ = case
     rng = np.random.default_rng(15)

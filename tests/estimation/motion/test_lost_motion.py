@@ -105,3 +105,19 @@ def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file(constant, bell
     np.testing.assert_allclose(moved[:, 0], -30e-6 * approach[:, 0], rtol=1e-12)
     np.testing.assert_allclose(moved[:, 1], -80e-6 * approach[:, 1] + 60e-6 * left, rtol=1e-12)
     assert "deg by joint 2" in law.words([1])
+
+
+def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
+    """Joints that came to rest out of sight may lie on the side that their position does not tell."""
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 20.0, 0.008)
+    phases = np.select([t < 1.0, t < 8.0, t < 9.0, t < 15.0], [0.0, t - 1.0, 7.0, t - 2.0], 13.0)
+    kept = (t < 8.5) | (t > 8.8)
+    kept &= (t < 16.0) | (t > 16.5)  # what comes then rests to its end
+    motion = sweep(rng, 6, base_hz=0.1, harmonics=3)
+    path = joint_path(JointStream(time_s=t[kept], q=motion.at(phases[kept])))
+    begun = path.begun(t[kept])
+    rests = (t[kept] < 1.0) | ((t[kept] > 8.8) & (t[kept] < 9.0))
+    assert not begun[rests].any()
+    just_begun = (np.abs(t[kept] - 1.05) < 0.06) | (np.abs(t[kept] - 9.05) < 0.06)
+    assert begun[~rests & ~just_begun].all()

@@ -106,7 +106,7 @@ class _Factored:
         """None where the matrix is not positive definite: the noise is nearly zero."""
         active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
-        gram = data.gram if len(active) == len(variance) else data.gram[np.ix_(active, active)]
+        gram = data.gram if len(active) == len(variance) else data.gram[active].take(active, axis=1)
         A = gram * (root / noise)
         A *= root[:, None]
         A.flat[:: len(A) + 1] += 1.0
@@ -141,8 +141,9 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
     by_variance = np.zeros(len(variance))
     inverse = np.zeros(0)
     if len(active):
-        triangle = scipy.linalg.lapack.dtrtri(factored.lower, lower=1)[0]  # zero above the diagonal, as the factor
-        inverse = np.einsum("kl,kl->l", triangle, triangle)
+        # in single precision, which is enough for a gradient; zero above the diagonal, as the factor
+        triangle = scipy.linalg.lapack.strtri(factored.lower.astype(np.float32), lower=1)[0]
+        inverse = np.einsum("kl,kl->l", triangle, triangle).astype(np.float64)
         by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
     fitted = factored.root * solution
     explained = float(fitted @ data.moment[active])

@@ -132,14 +132,17 @@ def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
     return ProcessData.behind(normal, len(fit.rows), fit.precision, len(fit.residual))
 
 
-def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[StructuredProcess, Excess] | None:
+def fit_process(
+    data: ArmData, fit: JointFit, needed: float, candidates: Sequence[Component] | None = None
+) -> tuple[StructuredProcess, Excess] | None:
     """The process that the residuals of a fit need, and the scatter beyond the stated uncertainty; None for none.
 
-    ``needed`` is the gain of the score from which a component stays.
+    ``needed`` is the gain of the score from which a component stays, ``candidates`` those to choose from; by default
+    all that the data allow.
     """
     if len(data) < LEAST_READINGS:
         return None
-    candidates = components(data, fit)
+    candidates = components(data, fit) if candidates is None else candidates
     if not candidates:
         return None
     screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
+from cellapp.estimation.design.information import SMALLEST, VISIBLE, Behind, visible_root
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
 from cellapp.robot.kinematics.transforms import Array
@@ -38,12 +38,12 @@ _PSEUDO_INVERSE = 1e-10
 class BlockSelection:
     """The visible blocks of a candidate law and a residual to be explained.
 
-    ``projected`` are the law's rows behind the model's parameters (m, d), ``norms`` (m,) those of its rows before,
-    ``moments`` (m,) = B M y.
+    ``behind`` are the law's rows behind the model's parameters, ``norms`` (m,) those of its rows before, ``moments``
+    (m,) = B M y.
     """
 
     candidate: CandidateLaw
-    projected: Array
+    behind: Behind
     norms: Array
     moments: Array
     residual: ProjectedResidual
@@ -53,7 +53,7 @@ class BlockSelection:
     def of(
         cls,
         candidate: CandidateLaw,
-        projected: Array,
+        behind: Behind,
         visible_share: Array,
         residual: ProjectedResidual,
         *,
@@ -66,7 +66,7 @@ class BlockSelection:
         if all(candidate.refines(block) for block in blocks):
             return None
         norms = np.maximum(np.linalg.norm(candidate.rows, axis=1), SMALLEST)
-        return cls(candidate, projected, norms, candidate.rows @ residual.projected, residual, blocks)
+        return cls(candidate, behind, norms, candidate.rows @ residual.projected, residual, blocks)
 
     def select(self, price: float) -> tuple[Block, float]:
         """The chosen columns and their score; ``price`` is that of the law, paid again for each further line."""
@@ -85,7 +85,7 @@ class BlockSelection:
     @cached_property
     def _gram(self) -> Array:
         """Information (m, m) of all columns."""
-        return np.asarray(self.candidate.rows @ self.projected.T)
+        return self.behind.gram()
 
     def most(self) -> float:
         """A score, without the price of choosing the law, that no selection exceeds; infinite for very many columns."""
@@ -103,7 +103,7 @@ class BlockSelection:
         used: slice | NDArray[np.intp] = slice(None)
         if len(self.norms) > _MOST_AT_ONCE:
             used, place = np.unique(place, return_inverse=True)
-        gram = self._gram if isinstance(used, slice) else self.candidate.rows[used] @ self.projected[used].T
+        gram = self._gram if isinstance(used, slice) else self.behind.take(used).gram()
         norms, moments = self.norms[used], self.moments[used]
         first = np.cumsum(sizes) - sizes
         for size in np.unique(sizes).tolist():
@@ -160,10 +160,10 @@ class BlockSelection:
         """At most ``_MOST_TRIED`` blocks, those that explain most beside the chosen columns, each column on its own."""
         if len(blocks) <= _MOST_TRIED:
             return blocks
-        moments, information = self.moments, np.einsum("md,md->m", self.candidate.rows, self.projected)
+        moments, information = self.moments, self.behind.squares
         if chosen:
-            kept = list(chosen)
-            cross = self.candidate.rows @ self.projected[kept].T
+            kept = np.array(chosen, dtype=np.intp)
+            cross = self.behind.gram(self.behind.take(kept))
             inverse = np.linalg.pinv(cross[kept], rcond=_PSEUDO_INVERSE, hermitian=True)
             moments = moments - cross @ (inverse @ self.moments[kept])
             information = information - np.einsum("mk,kl,ml->m", cross, inverse, cross)

@@ -3,10 +3,10 @@
 A law has the functions f (k, n) of its variables in a channel whose directions move the SMR by u_d (3, n) per unit,
 whitened: its rows are f u_d. In the complement M = I - Q Q^T of a model's parameters its information and moments are
 
-    B M B^T = f diag(u_d . u_e) f^T - (f C_d) (f C_e)^T,    C_d = sum_a diag(u_da) Q_a,    (n, p)
+    B M B^T = f K_de f^T,    K_de = sum_ab diag(u_da) M_ab diag(u_eb),    (n, n)
     B M y = f (u_d . M y)
 
-for directions d, e, with Q_a and M y of coordinate a. C_d belongs to a direction alone, so that all families share it.
+for directions d, e, with M and M y of coordinates a, b. K belongs to directions alone, so that all families share it.
 The score is that of ``search.scan`` for a law of one block.
 """
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.design.information import visible_root
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
-from cellapp.estimation.discovery.projected_residual import MOST_SHARE
+from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.estimation.discovery.search.scan import NO_DISPLACEMENT
 from cellapp.robot.effects import Channel
 from cellapp.robot.effects.data_driven import DataChannel, channels
@@ -38,10 +39,9 @@ MOST_COLUMNS = 72
 
 @dataclass(frozen=True, eq=False)
 class _Direction:
-    """One direction of a channel: u (3, n), C (n, p), and u . M y (n,)."""
+    """One direction of a channel: u (3, n), and u . M y (n,)."""
 
     unit: Array
-    behind: Array
     moment: Array
 
 
@@ -53,26 +53,20 @@ class ChannelScan:
     ----------
     directions : mapping
         Those of each channel.
-    square : float
-        y^T M y.
-    coordinates : int
-        3 n.
+    residual : ProjectedResidual
     """
 
     directions: Mapping[DataChannel, tuple[_Direction, ...]]
-    square: float
-    coordinates: int
+    residual: ProjectedResidual
 
     @classmethod
     def of(cls, data: ArmData, fit: JointFit) -> ChannelScan:
         """Of all channels of an arm; a shift in any direction shares those of its parts."""
         n = len(data)
-        basis = fit.projector.basis.reshape(3, n, -1)
         left = fit.projected_residual.projected.reshape(3, n)
 
         def direction(unit: Array) -> _Direction:
-            behind = sum(unit[a][:, None] * basis[a] for a in range(3))
-            return _Direction(unit, np.asarray(behind), np.einsum("an,an->n", unit, left))
+            return _Direction(unit, np.einsum("an,an->n", unit, left))
 
         found: dict[DataChannel, tuple[_Direction, ...]] = {}
         several = []
@@ -86,43 +80,49 @@ class ChannelScan:
                 found[channel] = (direction(np.einsum("acn,nc->an", fit.white, moved)),)
         for channel in several:
             found[channel] = tuple(found[part][0] for part in channel.parts)
-        return cls(found, fit.projected_residual.square, 3 * n)
+        return cls(found, fit.projected_residual)
 
     def scores(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
         """Score (channels, families) of each law, without the price of choosing it; minus infinity where it is
         invisible or has too many columns."""
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
         batches = families.batches()
+
+        @cache  # channels share directions
+        def behind(one: _Direction, other: _Direction) -> Array:
+            # of the distinct functions: families share many, and one large product is faster than many small ones
+            return np.asarray(families.distinct @ self.residual.projector.kernel(one.unit, other.unit))
+
         for row, channel in enumerate(chosen):
             directions = self.directions[channel]
-            # of the distinct functions: families share many, and one large product is faster than many small ones
-            explained = [families.distinct @ one.behind for one in directions]
+            projected = [[behind(one, other) for other in directions[: k + 1]] for k, one in enumerate(directions)]
             for numbers, places in batches:
                 if len(directions) * places.shape[1] <= MOST_COLUMNS:
-                    those = [one[places] for one in explained]
+                    those = [[one[places] for one in row_of] for row_of in projected]
                     values[row, numbers] = self._scores(families.distinct[places], directions, those)
         return values
 
-    def _scores(self, functions: Array, directions: Sequence[_Direction], explained: Sequence[Array]) -> Array:
-        """Scores (b,) of the laws of b families of functions (b, k, n) in one channel; f C_d (b, k, p) is known."""
+    def _scores(
+        self, functions: Array, directions: Sequence[_Direction], projected: Sequence[Sequence[Array]]
+    ) -> Array:
+        """Scores (b,) of the laws of b families of functions f (b, k, n) in one channel; f K_de (b, k, n) is known."""
         size = functions.shape[1]
         gram = np.empty((len(functions), len(directions) * size, len(directions) * size))
         squares = np.empty((len(functions), len(directions) * size))
         for i, one in enumerate(directions):
             here = slice(i * size, (i + 1) * size)
             squares[:, here] = functions**2 @ np.einsum("an,an->n", one.unit, one.unit)
-            for j, other in enumerate(directions[: i + 1]):
+            for j, of_pair in enumerate(projected[i]):
                 there = slice(j * size, (j + 1) * size)
-                weighed = functions * np.einsum("an,an->n", one.unit, other.unit)
-                block = weighed @ functions.swapaxes(1, 2) - explained[i] @ explained[j].swapaxes(1, 2)
+                block = of_pair @ functions.swapaxes(1, 2)
                 gram[:, here, there] = block
                 gram[:, there, here] = block.swapaxes(1, 2)
         moments = np.concatenate([functions @ one.moment for one in directions], axis=1)
         norms = np.sqrt(squares)
         root, rank = visible_root(gram, norms)
         u = np.einsum("bkl,bk->bl", root, moments)
-        share = np.minimum(np.einsum("bl,bl->b", u, u) / self.square, MOST_SHARE)
-        value = -self.coordinates * np.log1p(-share) - rank * math.log(self.coordinates)
+        share = np.minimum(np.einsum("bl,bl->b", u, u) / self.residual.square, MOST_SHARE)
+        value = -len(self.residual) * np.log1p(-share) - rank * math.log(len(self.residual))
         return np.where((rank > 0) & (norms.max(axis=1) > NO_DISPLACEMENT), value, -np.inf)
 
 

@@ -17,7 +17,6 @@ from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import may_leave_placements_out, placement_gains
 from cellapp.estimation.discovery.search.addition import addition
-from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.search.tuning import apply_step
 from cellapp.robot.effects.joint_compliance import JointCompliance
@@ -32,18 +31,16 @@ _CLEAR = 1.5
 """t above: between one placement alone and four that gain alike (2)."""
 
 
-def with_effects_in_sockets(problem: SearchProblem, start: SearchState, scan: LawScan) -> SearchState:
+def with_effects_in_sockets(problem: SearchProblem, start: SearchState) -> SearchState:
     """The model with elastic joints if they hold, and with what else predicts the places that are left out."""
-    ranked = scan.ranked(start.fit.projected_residual)
+    ranked = start.scan(problem.slugs).ranked(start.fit.projected_residual)
     elastic = [score for score in ranked if score.slug == _FIRST]
     state = _first_that_holds(problem, start, elastic) or start
     while may_leave_placements_out(start.data) and len(state.fit.terms) < _MOST_EFFECTS:
         problem.cancel.check()
         problem.say(f"model with {len(state.fit.terms)} effects")
         left = [slug for slug in problem.slugs if slug not in state.slugs]
-        scores = LawScan.of(state.fit.candidates(state.data, left), state.fit.projector).ranked(
-            state.fit.projected_residual
-        )
+        scores = state.scan(left).ranked(state.fit.projected_residual)
         after = _best_elsewhere(problem, state, scores)
         if after is None:
             break

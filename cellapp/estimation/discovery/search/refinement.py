@@ -115,7 +115,7 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
         return None
     beyond = lines_beside(data.context, term.law)
     candidate = CandidateLaw(term.slug, term.law, tuple(beyond), fit.displacements(beyond))
-    found = shared_lines(candidate, fit.projected_residual)
+    found = shared_lines(candidate, fit.projected_residual, fit.by_joint)
     if found is None or found.value <= max(needed, problem.threshold):
         return None
     names = tuple(beyond[place].name for place in found.columns)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore, best_law_of_each_effect
+from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.records import RunnerUp
@@ -106,8 +106,7 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
         return Review(term, score, problem.p_value(score), ())
     residual = fit.residual_without(number)
     others = [slug for slug in problem.slugs if slug not in state.slugs]
-    scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
-    best = best_law_of_each_effect(scan.ranked(residual))
+    best = state.scan(others).behind_of(residual.projector).best_of_each_effect(residual)
     rivals = [
         RunnerUp(
             effect=rival.slug,

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_norms, visible_root
+from cellapp.estimation.design.information import SMALLEST, Behind, NuisanceProjector, visible_root
 from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.estimation.discovery.search.block_selection import BlockSelection
@@ -59,8 +59,8 @@ class LawScan:
     Attributes
     ----------
     candidates : tuple of CandidateLaw
-    rows, projected : arrays, shape (total m, d)
-        B and B M of all columns of all candidates.
+    behind : Behind
+        All columns of all candidates.
     first : array, shape (candidates,)
         First row of each candidate.
     visible_share : array, shape (total m,)
@@ -70,8 +70,7 @@ class LawScan:
     """
 
     candidates: tuple[CandidateLaw, ...]
-    rows: Array
-    projected: Array
+    behind: Behind
     first: NDArray[np.intp]
     visible_share: Array
     groups: tuple[_BlockGroup, ...]
@@ -87,11 +86,19 @@ class LawScan:
         for number, (begin, end) in enumerate(pairwise(first.tolist())):
             rows[begin:end] = own[number].rows
             own[number] = replace(own[number], rows=rows[begin:end])
-        projected = projector.project(rows)
+        return cls._of_rows(tuple(own), first[:-1], projector.behind(rows))
+
+    def behind_of(self, projector: NuisanceProjector) -> LawScan:
+        """The same laws in the complement of another model's parameters; the rows are shared."""
+        return self._of_rows(self.candidates, self.first, projector.behind(self.behind.rows))
+
+    @classmethod
+    def _of_rows(cls, candidates: tuple[CandidateLaw, ...], first: NDArray[np.intp], behind: Behind) -> LawScan:
+        rows = behind.rows
         norms = np.maximum(np.sqrt(np.einsum("md,md->m", rows, rows)), SMALLEST)  # no array of all squares
         by_size = grouped(
             (len(block), (number, block))
-            for number, one in enumerate(own)
+            for number, one in enumerate(candidates)
             for block in one.blocks
             if not one.refines(block)
         )
@@ -99,19 +106,18 @@ class LawScan:
         for entries in by_size.values():
             owner = np.array([number for number, _ in entries], dtype=np.intp)
             places = np.array([block for _, block in entries], dtype=np.intp)
-            groups.append(_block_group(rows, projected, norms, first, owner, places))
-        share = visible_norms(rows, projected) / norms
-        return cls(tuple(own), rows, projected, first[:-1], share, tuple(groups))
+            groups.append(_block_group(behind, norms, first, owner, places))
+        return cls(candidates, behind, first, np.sqrt(behind.squares) / norms, tuple(groups))
 
     def place(self, number: int) -> slice:
-        """Where the columns of a candidate are in ``rows``, ``projected`` and ``visible_share``."""
+        """Where the columns of a candidate are in ``behind`` and ``visible_share``."""
         begin = int(self.first[number])
         return slice(begin, begin + len(self.candidates[number].columns))
 
     def best_block_scores(self, projected: Array, squares: Array) -> Array:
         """Score (candidates, s) with the best single block of each, for residuals M y (d, s), y^T M y (s,)."""
         best = np.full((len(self.candidates), projected.shape[1]), -np.inf)
-        moments = self.rows @ projected
+        moments = self.behind.rows @ projected
         N = len(projected)
         price = np.array([choice_price(one.law) for one in self.candidates])
         for group in self.groups:
@@ -131,15 +137,30 @@ class LawScan:
         Blocks that only refine others join ``with_refinements`` alone: a name is given for an effect's main blocks. Of
         each effect only the laws with the best single blocks are selected in full.
         """
+        numbers = self._ahead(residual)
+        found = [self.score(number, residual, with_refinements=with_refinements, least=least) for number in numbers]
+        return sorted((one for one in found if one is not None), key=lambda score: -score.value)
+
+    def best_of_each_effect(self, residual: ProjectedResidual, least: float = -math.inf) -> list[LawScore]:
+        """The best law of each effect, as ``ranked``: laws that cannot be better than one before are not selected."""
+        best: dict[str, LawScore] = {}
+        for number in self._ahead(residual):
+            slug = self.candidates[number].slug
+            known = best.get(slug)
+            one = self.score(number, residual, with_refinements=False, least=least if known is None else known.value)
+            if one is not None and (known is None or one.value > known.value):
+                best[slug] = one
+        return sorted(best.values(), key=lambda score: -score.value)
+
+    def _ahead(self, residual: ProjectedResidual) -> list[int]:
+        """The laws of each effect with the best single blocks, the best first."""
         ahead = self.best_block_scores(residual.projected[:, None], np.array([residual.square]))[:, 0]
         by_slug = grouped(
             (self.candidates[number].slug, number)
             for number in np.argsort(-ahead, kind="stable").tolist()
             if np.isfinite(ahead[number])
         )
-        numbers = [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
-        found = [self.score(number, residual, with_refinements=with_refinements, least=least) for number in numbers]
-        return sorted((one for one in found if one is not None), key=lambda score: -score.value)
+        return [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
 
     def score(
         self,
@@ -155,7 +176,7 @@ class LawScan:
         """
         one, place = self.candidates[number], self.place(number)
         selection = BlockSelection.of(
-            one, self.projected[place], self.visible_share[place], residual, with_refinements=with_refinements
+            one, self.behind.take(place), self.visible_share[place], residual, with_refinements=with_refinements
         )
         if selection is None:
             return None
@@ -167,8 +188,7 @@ class LawScan:
 
 
 def _block_group(
-    rows: Array,
-    projected: Array,
+    behind: Behind,
     norms: Array,
     first: NDArray[np.intp],
     owner: NDArray[np.intp],
@@ -179,8 +199,7 @@ def _block_group(
     size = places.shape[1]
     gram = np.empty((len(chosen), size, size))
     for begin in range(0, len(chosen), _GRAMS_AT_ONCE):
-        some = chosen[begin : begin + _GRAMS_AT_ONCE]
-        gram[begin : begin + _GRAMS_AT_ONCE] = rows[some] @ projected[some].swapaxes(1, 2)
+        gram[begin : begin + _GRAMS_AT_ONCE] = behind.take(chosen[begin : begin + _GRAMS_AT_ONCE]).gram()
     root, rank = visible_root(gram, norms[chosen])
     moves = norms[chosen].max(axis=1) > NO_DISPLACEMENT
     return _BlockGroup(owner, places, root * moves[:, None, None], np.where(moves, rank, 0))

@@ -63,38 +63,44 @@ class _Bands:
     """
 
     rows: Array
-    projected: Array
+    residual: ProjectedResidual
     moments: Array
     places: NDArray[np.intp]
     own: Array
     alternatives: NDArray[np.intp]
 
     @classmethod
-    def of(cls, candidate: CandidateLaw, residual: ProjectedResidual) -> _Bands:
+    def of(cls, candidate: CandidateLaw, residual: ProjectedResidual, by_joint: Array) -> _Bands:
         counts = sorted({column.cycles or 0 for column in candidate.columns})
         joints = sorted({column.joint or 0 for column in candidate.columns})
         at = {(one.cycles, one.joint): k for k, one in reversed([*enumerate(candidate.columns)])}  # cosine, then sine
         places = np.array([[[at[n, joint], at[n, joint] + 1] for joint in joints] for n in counts], dtype=np.intp)
         rows = candidate.rows
-        projected = residual.projector.project(rows)
-        own = np.einsum("cjkd,cjld->cjkl", rows[places], projected[places])
+        offsets = np.array([one.offset for one in candidate.columns])
+        own = np.empty((*places.shape, 2))
+        for place, joint in enumerate(joints):
+            waves = offsets[places[:, place]]
+            own[:, place] = (waves @ residual.projector.kernel(by_joint[:, joint])) @ waves.swapaxes(1, 2)
         expected = np.isin(counts, _PERIODS)
         alternatives = 2 * np.where(expected, expected.sum(), (~expected).sum())
-        return cls(rows, projected, rows @ residual.projected, places, own, alternatives)
+        return cls(rows, residual, rows @ residual.projected, places, own, alternatives)
 
     def beside(self, taken: Sequence[int], amplitude: float) -> tuple[Array, Array]:
         """Information (c, J, 2, 2) and moments (c, J, 2) of each pair beside columns ``taken`` with their prior."""
         kept = list(taken)
-        cross = self.rows @ self.projected[kept].T
+        cross = self.rows @ self.residual.projector.project(self.rows[kept]).T
         inverse = np.linalg.inv(cross[kept] + np.eye(len(kept)) / amplitude**2)
         moments = self.moments - cross @ (inverse @ self.moments[kept])
         known = cross[self.places]
         return self.own - np.einsum("cjka,ab,cjlb->cjkl", known, inverse, known), moments[self.places]
 
 
-def shared_lines(candidate: CandidateLaw, residual: ProjectedResidual) -> ChosenLines | None:
-    """The lines that a residual needs; None where it needs none. The candidate's columns are waves of joints."""
-    bands = _Bands.of(candidate, residual)
+def shared_lines(candidate: CandidateLaw, residual: ProjectedResidual, by_joint: Array) -> ChosenLines | None:
+    """The lines that a residual needs; None where it needs none.
+
+    The candidate's columns are waves of joints, which move the SMR by ``by_joint`` (3, N, n) per radian, whitened.
+    """
+    bands = _Bands.of(candidate, residual, by_joint)
     best = max((_chosen(bands, amplitude) for amplitude in _AMPLITUDES), key=lambda one: one.value)
     return best if best.columns else None
 

@@ -12,13 +12,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.estimation.design.information import VISIBLE, NuisanceProjector, detectable_size, visible_norms
+from cellapp.estimation.design.information import VISIBLE, NuisanceProjector, detectable_size
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.robot.kinematics.transforms import Array
 
 _TAIL = 0.15
 """Share of the highest null maxima whose excess is taken as exponential (peaks over threshold): 60 of the default 400
 simulations, enough to estimate its mean to 13 %."""
+
+_AT_ONCE = 100
+"""Simulations that are scored together: bounds the memory."""
 
 
 def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulations: int, seed: tuple[int, ...]) -> Array:
@@ -27,11 +30,14 @@ def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulation
     One block of each candidate is tried: the larger gain that a second one needs leaves high quantiles as they are.
     """
     y = np.random.default_rng(seed).standard_normal((len(projector.basis), simulations))
-    projected = projector.project(y.T).T
-    squares = np.einsum("ds,ds->s", y, projected)
     if not scan.candidates:
         return np.full(simulations, -math.inf)
-    return np.sort(scan.best_block_scores(projected, squares).max(axis=0))
+    maxima = []
+    for first in range(0, simulations, _AT_ONCE):
+        some = y[:, first : first + _AT_ONCE]
+        projected = projector.project(some.T).T
+        maxima.append(scan.best_block_scores(projected, np.einsum("ds,ds->s", some, projected)).max(axis=0))
+    return np.sort(np.concatenate(maxima))
 
 
 def score_threshold(null_maxima: Array, false_alarm: float) -> float:
@@ -57,8 +63,8 @@ def corrected_p_value(null_maxima: Array, score: float) -> float:
 def smallest_detectable(scan: LawScan, number: int, threshold: float) -> Mapping[str, float]:
     """Smallest size of each single column of a candidate that would pass ``threshold``; infinite where invisible."""
     one, place = scan.candidates[number], scan.place(number)
-    norms = visible_norms(scan.rows[place], scan.projected[place])
-    needed = threshold + math.log(scan.rows.shape[1]) + choice_price(one.law)
+    norms = np.sqrt(scan.behind.squares[place])
+    needed = threshold + math.log(scan.behind.rows.shape[1]) + choice_price(one.law)
     return {
         column.name: detectable_size(norm, needed) if share > VISIBLE else math.inf
         for column, norm, share in zip(one.columns, norms.tolist(), scan.visible_share[place].tolist(), strict=True)

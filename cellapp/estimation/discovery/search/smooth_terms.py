@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from cellapp.estimation.discovery.joint_fit import refit
+from cellapp.estimation.discovery.process.components import Component, components
 from cellapp.estimation.discovery.process.structured import fit_process, process_terms
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.estimation.discovery.terms import has_smooth_terms
-from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects.base_motion import BaseDrift
 
 
 def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
@@ -16,7 +19,30 @@ def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState
     if has_smooth_terms(state.fit.terms):
         return None
     problem.say("free functions of joints, loads and time")
-    found = fit_process(state.data, state.fit, max(problem.threshold, SCORE_MARGIN))
+    return _with_process(problem, state)
+
+
+def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with one smooth drift of the base in place of its effects of time; None where it has fewer than two.
+
+    What wanders looks like steps and warming up, one after the other.
+    """
+    of_time = [
+        term.is_library_effect and DriverVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
+    ]
+    if sum(of_time) < 2 or has_smooth_terms(state.fit.terms):
+        return None
+    others = tuple(term for term, out in zip(state.fit.terms, of_time, strict=True) if not out)
+    rest = problem.state(others, state)
+    drifts = [one for one in components(rest.data, rest.fit) if one.slug == BaseDrift.slug]
+    return _with_process(problem, rest, drifts)
+
+
+def _with_process(
+    problem: SearchProblem, state: SearchState, candidates: Sequence[Component] | None = None
+) -> SearchState | None:
+    """The state with the smooth terms that its residuals need, of some or of all; None where they need none."""
+    found = fit_process(state.data, state.fit, max(problem.threshold, SCORE_MARGIN), candidates)
     if found is None:
         return None
     terms = (*state.fit.terms, *process_terms(*found))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -48,6 +48,20 @@ class SearchState:
     def slugs(self) -> set[str]:
         """Effects in the model."""
         return {term.slug for term in self.fit.terms}
+
+    def scan(self, slugs: Sequence[str]) -> LawScan:
+        """Scan of all laws of some effects beside the model; the last one is kept until it is given up."""
+        key = (LawScan, tuple(slugs))
+        if key not in self.fit.derived:
+            self.give_up_scan()
+            self.fit.derived[key] = LawScan.of(self.fit.candidates(self.data, slugs), self.fit.projector)
+        found: LawScan = self.fit.derived[key]
+        return found
+
+    def give_up_scan(self) -> None:
+        """Free the memory of ``scan``, tens of megabytes."""
+        for key in [key for key, kept in self.fit.derived.items() if isinstance(kept, LawScan)]:
+            del self.fit.derived[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +135,6 @@ class SearchResult:
         The final model on the readings that were searched.
     geometry_only : JointFit
         The fit before the search.
-    scan : LawScan
-        Of all candidates beside the geometry.
     reviews : tuple of Review
         One for each term of ``fit``.
     steps, dropped
@@ -131,21 +143,18 @@ class SearchResult:
         Score that an effect had to pass.
     improbable : mapping
         Effects that were found but dropped, as they are more probably not there than there, with their probabilities.
-    remaining, posteriors : LawScan, Posteriors, or None
-        Scan of all effects that the final model does not have, and the probabilities; None of another fit than that in
-        which the search ended.
+    posteriors : Posteriors or None
+        The probabilities; None of another fit than that in which the search ended.
     """
 
     data: ArmData
     fit: JointFit
     geometry_only: JointFit
-    scan: LawScan
     reviews: tuple[Review, ...]
     steps: tuple[SearchStep, ...]
     dropped: tuple[str, ...]
     threshold: float
     improbable: Mapping[str, float] = field(default_factory=dict)
-    remaining: LawScan | None = None
     posteriors: Posteriors | None = None
 
     @property
@@ -156,7 +165,7 @@ class SearchResult:
 
     def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
         """This result with another fit of the final model."""
-        return replace(self, data=data, fit=fit, reviews=reviews, remaining=None, posteriors=None)
+        return replace(self, data=data, fit=fit, reviews=reviews, posteriors=None)
 
     def without_terms(self) -> SearchResult:
         """This result with the geometry alone: everything that was added counts as dropped."""

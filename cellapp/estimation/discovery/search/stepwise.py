@@ -16,7 +16,7 @@ from functools import cache, partial
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
+from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, reweighted
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
@@ -31,9 +31,8 @@ from cellapp.estimation.discovery.search.free_part import (
 from cellapp.estimation.discovery.search.in_sockets import with_effects_in_sockets
 from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.review import review, reviewed
-from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
-from cellapp.estimation.discovery.search.smooth_terms import with_smooth_terms
+from cellapp.estimation.discovery.search.smooth_terms import with_one_drift, with_smooth_terms
 from cellapp.estimation.discovery.search.state import (
     SCORE_MARGIN,
     Posteriors,
@@ -79,15 +78,14 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     start = SearchState(weighed.at(fit.model), fit)
     if len(fit.residual) - fit.projector.effective_parameters < LEAST_FREEDOM:
         slugs = ()
-    scan = LawScan.of(fit.candidates(start.data, slugs), fit.projector)
     seed = (data.profile.seed, _NULL_SEED)
-    null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, seed)
+    null_maxima = simulate_null_maxima(start.scan(slugs), fit.projector, settings.null_simulations, seed)
     threshold = score_threshold(null_maxima, settings.false_alarm)
     problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
     progress.step("effects of the library")
-    best = _best_model(problem, start, scan, progress)
+    best = _best_model(problem, start, progress)
     progress.finish("review and rivals")
-    return _probable(problem, _result(problem, best, fit, scan), best)
+    return _probable(problem, _result(problem, best, fit), best)
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
@@ -102,7 +100,7 @@ def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[t
     return answers
 
 
-def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit, scan: LawScan) -> SearchResult:
+def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit) -> SearchResult:
     """The outcome of a search that ends in some state, with the rivals of each of its terms."""
     reviews = []
     for number, term in enumerate(state.fit.terms):
@@ -113,7 +111,6 @@ def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit,
         data=state.data,
         fit=state.fit,
         geometry_only=geometry_only,
-        scan=scan,
         reviews=tuple(reviews),
         steps=state.steps,
         dropped=state.dropped,
@@ -129,8 +126,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     search without it ends in a model that is no worse; else no rival in its place can score more than that leaves.
     """
     while True:
-        scan = remaining_scan(found)
-        probable = posteriors_of(found, scan)
+        probable = posteriors_of(found, remaining_scan(found))
         doubtful = [
             (probability, number)
             for number, (probability, led) in enumerate(_probability_of_answers(found, probable))
@@ -138,6 +134,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
         ]
         reviews = list(found.reviews)
         for probability, number in sorted(doubtful):
+            state.give_up_scan()
             without, rest = _searched_without(problem, state, number)
             worse = criterion(rest.fit) - criterion(state.fit)
             if probability < _EVEN_ODDS or worse <= 0.0:
@@ -147,10 +144,10 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             reviews[number] = replace(reviews[number], alternatives=alternatives)
         else:
             found = replace(found, reviews=tuple(reviews))
-            return replace(found, remaining=scan, posteriors=posteriors_of(found, scan) if doubtful else probable)
+            return replace(found, posteriors=posteriors_of(found, remaining_scan(found)) if doubtful else probable)
         improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
-        found = replace(_result(problem, state, found.geometry_only, found.scan), improbable=improbable)
+        found = replace(_result(problem, state, found.geometry_only), improbable=improbable)
 
 
 def _searched_without(problem: SearchProblem, state: SearchState, number: int) -> tuple[SearchProblem, SearchState]:
@@ -193,16 +190,19 @@ class _SearchProgress:
         self.say(words)
 
 
-def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progress: _SearchProgress) -> SearchState:
+def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchProgress) -> SearchState:
     """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
     if start.data.points is not None:
-        return reviewed(problem, with_effects_in_sockets(problem, start, scan))
-    named = reviewed(problem, _with_library_effects(problem, start, scan))
+        return reviewed(problem, with_effects_in_sockets(problem, start))
+    named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
     before_names = cache(partial(with_smooth_terms, problem, start))
     beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
+    named.give_up_scan()
     if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
+    drift = with_one_drift(problem, named)
+    named = named if drift is None else best_state([named, drift])  # one cause is one unknown
     instead = in_place_of_names(problem, start, named)
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
@@ -210,7 +210,7 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
     free = _with_free_functions(problem, before_names(), named)
     if best_state([best, free]) is not best:
         best = free
-    if floor_reached(best):
+    if floor_reached(best) and best is not free:  # a free function reaches it whatever the cause
         return best
     # where one unknown law replaces all names, names beside it would only share it
     bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
@@ -238,8 +238,7 @@ def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: Se
     lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
-    scan = LawScan.of(named.fit.candidates(named.data, problem.slugs), named.fit.projector)
-    scores = best_law_of_each_effect(scan.ranked(named.fit.projected_residual, least=0.0))
+    scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
     return lead > sum(max(score.value, 0.0) for score in scores)
 
 
@@ -258,18 +257,19 @@ def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
     return reviewed(problem, _with_library_effects(problem, state))
 
 
-def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawScan | None = None) -> SearchState:
-    """Add and refine effects of the library while one passes; ``scan`` is that of the first step, if known."""
+def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchState:
+    """Add and refine effects of the library while one passes."""
     refused: set[tuple[str, str]] = set()
     refining, freed = True, False
     for _ in range(_MOST_STEPS):
         problem.cancel.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
-        step = _next_step(problem, state, scan, refused, refining=refining)
+        step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
             free = None if freed else with_free_parts(problem, state)
             if free is not None:  # what the laws leave over is out of the way: look once more
-                state, scan, freed = free, None, True
+                state.give_up_scan()
+                state, freed = free, True
                 continue
             if step is None:
                 break
@@ -280,14 +280,14 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
         if step.slug in state.slugs and best_state([after, state]) is state:
             refining = False  # the refinement was better in the linear scan only
             continue
-        state, scan, freed = after, None, False
+        state.give_up_scan()
+        state, freed = after, False
     return state
 
 
 def _next_step(
     problem: SearchProblem,
     state: SearchState,
-    scan: LawScan | None,
     refused: set[tuple[str, str]],
     *,
     refining: bool,
@@ -297,12 +297,9 @@ def _next_step(
     Laws that do not hold join ``refused``.
     """
     fit = state.fit
-    if scan is None:
-        left = [slug for slug in problem.slugs if slug not in state.slugs]
-        scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
-    scores = [
-        score for score in scan.ranked(fit.projected_residual, least=problem.threshold) if score.key not in refused
-    ]
+    left = [slug for slug in problem.slugs if slug not in state.slugs]
+    ranked = state.scan(left).ranked(fit.projected_residual, least=problem.threshold)
+    scores = [score for score in ranked if score.key not in refused]
     # beside smooth functions laws are seldom off, and their refinement is costly: last
     late = has_smooth_terms(fit.terms)
     if refining and not late:

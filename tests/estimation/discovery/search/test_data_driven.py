@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -12,8 +14,10 @@ from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.process.structured import fit_process, process_terms
 from cellapp.estimation.discovery.search.channel_scan import MOST_COLUMNS, ChannelScan, Families
+from cellapp.estimation.discovery.search.comparison import best_state
 from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.smooth_terms import with_one_drift
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.search.whole_field import BesideField
@@ -107,6 +111,28 @@ def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, slu
     data, _ = readings_with(np.zeros_like, lambda p: shift)
     found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), CancelToken())
     assert [term.slug for term in found.fit.terms] == [slug]
+
+
+def named(problem: SearchProblem, start: SearchState, slugs: Sequence[str]) -> SearchState:
+    """A state with the middle law of some effects."""
+    laws = [EFFECTS[slug].laws(start.data.context) for slug in slugs]
+    middle = [(slug, some[len(some) // 2]) for slug, some in zip(slugs, laws, strict=True)]
+    names = [tuple(column.name for column in start.data.columns(slug, law)) for slug, law in middle]
+    terms = [ModelTerm(slug, law, its) for (slug, law), its in zip(middle, names, strict=True)]
+    return problem.state(tuple(terms), start)
+
+
+def test_what_wanders_is_one_drift_and_not_several_effects_of_time():
+    phase = 2.0 * np.pi * np.arange(200) / 200.0
+    path = np.sin(1.3 * phase + 0.8) + 0.4 * np.sin(4.1 * phase)
+    data, _ = readings_with(np.zeros_like, lambda p: 60e-6 * path[:, None] * np.array([1.0, 0.6, -0.4]))
+    problem, start = searched(*refit(data, ()))
+    two = named(problem, start, ["base_step", "base_drift"])
+    one = with_one_drift(problem, two)
+    assert one is not None
+    assert [(term.slug, term.law.name) for term in one.fit.terms] == [("base_drift", "smooth")]
+    assert best_state([two, one]) is one
+    assert with_one_drift(problem, named(problem, start, ["base_step", "encoder_eccentricity"])) is None
 
 
 @pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])

@@ -11,6 +11,7 @@ from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.candidates import CandidateLaw
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.robot.effects import EffectColumn
 from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem
 
 pytestmark = pytest.mark.fast
@@ -20,7 +21,7 @@ def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
     one = problem(0)
     y = one.noise()
     joint = np.linalg.lstsq(np.hstack([one.design, one.first.rows.T]), y, rcond=None)[0][-3:]
-    projected = one.scan.projected[one.scan.place(0)]
+    projected = one.projector.project(one.first.rows)
     alone = np.linalg.lstsq(projected.T, one.visible(y), rcond=None)[0]
     np.testing.assert_allclose(alone, joint, atol=1e-12)
 
@@ -45,10 +46,38 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
     y = one.visible(one.first.rows[2] * 0.3 + one.noise())
     best = one.ranked(y)[0]
     assert (best.slug, best.names) == ("first", ("c",))
-    projected = one.scan.projected[one.scan.place(0)][[2]]
+    projected = one.projector.project(one.first.rows[[2]])
     left = y - projected.T @ np.linalg.lstsq(projected.T, y, rcond=None)[0]
     assert best.value == pytest.approx(-N * np.log(left @ left / (y @ y)) - np.log(N), rel=1e-9)
     assert one.residual(y).bic_gain(one.first.rows[[2]]) == pytest.approx(best.value, rel=1e-9)
+
+
+def test_the_best_law_of_each_effect_is_its_first_of_all() -> None:
+    """Whatever is left unselected, as its bound says that another law of the effect is better."""
+    one = problem(3)
+    laws = [CandidateLaw(f"effect {k % 3}", PLAIN.law(), columns(k), one.rng.normal(size=(4, N))) for k in range(24)]
+    scan = one.scan_of(*laws)
+    residual = one.residual(one.visible(sum(law.rows[k % 4] for k, law in enumerate(laws)) + one.noise()))
+    first = {score.slug: score for score in reversed(scan.ranked(residual))}
+    best = scan.best_of_each_effect(residual)
+    assert [score.value for score in best] == sorted((score.value for score in best), reverse=True)
+    assert {score.slug: (score.value, score.names) for score in best} == {
+        slug: (score.value, score.names) for slug, score in first.items()
+    }
+
+
+def test_the_laws_beside_another_model_are_those_of_a_scan_of_its_own() -> None:
+    one, other = problem(4), problem(5)
+    residual = other.residual(other.visible(one.first.rows[0] + one.noise()))
+    found = one.scan.behind_of(other.projector).ranked(residual)
+    wanted = other.scan_of(*one.scan.candidates).ranked(residual)
+    assert [(score.slug, score.names, score.value) for score in found] == [
+        (score.slug, score.names, score.value) for score in wanted
+    ]
+
+
+def columns(number: int) -> tuple[EffectColumn, ...]:
+    return tuple(column(f"x{number} {k}", f"joint {k}") for k in range(4))
 
 
 def test_choosing_among_laws_has_its_price() -> None:

@@ -35,7 +35,11 @@ def found(seed: int, *lines: tuple[int, int, float]) -> ChosenLines | None:
         y[JOINTS.index(joint)] += LEVER_M / SIGMA_M * amplitude * np.sin(cycles * CONTEXT.q[:, joint] + 0.4)
     nuisance = rng.standard_normal((40, 3 * READINGS))
     residual = ProjectedResidual(NuisanceProjector.of(nuisance), y.ravel())
-    return shared_lines(CandidateLaw("transmission_error", LAW, tuple(COLUMNS), rows.reshape(len(rows), -1)), residual)
+    by_joint = np.zeros((3, CONTEXT.q.shape[1], READINGS))
+    for axis, joint in enumerate(JOINTS):
+        by_joint[axis, joint] = LEVER_M / SIGMA_M
+    candidate = CandidateLaw("transmission_error", LAW, tuple(COLUMNS), rows.reshape(len(rows), -1))
+    return shared_lines(candidate, residual, by_joint)
 
 
 def offset(column: EffectColumn) -> Array:
