@@ -12,9 +12,11 @@ import gc
 import shutil
 from collections import Counter
 from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.testing
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 
@@ -103,6 +105,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Prepare a process; whoever names files or folders wants all of their tests."""
     leave_the_processor(config)
     gc.set_threshold(*_COLLECTED_AFTER)
+    build = "_get_command"  # all commands, before each that a runner invokes
+    setattr(typer.testing, build, cache(getattr(typer.testing, build)))
     if not hasattr(config, "workerinput") and config.args_source != pytest.Config.ArgsSource.TESTPATHS:
         config.option.long_tests = True
 

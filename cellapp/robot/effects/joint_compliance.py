@@ -255,15 +255,17 @@ def _corrections_by_body(context: EffectContext, names: Collection[str] | None) 
     """``moment{j}_{i}``: torque of body i alone about joint j; the payload counts to the last body."""
     masses, joints = context.bodies.masses, context.joints
     last = joints - 1
-    by_body = [context.loads.torques_of(i) for i in range(joints)]
-    by_body[last] = by_body[last] + context.loads.torques_of(-1)
-    columns = []
-    for j in range(joints):
-        for i in range(j, joints):
-            name = f"moment{j + 1}_{i + 1}"
-            if (masses[i] != 0.0 or i == last) and (names is None or name in names):
-                columns.append(_correction(name, j, by_body[i][:, j], name))
-    return columns
+    wanted = [
+        (j, i, name)
+        for j in range(joints)
+        for i in range(j, joints)
+        for name in (f"moment{j + 1}_{i + 1}",)
+        if (masses[i] != 0.0 or i == last) and (names is None or name in names)
+    ]
+    by_body = {i: context.loads.torques_of(i) for i in {i for _, i, _ in wanted}}
+    if last in by_body:
+        by_body[last] = by_body[last] + context.loads.torques_of(-1)
+    return [_correction(name, j, by_body[i][:, j], name) for j, i, name in wanted]
 
 
 def _torques_of_unit_masses(

@@ -65,6 +65,11 @@ class GravityLoads:
         first_moments = self.masses[:, :, None] * self.centers
         return np.cumsum(self.masses[::-1], axis=0)[::-1], np.cumsum(first_moments[::-1], axis=0)[::-1]
 
+    @cached_property
+    def _torque_by_lever(self) -> Array:
+        """Times a lever from a joint: the torque of 1 kg at its end about the joint's axis (N, n, 3) [m/s^2]."""
+        return np.cross(self.gravity, self.rotations[:-1, :, :, 2])
+
     def beyond(self, frame: int) -> tuple[Array, Array]:
         """Weight (n, 3) [N] of all masses beyond D-H frame ``frame``, and its moment (n, 3) [Nm] about its origin.
 
@@ -91,8 +96,7 @@ class GravityLoads:
         joints = len(self.origins) - 1
         place = mass % (joints + 1)
         levers = self.centers[place] - self.origins[:-1]
-        axes = self.rotations[:-1, :, :, 2]
-        torques = np.einsum("jna,jna->nj", np.cross(self.gravity, axes), levers) * self.masses[place][:, None]
+        torques = np.einsum("jna,jna->nj", self._torque_by_lever, levers) * self.masses[place][:, None]
         torques[:, place + 1 :] = 0.0
         return np.asarray(torques)
 
