@@ -43,16 +43,22 @@ class Series:
     R_M_F: Array
 
 
-def series(seed: int, count: int, *, shift: Mapping[str, Array] | None = None) -> dict[str, Series]:
+def series(
+    seed: int, count: int, *, shift: Mapping[str, Array] | None = None, short_ways: bool = False
+) -> dict[str, Series]:
     """Readings of both arms at ``count`` stops of a twin drawn with ``seed``; ``shift`` (n, 3) [m] is added to points.
 
-    Each joint's approach follows from the order of the stops.
+    Each joint's approach follows from the order of the stops: random, or by ``short_ways`` of joint 1 of the left arm
+    in four turns over its range, as a plan visits them.
     """
     rng = np.random.default_rng([seed, 77])
     profile = twin()
     assert profile.plant is not None
     plant = build_plant(profile.model_copy(update={"plant": profile.plant.model_copy(update={"seed": seed})}))
     rows = rng.permutation(_POOL)[:count]
+    if short_ways:
+        turns = np.array_split(rows, 4)
+        rows = np.concatenate([turn[np.argsort(_pool()["left"][turn, 0])] for turn in turns])
     q = {name: stops[rows] for name, stops in _pool().items()}
     found = {}
     for name in q:

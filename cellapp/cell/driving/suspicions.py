@@ -237,7 +237,7 @@ class Suspicions:
         found = []
         for name in sums:
             found += _slip(name, *sums[name], freedom[name], depends[name])
-            found += _play(name, sums[name][0], freedom[name])
+            found += _play(name, sums[name][0], freedom[name], depends[name])
             if len(sums) > 1:
                 found += _motion("move", name, *sums[name], freedom[name], depends[name])
         explained = {arm for _, arm in self._quiet}
@@ -247,7 +247,7 @@ class Suspicions:
             least, most = min(freedom[name] for name in free), max(depends[name] for name in free)
             found += _motion("move", None, linear, squared, least, most)
             found += _motion("drift", None, linear, squared, least, most)
-            found += _play(None, linear, least) if len(sums) > 1 else []
+            found += _play(None, linear, least, most) if len(sums) > 1 else []
         return found
 
     def _changes(self, explanations: list[_Explanation]) -> list[Suspicion]:
@@ -350,8 +350,12 @@ def _best(
     return [_Explanation(kind, arm, largest, parameters, chance, values[place, :, 1], stops)]
 
 
-def _play(arm: str | None, linear: Array, freedom: float) -> list[_Explanation]:
-    """The best increase of the scatter, as a list of one; empty without readings."""
+def _play(arm: str | None, linear: Array, freedom: float, depends: float) -> list[_Explanation]:
+    """The best increase of the scatter, as a list of one; empty without readings.
+
+    Squares of alike neighbours are hardly alike, so that its chance needs no allowance; its gain is compared with those
+    of other patterns, and has the same as these.
+    """
     coordinates = 3.0 * linear[_SUDDEN, _COUNT]
     ratio = np.maximum(linear[_SUDDEN, _SQUARE] / np.maximum(coordinates, 1.0), 1.0)
     gain = coordinates * (ratio - 1.0 - np.log(ratio))
@@ -359,7 +363,7 @@ def _play(arm: str | None, linear: Array, freedom: float) -> list[_Explanation]:
     if gain[place] <= 0.0:
         return []
     chance = float(scipy.special.fdtrc(coordinates[place], freedom, ratio[place]))
-    return [_Explanation("play", arm, float(gain[place]), 1, chance, np.zeros(0), _STEPS[place])]
+    return [_Explanation("play", arm, float(gain[place]) / depends, 1, chance, np.zeros(0), _STEPS[place])]
 
 
 def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:

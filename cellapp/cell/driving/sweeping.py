@@ -18,15 +18,17 @@ from cellapp.cell.driving.live_sweep import LiveSweep
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording
-from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
+from cellapp.cell.run.recordings_csv import Key, RecordedStreams, checked_recording
 from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column, stems
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import SweepLive
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
+from drivers.plant.sweep import SweepRecord
 
 CYCLE_S = 0.008
 """Time between two joint positions of a sweep that a simulated controller is given [s]."""
@@ -105,9 +107,8 @@ class Sweeps:
             own = paths.pop(sweep.arm)
             found = calculated(sweep.arm, own, CYCLE_S, paths)
             beside = self._beside(sweep, at, len(found.q), next(iter(found.beside_q.values()), None))
-            joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
-            points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
-            store_recording(self._run, self._streams(sweep, sweep.name, joints, points))
+            key = (sweep.arm, sweep.name)
+            store_recording(self._run, calculated_streams(self._run.profile, key, found, beside, self._session))
             live.calculated(found)
             return True
         stored = 0
@@ -128,7 +129,7 @@ class Sweeps:
         """Store a part of a sweep; whether it could be."""
         name = self._free_name(sweep)
         try:
-            recorded = self._streams(sweep, name, *_columns(part))
+            recorded = _checked(self._run.profile, (sweep.arm, name), *_columns(part), self._session)
         except InputError as error:
             self._note(f"stop {sweep.stop + 1}: a part of the sweep of arm {sweep.arm} is not kept: {error}")
             return False
@@ -153,12 +154,22 @@ class Sweeps:
         names = (sweep.name, *(f"{sweep.name}.{number}" for number in range(2, len(taken) + 2)))
         return next(name for name in names if name not in taken)
 
-    def _streams(
-        self, sweep: PlannedSweep, name: str, joints: Mapping[str, Array], points: Mapping[str, Array]
-    ) -> RecordedStreams:
-        where = Path(f"{name} of arm {sweep.arm}")
-        samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (joints, points))
-        return checked_recording(self._run.profile, (sweep.arm, name), samples, seen, self._session)
+
+def calculated_streams(
+    profile: Profile, key: Key, found: SweepRecord, beside: Array | None, session: str
+) -> RecordedStreams:
+    """What a simulated cell calculated of a sweep, as a recording of the arm and name ``key``; ``beside`` (n, K) [rad]
+    are joint positions of the other arm at the stamps of the joints."""
+    joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
+    return _checked(profile, key, joints, _point_columns(found.point_time_s, found.p_M, found.sigma_m), session)
+
+
+def _checked(
+    profile: Profile, key: Key, joints: Mapping[str, Array], points: Mapping[str, Array], session: str
+) -> RecordedStreams:
+    where = Path(f"{key[1]} of arm {key[0]}")
+    samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (joints, points))
+    return checked_recording(profile, key, samples, seen, session)
 
 
 def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:

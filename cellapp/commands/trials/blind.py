@@ -21,12 +21,8 @@ from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
 from drivers.plant.conditions import Conditions
 
-DURATION_S = 18000.0
-"""Length of a run: five hours, as 400 stops of the real cell take."""
 _DWELLS_S = (1.0, 8.0)
 """Range of the rest before a measurement, drawn log-uniformly."""
-_PAYLOAD_BLOCKS = 4
-"""The payload is changed by hand, so it changes seldom."""
 _HEAVY_SHARE = 0.8
 """Heavy payload as a share of the rated one."""
 _RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
@@ -60,6 +56,23 @@ def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str
     return profile.model_copy(update={"plant": settings, "seed": seed})
 
 
+@dataclass(frozen=True)
+class Session:
+    """How a run is measured: by default in five hours, as 400 stops of the real cell take.
+
+    ``payload_blocks`` is the number of its parts with the profile's and with the heavy payload in turn: the payload is
+    changed by hand, so it changes seldom.
+    """
+
+    duration_s: float = 18000.0
+    payload_blocks: int = 4
+
+
+USUAL_SESSION = Session()
+SHORT_SESSION = Session(1800.0, 1)
+"""Half an hour with one payload, as recordings of motion and stops beside them take."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Visits:
     """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad]."""
@@ -82,22 +95,25 @@ def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: N
 
 
 def blind_readings(
-    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: Noise | None = None
+    profile: Profile,
+    plan: Mapping[str, Array] | PlannedStops,
+    seed: int,
+    noise: Noise | None = None,
+    session: Session = USUAL_SESSION,
 ) -> dict[str, Readings]:
     """Readings of all arms at the stops of ``plan``.
 
     Stops without a plan of their own (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from
     stop to stop; a designed plan in its order and with its approaches. The rest before a measurement varies from 1 to
-    8 s, the payload alternates in four blocks between the profile's and 80 % of the rated one, joints warm up, and the
-    run lasts five hours.
+    8 s, the payload alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
     plant = build_plant(profile)
     n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
     visits = _visits(profile, plan, rng.permutation(n))
-    time_s, dwell_s, air_c = _drawn_conditions(profile, n, rng)
-    loads_kg = _loads_kg(profile, n)
+    time_s, dwell_s, air_c = _drawn_conditions(profile, n, session.duration_s, rng)
+    loads_kg = _loads_kg(profile, n, session.payload_blocks)
     readings = {}
     for place, (name, q) in enumerate(visits.q.items()):
         step = visits.step[name]
@@ -154,9 +170,11 @@ def _measured_orientation(
     }
 
 
-def _drawn_conditions(profile: Profile, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def _drawn_conditions(
+    profile: Profile, n: int, duration_s: float, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
     """Times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
-    time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
+    time_s = np.sort(rng.uniform(0.0, duration_s, n))
     dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
     waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
@@ -164,9 +182,9 @@ def _drawn_conditions(profile: Profile, n: int, rng: np.random.Generator) -> tup
     return time_s, dwell_s, profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1)
 
 
-def _loads_kg(profile: Profile, n: int) -> dict[str, Array]:
+def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
     """Payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
-    heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
+    heavy = (np.arange(n) * blocks // n) % 2 == 1
     return {
         name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
     }

@@ -24,9 +24,12 @@ from pydantic import JsonValue
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from cellapp.cell.run.column_names import Kind
+from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
+from cellapp.commands.trials.blind import Noise, Session, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_cases import EXPECTED, HARD, OUT, Case, cases, library_name
 from cellapp.commands.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
+from cellapp.commands.trials.sealed_sweeps import SweepPlan
 from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
@@ -88,7 +91,7 @@ class GroundTruth(Record):
     expected : ExpectedTerm or None
         For a law that the library lacks.
     readings : str
-        SHA-256 of what was measured.
+        SHA-256 of what was measured, see ``digest_of``.
     """
 
     run: str
@@ -232,18 +235,25 @@ def check_readings(folder: Path, truth: GroundTruth) -> None:
     if not path.is_dir():
         raise InputError(f"{path} is missing, but was sealed; put it back, or seal new trials")
     with RunFile.open(path) as run:
-        digest = digest_of({name: run.readings(name) for name in run.arms()})
+        digest = digest_of(run)
     if digest != truth.readings:
         raise CheckFailed(f"{path}: its readings are not those that were sealed; seal new trials")
 
 
-def digest_of(readings: Mapping[str, Readings]) -> str:
-    """SHA-256 of the joint positions and points of all arms, in the arms' order by name."""
+def digest_of(run: RunFile) -> str:
+    """SHA-256 of the joint positions and points of all arms, in the arms' order by name, and of their recordings."""
     found = hashlib.sha256()
-    for name in sorted(readings):
+    for name in sorted(run.arms()):
+        readings = run.readings(name)
         found.update(name.encode())
-        found.update(np.ascontiguousarray(readings[name].q).tobytes())
-        found.update(np.ascontiguousarray(readings[name].p_M).tobytes())
+        found.update(np.ascontiguousarray(readings.q).tobytes())
+        found.update(np.ascontiguousarray(readings.p_M).tobytes())
+    for state in recording_states(run):
+        streams: tuple[Kind, ...] = ("joints", "points")
+        for kind in streams:
+            for column, values in read_stream(run, state, kind)[0].items():
+                found.update(f"{state.arm} {state.name} {kind} {column}".encode())
+                found.update(values.tobytes())
     return found.hexdigest()
 
 
@@ -270,6 +280,21 @@ _Effects = Mapping[str, Mapping[str, Any]]
 """Effect of the plant -> parameters."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Stops of some runs, sweeps if they are recorded too, and the seed of both."""
+
+    stops: Mapping[str, Array] | PlannedStops
+    sweeps: SweepPlan | None
+    seed: int
+
+    @classmethod
+    def of(cls, profile: Profile, setup: Setup, seed: int, place: int, cancel: CancelToken) -> _Plan:
+        own = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
+        sweeps = None if setup.sweeps is None else SweepPlan.of(profile, setup.sweeps, own, cancel)
+        return cls(setup.plan(profile, own, cancel), sweeps, own)
+
+
 def _write_runs(
     profile: Profile,
     folder: Path,
@@ -281,16 +306,14 @@ def _write_runs(
 ) -> list[GroundTruth]:
     """Write the runs and return their truth."""
     truths: list[GroundTruth] = []
-    plan: Mapping[str, Array] | PlannedStops = {}
-    plan_seed = 0
+    plan = _Plan.of(profile, setup, seed, 0, cancel)
     for place, case in enumerate(cases):
         cancel.check()
         number = place + 1
         listener(Progress("seal", place, len(cases), f"run {number}"))
-        if place % _TRIALS_A_PLAN == 0:
-            plan_seed = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
-            plan = setup.plan(profile, plan_seed, cancel)
-        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, plan_seed, seed, setup))
+        if place and place % _TRIALS_A_PLAN == 0:
+            plan = _Plan.of(profile, setup, seed, place, cancel)
+        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
     listener(Progress("seal", len(cases), len(cases), "done"))
     return truths
 
@@ -308,19 +331,24 @@ class _HiddenCell:
     plant_seed: int
     noise_seed: int
     split_seed: int
+    session: Session
 
     def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
         """Readings with noise."""
-        return blind_readings(self._cell(effects, noise_on=True), self.plan, self.noise_seed, noise)
+        return blind_readings(self.with_noise(effects), self.plan, self.noise_seed, noise, self.session)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
         """Readings at the same stops without noise."""
-        return blind_readings(self._cell(effects, noise_on=False), self.plan, self.noise_seed)
+        noisy = self.with_noise(effects)
+        assert noisy.plant is not None
+        exact = noisy.model_copy(update={"plant": noisy.plant.model_copy(update={"noise": False})})
+        return blind_readings(exact, self.plan, self.noise_seed, session=self.session)
 
-    def _cell(self, effects: _Effects, *, noise_on: bool) -> Profile:
+    def with_noise(self, effects: _Effects) -> Profile:
+        """The simulated cell with its effects."""
         hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
         assert hidden.plant is not None
-        settings = hidden.plant.model_copy(update={"noise": noise_on})
+        settings = hidden.plant.model_copy(update={"noise": True})
         return hidden.model_copy(update={"plant": settings, "seed": self.split_seed})
 
 
@@ -329,8 +357,7 @@ def _write_run(
     folder: Path,
     number: int,
     case: Case,
-    plan: Mapping[str, Array] | PlannedStops,
-    plan_seed: int,
+    plan: _Plan,
     seed: int,
     setup: Setup,
 ) -> GroundTruth:
@@ -339,14 +366,17 @@ def _write_run(
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
     parameters = _drawn_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
-    cell = _HiddenCell(profile, case.arm, plan, plant_seed, noise_seed, split_seed=public.seed)
+    cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed, setup.session)
     readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
             run.add_readings(name, setup.reported(arm))
+        for streams in () if plan.sweeps is None else plan.sweeps.recorded(cell.with_noise(parameters)):
+            store_recording(run, streams)
 
-    RunFile.create(folder, public, fill).close()
+    with RunFile.create(folder, public, fill) as run:
+        measured = digest_of(run)
     held_out = {name: arm.in_split("validate") for name, arm in readings.items()}
     expected = EXPECTED.get(case.slugs[0]) if case.kind == OUT else None
     return GroundTruth(
@@ -358,8 +388,8 @@ def _write_run(
         expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
         noise_um={name: _stated_um(arm) for name, arm in readings.items()},
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
-        seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
-        readings=digest_of(readings),
+        seeds={"plan": plan.seed, "plant": plant_seed, "noise": noise_seed},
+        readings=measured,
     )
 
 
@@ -371,7 +401,7 @@ def _drawn_parameters(
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
     draw = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
-    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+    return {slug: draw(slug, rng, config, setup.session.duration_s) for slug in case.slugs}
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:

@@ -74,12 +74,23 @@ HARD_CASES: tuple[tuple[str, ...], ...] = (
 )
 """What was once answered with a name too many: fields of short length, couplings, quadruples, slow drift; by other
 laws."""
+IN_MOTION: tuple[tuple[str, ...], ...] = (
+    ("joint_compliance",),
+    ("backlash",),
+    ("friction_windup",),
+    ("encoder_eccentricity",),
+    ("transmission_error",),
+    ("joint_compliance", "backlash"),
+    ("transmission_error", "friction_windup"),
+)
+"""Effects of joints, which recordings of motion show."""
 FLIPPED: tuple[tuple[str, ...], ...] = (("backlash",), ("friction_windup",))
 """Effects that show in approach signs: hidden where the signs have the wrong convention."""
 
 IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
 """Laws of the plant that one arm's data cannot distinguish from an effect of the library, and that effect."""
 ONE, NONE, OUT, PAIR, TRIPLE, HARD, FLIP = "one", "none", "outside", "pair", "triple", "hard", "flipped"
+MOTION = "motion"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
 MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
@@ -115,6 +126,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         TRIPLE: [(triple, False) for triple in TRIPLES],
         HARD: [(hard, False) for hard in HARD_CASES],
         FLIP: [(one, False) for one in FLIPPED],
+        MOTION: [(joints, False) for joints in IN_MOTION],
     }
     counts = dict.fromkeys(menus, 0)
     found = []

@@ -12,8 +12,8 @@ from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.plan import draw_stops, plan_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.trials.blind import Noise
-from cellapp.commands.trials.sealed_cases import FLIP, HARD, KINDS, MIXED, ONE
+from cellapp.commands.trials.blind import SHORT_SESSION, USUAL_SESSION, Noise, Session
+from cellapp.commands.trials.sealed_cases import FLIP, HARD, KINDS, MIXED, MOTION, ONE
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -63,6 +63,9 @@ class Setup(Record):
         Whether approach signs have the opposite convention; last steps are then not given.
     plan_method : str
         random or designed: how the stops of each run are chosen.
+    sweeps : int or None
+        Stops with a sweep of each arm, which are recorded besides; readings are then taken in half an hour with one
+        payload, as many as these to learn from, all others to judge by.
     """
 
     kind: str = ONE
@@ -74,16 +77,22 @@ class Setup(Record):
     stated: bool = True
     flip_approach: bool = False
     plan_method: str = "random"
+    sweeps: int | None = None
 
     @property
     def hides(self) -> str:
         """The kind of its cases."""
         return FLIP if self.flip_approach else self.kind
 
+    @property
+    def session(self) -> Session:
+        """How its readings are measured."""
+        return USUAL_SESSION if self.sweeps is None else SHORT_SESSION
+
     def check(self) -> None:
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
         words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-            ("kind", self.kind, (*KINDS, HARD, MIXED)),
+            ("kind", self.kind, (*KINDS, HARD, MIXED, MOTION)),
             ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),
@@ -110,6 +119,8 @@ class Setup(Record):
         if self.stops is not None:
             quarter = self.stops // 4
             identify, validate = max(quarter, 15), max(quarter, 10)
+            if self.sweeps is not None:
+                identify, validate = self.sweeps, self.stops - self.sweeps
             splits = {
                 "identify": identify,
                 "validate_": validate,

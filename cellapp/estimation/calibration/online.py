@@ -8,8 +8,9 @@ Few readings do not determine all parameters. Priors about the nominal arm then 
 weights are those of ``arm_identification``: stated covariance plus the excess variance that unmodelled physics leaves.
 A gross error (a wrong target) gets no weight.
 
-Predictions come from a second model with the same geometry and the joints' compliance under gravity. The first model
-is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a millimetre, which hide a loose SMR.
+Predictions come from a second model with the same geometry, the joints' compliance under gravity and a wave of one
+cycle a turn in each. The first model is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a
+millimetre, which hide a loose SMR.
 """
 
 from __future__ import annotations
@@ -69,8 +70,6 @@ _FIRST_EXCESS_M = 1e-4
 """Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
 _LEAST_FREEDOM = 10.0
 """Degrees of freedom from which the excess is estimated."""
-_COMPLIANCE_PRIOR = 5e-5
-"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
 
 
 @dataclass(frozen=True)
@@ -373,7 +372,7 @@ class OnlineFit:
         return _Weighting(weights, excess, model.variance)
 
     def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
-        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then compliances."""
+        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then what joints add."""
         readings, k = self._readings, len(self._precision)
         stated = readings.stated()
         white = whitener(stated + weighting.excess * np.eye(3))
@@ -388,7 +387,7 @@ class OnlineFit:
             b=normal.b,
             cost=normal.cost,
             scale=normal.scale,
-            precision=np.concatenate([self._precision, np.full(extra, _COMPLIANCE_PRIOR**-2)]),
+            precision=np.concatenate([self._precision, self._rows.added_sds[:extra] ** -2.0]),
             prior_step=np.concatenate([self._nominal.vector()[columns], np.zeros(extra)]) - values,
             used=int(np.count_nonzero(weighting.weights)),
             excess=weighting.excess,
@@ -406,7 +405,7 @@ class OnlineFit:
 
 @dataclass(frozen=True)
 class _Models:
-    """The geometry alone, and the geometry with compliance, for predictions; both linear about ``origin``."""
+    """The geometry alone, and that with what joints add, for predictions; both linear about ``origin``."""
 
     origin: Geometry
     geometry: LinearModel

@@ -13,6 +13,10 @@ from cellapp.robot.kinematics.transforms import Array
 
 _GRAM_VALID = 2e-3
 """Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
+_COMPLIANCE_SD = 5e-5
+"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+_WAVE_SD = 8e-5
+"""The same of a wave of one cycle a turn [rad]: an encoder disk that is 2 um off the axis at a radius of 25 mm."""
 _PLANNED_RAD = 0.01
 """Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
 
@@ -37,7 +41,11 @@ class Row:
 
 
 class Rows:
-    """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
+    """SMR positions and their derivatives by the parameters (k), then by what joints add to their angles (m).
+
+    They add the compliances under gravity, where that is known, and a cosine and a sine of the angle: what the geometry
+    leaves of them is alike at neighbouring stops, and would look like a fault.
+    """
 
     def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
         self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
@@ -46,6 +54,10 @@ class Rows:
         of_tool = list(range(6 + 5 * joints, 9 + 5 * joints))
         missing = [column for column in of_joints + of_tool if column not in parameters.columns]
         self._columns, self._k = (*parameters.columns, *missing), k
+        self.added_sds = np.full(2 * joints, _WAVE_SD)
+        """Standard deviations about zero (m,) of what joints add."""
+        if gravity is not None:
+            self.added_sds = np.concatenate([np.full(joints, _COMPLIANCE_SD), self.added_sds])
         self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
         self._gram_at: Array | None = None
         self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
@@ -54,7 +66,7 @@ class Rows:
     def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
         """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
         P, J = jacobian(origin, JointAngles.of(q), self._columns)
-        return P, self._with_compliances(J, None if self._gravity is None else self._torques_of(origin, q))
+        return P, self._with_added(J, q, None if self._gravity is None else self._torques_of(origin, q))
 
     def at(self, origin: Geometry, stop: int, q: Array) -> Row:
         """The same at one stop; the last one is kept."""
@@ -65,15 +77,17 @@ class Rows:
             if self._gravity is not None:
                 planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
                 torques = self._torques[stop : stop + 1] if planned else self._torques_of(origin, q[None])
-            row = self._with_compliances(J, torques)[:, :, 0]
+            row = self._with_added(J, q[None], torques)[:, :, 0]
             self._last = last = Row(origin, q.copy(), P[:, 0], np.ascontiguousarray(row), J[:, self._tool, 0])
         return last
 
-    def _with_compliances(self, J: Array, torques: Array | None) -> Array:
-        """Columns of the parameters, then of the compliances at gravity torques (n, N) [Nm] if there are any."""
-        if torques is None:
-            return J[:, : self._k]
-        return np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
+    def _with_added(self, J: Array, q: Array, torques: Array | None) -> Array:
+        """Columns of the parameters, then of what joints at ``q`` (n, N) [rad] add; torques (n, N) [Nm] if known."""
+        own = J[:, self._joints]
+        added = [own * np.cos(q).T, own * np.sin(q).T]
+        if torques is not None:
+            added.insert(0, own * torques.T)
+        return np.concatenate([J[:, : self._k], *added], axis=1)
 
     def planned_gram(self, origin: Geometry) -> Array:
         """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""

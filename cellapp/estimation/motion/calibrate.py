@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -38,6 +39,8 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up
 
 _SAMPLES = 1500
 """Samples of an arm's recordings that stand for readings where none was taken at rest."""
+_APART_S = 0.3
+"""Least time between two samples in the mean: nearer neighbours err alike, and pass for a law that repeats."""
 _PAST_PLAY_RAD = 1e-3
 """Travel since a turn after which a joint has taken up any play: before, its side is none that a joint at rest has."""
 _MOVES_RAD = 0.02
@@ -168,6 +171,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
     for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
+            most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
             rows = _past_turns(one, _thinned(np.flatnonzero(chosen), _TRIED * most))
             parts.append((word, one, _thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)

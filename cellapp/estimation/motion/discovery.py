@@ -74,14 +74,14 @@ def with_motion(
         started = time.perf_counter()
         arm = recorded_arm(profile, name, stops[name], its)
         motion = effects_in_motion(arm, told)
-        held_out = _held_out(name, motion, calibrated, stops, readings[name].joints)
+        held_out = held_out_at_rest(name, motion, calibrated, stops, readings[name].joints)
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})
     return replace(found, arms=arms, model=model)
 
 
-def _held_out(
+def held_out_at_rest(
     name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings], joints: int
 ) -> HeldOut:
     """Held-out stops of an arm, and samples of the held-out blocks that stand for poses at rest: without what only
@@ -98,7 +98,7 @@ def _with_effects(
     name: str, found: Discovery, calibrated: ArmModel, motion: MotionDiscovery, held_out: HeldOut, seconds: float
 ) -> Discovery:
     """The discovery of one arm with what motion shows, and with its model where that predicts better."""
-    model = _model(calibrated, motion)
+    model = model_at_rest(calibrated, motion)
     used = bool(motion.terms) and len(held_out) > 0 and held_out.rms_mm(model) < held_out.rms_mm(found.model)
     shown = MotionDiscoveryResult(
         effects=tuple(_result(effect) for effect in motion.effects),
@@ -135,7 +135,7 @@ def _with_effects(
     )
 
 
-def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
+def model_at_rest(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
     """The arm with the geometry and the effects that motion shows and that act at rest."""
     identification = motion.fit.identification
     return replace(

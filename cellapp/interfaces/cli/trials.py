@@ -167,6 +167,10 @@ def benchmark(
         str,
         typer.Option("--cells", metavar="LIST", help="Further simulated cells, as profiles/twin-6d.yaml: a set each."),
     ] = "",
+    sweeps: Annotated[
+        int | None,
+        typer.Option("--sweeps", min=1, help="A set in motion too: stops with a sweep of each arm on record."),
+    ] = None,
     real: Annotated[
         str, typer.Option("--real", metavar="LIST", help="Real series of the league too, as C,UR5: held-out errors.")
     ] = "",
@@ -188,7 +192,7 @@ def benchmark(
     texts = RealProblems(series_texts(series, data, profiles), parse_rows(rows)[0], draws) if series else None
     result = benchmark_trials(
         load_profile(profile), problems, names, n, seed, work,
-        cells=[load_profile(Path(path)) for path in further], real=texts,
+        cells=[load_profile(Path(path)) for path in further], real=texts, sweeps=sweeps,
     )  # fmt: skip
     return Stated(result, (benchmark_table(result),), records_words(series), refused(result))
 

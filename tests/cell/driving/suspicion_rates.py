@@ -26,8 +26,10 @@ def random_slip(seed: int) -> Fault:
 
 def main(runs: int) -> None:
     """Print false alarms of clean series, and delays and names by fault."""
-    clean = [raised(seed, stops=CLEAN_STOPS) for seed in range(2 * runs)]
-    sys.stdout.write(f"clean, {CLEAN_STOPS} stops: {sum(map(bool, clean))} of {2 * runs} series raise anything\n")
+    for short, order in ((False, "in random order"), (True, "on short ways")):
+        clean = [raised(seed, stops=CLEAN_STOPS, short_ways=short) for seed in range(2 * runs)]
+        raising = f"{sum(map(bool, clean))} of {2 * runs} series raise anything"
+        sys.stdout.write(f"clean, {CLEAN_STOPS} stops {order}: {raising}\n")
     for name, fault in FAULTS.items():
         delays, kinds, early, more = [], Counter[str](), 0, 0
         for seed in range(runs):

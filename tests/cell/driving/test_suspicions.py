@@ -18,9 +18,11 @@ STOPS, BEGIN = 130, 80
 Fault = Callable[[Mapping[str, Series]], None]
 
 
-def raised(seed: int, fault: Fault | None = None, stops: int = STOPS) -> list[tuple[int, Suspicion]]:
+def raised(
+    seed: int, fault: Fault | None = None, stops: int = STOPS, *, short_ways: bool = False
+) -> list[tuple[int, Suspicion]]:
     """Suspicions of a series by the stop at which they were raised; ``fault`` changes its measured points."""
-    readings = series(seed, stops)
+    readings = series(seed, stops, short_ways=short_ways)
     if fault is not None:
         fault(readings)
     profile = twin()
@@ -64,6 +66,10 @@ def other_smr(readings: Mapping[str, Series]) -> None:
 
 def test_gravity_and_backlash_raise_nothing():
     assert [raised(seed, stops=200) for seed in range(6)] == [[]] * 6
+
+
+def test_an_eccentric_encoder_raises_nothing_where_stops_follow_each_other_on_short_ways():
+    assert [raised(seed, stops=200, short_ways=True) for seed in (2, 3, 4)] == [[]] * 3
 
 
 @pytest.mark.parametrize("seed", [11, 12, 13])

@@ -18,6 +18,7 @@ from cellapp.commands.trials.benchmark.problem import Answer
 from cellapp.commands.trials.benchmark.real import records_words
 from cellapp.commands.trials.benchmark.scoring import scored, set_score
 from cellapp.commands.trials.benchmark.trial import (
+    HELD_OUT,
     BenchmarkResult,
     RealProblems,
     benchmark_table,
@@ -27,6 +28,7 @@ from cellapp.commands.trials.benchmark.trial import (
 )
 from cellapp.commands.trials.league.series import series_texts
 from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, GroundTruth, HiddenLaw
+from cellapp.commands.trials.sealed_cases import IN_MOTION
 from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
@@ -149,6 +151,33 @@ def test_further_cells_and_real_series_are_sets_of_their_own(folder: Path, tmp_p
     assert "0.155 mm published" in records_words(["UR5", "C"])[0]
     with pytest.raises(InputError, match="a set cannot be called 'pair'"):
         benchmark_trials(small(), own, ["geometry"], 1, SEED, cells=[small().model_copy(update={"name": "pair"})])
+
+
+def test_arms_in_motion_are_a_set_that_is_judged_by_stops_at_rest(folder: Path, tmp_path: Path) -> None:
+    own, sweeps = Path(shutil.copytree(folder, tmp_path / "problems")), 2
+    result = benchmark_trials(small(), own, ["geometry"], 1, SEED, sweeps=sweeps)
+    assert result.sets["motion"].n == 1
+    assert result.sets["clean"].n == 4
+    (hidden,) = {one.problem: one for one in result.answers if one.set == "motion"}.values()
+    assert set(hidden.hidden) <= {slug for joints in IN_MOTION for slug in joints}
+    problem, measured = sealed_problem(own / "motion", "run-0001", "left")
+    assert problem.motion is not None
+    (recording,) = problem.motion.recordings
+    assert len(recording.points) > 1000
+    assert len(problem.motion.stops) == sweeps
+    assert len(problem.learn) > 500, "samples of the recordings stand beside the stops"
+    assert len(problem.held_out) == HELD_OUT
+    assert np.isnan(problem.held_out.p_M).all()
+    errors = np.linalg.norm(problem.predicted(problem.geometry_fit.model) - measured, axis=1)
+    assert 1e3 * errors.mean() == pytest.approx(
+        next(one.heldout_mm for one in result.answers if one.problem == problem.name), rel=1e-3
+    )
+    with sqlite3.connect(own / "motion" / "run-0001" / "run.sqlite") as connection:
+        of_y = "SELECT data FROM stream AS other WHERE name = 'y_m' AND other.recording = stream.recording"
+        connection.execute(f"UPDATE stream SET data = ({of_y} AND other.arm = stream.arm) WHERE name = 'z_m'")
+    connection.close()
+    with pytest.raises(CheckFailed, match=r"motion/run-0001: its readings are not those that were sealed"):
+        benchmark_trials(small(), own, ["geometry"], 1, None, sweeps=sweeps)
 
 
 def test_every_answer_that_failed_is_named(folder: Path, stranger: None) -> None:

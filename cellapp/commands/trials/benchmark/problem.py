@@ -14,14 +14,26 @@ from functools import cached_property
 import numpy as np
 
 from cellapp.commands.trials.visible_size import registered_model
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
+from cellapp.estimation.motion.calibrate import calibrate_arm_with_motion, samples_of
+from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Recordings of an arm in motion, each with the clocks of both devices, and its readings at rest to learn from."""
+
+    recordings: tuple[Recording, ...]
+    stops: Readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +53,8 @@ class Problem:
         Joint positions and conditions (m, ...) of the stops to predict; their points are NaN.
     learn_conditions, held_out_conditions : MeasurementConditions
         The same conditions as effects take them; with the load of the other arm.
+    motion : Motion or None
+        What was recorded in motion, if anything was; ``learn`` then has samples of it, too, at clocks that agree.
     """
 
     name: str
@@ -50,6 +64,7 @@ class Problem:
     held_out: Readings
     learn_conditions: MeasurementConditions
     held_out_conditions: MeasurementConditions
+    motion: Motion | None = None
 
     @classmethod
     def of(
@@ -68,6 +83,17 @@ class Problem:
             conditions.take(~held),
             conditions.take(held),
         )
+
+    def with_motion(self, recordings: tuple[Recording, ...]) -> Problem:
+        """The same arm with recordings of motion. Raises ``InputError`` if one is of no use."""
+        fit, _ = calibrate_arm_with_motion(self.profile, self.arm, self.learn, recordings)
+        samples = samples_of(fit, self.learn.joints)
+        samples = samples.take(samples.in_split("identify"))
+        n, first = len(samples), 1 + int(self.learn.configuration.max(initial=-1))
+        samples = replace(samples, configuration=first + np.arange(n), time_s=np.full(n, np.nan), step=None)
+        learn = joined([self.learn, samples])
+        motion = Motion(recordings, self.learn)
+        return replace(self, learn=learn, learn_conditions=measurement_conditions(learn), motion=motion)
 
     @cached_property
     def data(self) -> ArmData:

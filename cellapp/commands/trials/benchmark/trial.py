@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of
 from cellapp.commands.trials.benchmark.methods.answer import answer_of
 from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
 from cellapp.commands.trials.benchmark.problem import Problem
@@ -18,7 +19,7 @@ from cellapp.commands.trials.benchmark.real import REAL_ANSWERS, RealQuestion
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
 from cellapp.commands.trials.league.series import Rows, SeriesTexts
 from cellapp.commands.trials.sealed import TRUTH_FILE, check_readings, check_seal, open_truth, seal_trials
-from cellapp.commands.trials.sealed_cases import MIXED, ONE, OUT, PAIR
+from cellapp.commands.trials.sealed_cases import MIXED, MOTION, ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.skeleton import IN_PLACE, Work, not_computed
 from cellapp.commands.trials.visible_size import registered_model
@@ -34,6 +35,8 @@ from cellapp.robot.kinematics.transforms import Array
 KINDS = (ONE, PAIR, OUT)
 """Sets of sealed runs. One arm of each run is without effects: these arms are the set ``clean``."""
 ALL = "all"
+HELD_OUT = 100
+"""Stops at rest by which runs in motion are judged."""
 
 
 class MethodScore(Record):
@@ -82,7 +85,7 @@ def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     problem, measured = sealed_problem(folder, asked.run, asked.arm)
     answer, seconds = answer_of(asked.method, problem)
     truth = next(one for one in open_truth(folder).trials if one.run == asked.run)
-    cell = "" if asked.kind in KINDS else asked.kind
+    cell = "" if asked.kind in (*KINDS, MOTION) else asked.kind
     return scored(asked.method, problem.name, asked.arm, truth, answer, measured, seconds, cell)
 
 
@@ -110,6 +113,7 @@ def benchmark_trials(
     *,
     cells: Sequence[Profile] = (),
     real: RealProblems | None = None,
+    sweeps: int | None = None,
 ) -> BenchmarkResult:
     """Let each method answer every problem of a folder; problems that are not there yet are made first.
 
@@ -126,6 +130,8 @@ def benchmark_trials(
     cells : sequence of Profile
         Further simulated cells, as of another make or with orientations: a set of mixed runs each, named as the cell.
     real : RealProblems, optional
+    sweeps : int, optional
+        Stops with a sweep of each arm on record: the set ``motion``, whose held-out stops are at rest.
 
     Raises
     ------
@@ -136,7 +142,7 @@ def benchmark_trials(
     Cancelled
         On request.
     """
-    names, sets, truths = _known(methods), _sets(profile, cells), list[str]()
+    names, sets, truths = _known(methods), _sets(profile, cells, sweeps), list[str]()
     for place, (kind, (cell, setup)) in enumerate(sets.items()):
         own = folder / kind
         if not (own / TRUTH_FILE).is_file():
@@ -197,11 +203,13 @@ def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
     """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
     with RunFile.open(folder / run) as file:
         profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
+        recordings = read_recordings_of(file, arm)
     models = {name: registered_model(profile, name, own.q, own.p_M) for name, own in readings.items()}
     own = readings[arm]
     conditions = conditions_of_arms(models, readings)[arm]
     name = f"{folder.name}/{run}/{arm}"
-    return Problem.of(name, profile, arm, own, conditions), own.p_M[own.in_split("validate")]
+    problem, measured = Problem.of(name, profile, arm, own, conditions), own.p_M[own.in_split("validate")]
+    return (problem.with_motion(recordings) if recordings else problem), measured
 
 
 def refused(result: BenchmarkResult) -> str:
@@ -213,9 +221,11 @@ def refused(result: BenchmarkResult) -> str:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _sets(profile: Profile, cells: Sequence[Profile]) -> dict[str, tuple[Profile, Setup]]:
+def _sets(profile: Profile, cells: Sequence[Profile], sweeps: int | None) -> dict[str, tuple[Profile, Setup]]:
     """Set -> its cell and conditions. Raises ``InputError`` if two cells have one name."""
     sets = {kind: (profile, Setup(kind=kind, laws="same" if kind == OUT else "other")) for kind in KINDS}
+    if sweeps is not None:
+        sets[MOTION] = profile, Setup(kind=MOTION, laws="other", stops=sweeps + HELD_OUT, sweeps=sweeps)
     for cell in cells:
         if cell.name in sets or not re.fullmatch(r"[\w.-]+", cell.name):
             raise InputError(f"--cells: a set cannot be called '{cell.name}', as this profile is; give it another name")

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-from cellapp.commands.trials.benchmark.problem import Answer, Problem
+from cellapp.commands.trials.benchmark.problem import Answer, Motion, Problem
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.motion.calibrate import recorded_arm
+from cellapp.estimation.motion.discovery import held_out_at_rest, model_at_rest
+from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
+from cellapp.robot.model import ArmModel
 
 
 def search_of_effects(problem: Problem) -> Answer:
     """Name what the search accepts, with its posterior probabilities."""
     found = search(problem.data, [slug for slug in EFFECTS if slug != UNKNOWN], CancelToken())
     assert found.posteriors is not None
+    if problem.motion is not None and (better := _by_recordings(problem, problem.motion, found.fit.model)) is not None:
+        return better
     names: dict[str, float] = {}
     for term, probability in zip(found.fit.terms, found.posteriors.terms, strict=True):
         names[term.slug] = max(probability, names.get(term.slug, 0.0))
     return Answer(problem.predicted(found.fit.model), names)
+
+
+def _by_recordings(problem: Problem, motion: Motion, by_samples: ArmModel) -> Answer | None:
+    """What recordings show; None where the search of samples predicts their held-out blocks better."""
+    name, calibrated = problem.arm, problem.geometry_fit.model
+    found = effects_in_motion(recorded_arm(problem.profile, name, motion.stops, motion.recordings))
+    held_out = held_out_at_rest(name, found, {name: calibrated}, {name: motion.stops}, problem.learn.joints)
+    model = model_at_rest(calibrated, found)
+    if not found.terms or held_out.rms_mm(model) >= held_out.rms_mm(by_samples):
+        return None
+    return Answer(
+        problem.predicted(model), {effect.slug: effect.posterior for effect in found.effects if effect.at_rest}
+    )
