@@ -123,6 +123,24 @@ def visible_root(gram: Array, norms: Array) -> tuple[Array, NDArray[np.intp]]:
     return scale[..., :, None] * vectors * inverse[..., None, :], np.asarray(visible.sum(axis=-1))
 
 
+def visible_squares(gram: Array, norms: Array, moments: Array) -> tuple[Array, NDArray[np.intp]]:
+    """m^T G^-1 m (...,) of ``moments`` m (..., k) over the visible directions, and the number of these.
+
+    As by ``visible_root``; where a Cholesky factor of G less the limit shows that all are visible, up to five times as
+    fast.
+    """
+    scale = 1.0 / np.maximum(norms, SMALLEST)
+    scaled, along = gram * scale[..., :, None] * scale[..., None, :], moments * scale
+    size = gram.shape[-1]
+    try:
+        np.linalg.cholesky(scaled - VISIBLE**2 * np.eye(size))
+    except np.linalg.LinAlgError:
+        root, count = visible_root(gram, norms)
+        return np.asarray(np.sum(np.einsum("...kr,...k->...r", root, moments) ** 2, axis=-1)), count
+    solved = np.linalg.solve(scaled, along[..., None])[..., 0]
+    return np.einsum("...k,...k->...", along, solved), np.full(gram.shape[:-2], size, dtype=np.intp)
+
+
 def detectable_size(visible_norm: float, needed: float) -> float:
     """Size of a parameter at which its non-centrality (size^2 b^T M b) reaches ``needed``."""
     return math.sqrt(needed) / visible_norm

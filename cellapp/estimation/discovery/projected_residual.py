@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.estimation.design.information import NuisanceProjector, visible_root
+from cellapp.estimation.design.information import NuisanceProjector, visible_squares
 from cellapp.robot.kinematics.transforms import Array
 
 MOST_SHARE = 1.0 - 1e-12
@@ -49,8 +49,7 @@ class ProjectedResidual:
     def explained(self, rows: Array) -> float:
         """Part of ``square`` that rows (m, d) explain."""
         gram = rows @ self.projector.project(rows).T
-        root, _ = visible_root(gram, np.linalg.norm(rows, axis=1))
-        return float(np.sum((root.T @ (rows @ self.projected)) ** 2))
+        return float(visible_squares(gram, np.linalg.norm(rows, axis=1), rows @ self.projected)[0])
 
     def explained_share(self, rows: Array) -> float:
         """R^2 of rows (m, d), at most ``MOST_SHARE``."""

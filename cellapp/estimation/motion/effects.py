@@ -37,6 +37,7 @@ from cellapp.estimation.motion.records import MotionFit
 from cellapp.estimation.motion.shaped import FREQUENCIES, lagging_joints, reshaped, settled, strongest_vibration
 from cellapp.estimation.motion.steps import (
     AT_REST,
+    LOOK_ALIKES,
     SHOWN,
     MotionEffect,
     State,
@@ -395,7 +396,8 @@ class _Search:
         for _, trial, step in sorted(tried, key=lambda each: each[0]):
             judged = self._judged(trial)
             if judged.heldout_mm < state.heldout_mm:
-                return judged, replace(step, after_mm=judged.heldout_mm)
+                rivals = [one.log_p for _, _, one in tried if {one.law, step.law} == set(LOOK_ALIKES)]
+                return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
         return None
 
     def _terms_to_try(

@@ -21,6 +21,8 @@ _AS_WELL = 0.5 * SHOWN
 """The same of a joint beside another that has it clearly."""
 _OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
 """Laws that all joints of an arm may be expected to have where one has them."""
+LOOK_ALIKES = (Law.PLAY, Law.WINDUP)
+"""Laws that move a joint alike where its load hardly changes."""
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
@@ -109,7 +111,7 @@ class MotionEffect:
 @dataclass(frozen=True)
 class Step:
     """What entered: its terms, its statistic, the logarithm of the probability of one as large by chance, and held-out
-    errors before and after."""
+    errors before and after; ``rival``, the logarithm of that of the best law that looks like it."""
 
     law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
@@ -117,6 +119,7 @@ class Step:
     log_p: float
     before_mm: float
     after_mm: float
+    rival: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +277,8 @@ def _effect_of(
         heldout_after_mm=own[-1].after_mm,
         only_motion=only,
         at_rest=law in AT_REST,
-        posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p),
+        posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p)
+        * _odds(steps, law),
         form=_form(law, terms, dry),
         constants={
             _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
@@ -290,6 +294,15 @@ def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], dry: bool) -> str:
     if any(term.fading for term in terms):
         return "gradual"
     return "both" if dry else AT_REST.get(law, "") if isinstance(law, Law) else ""
+
+
+def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
+    """Probability of a law against the one that looks like it, at even odds, by what either would explain; 1 where both
+    entered, or nothing looks like it."""
+    if law not in LOOK_ALIKES or all(has(steps, one) for one in LOOK_ALIKES):
+        return 1.0
+    first = next(step for step in steps if step.law is law)
+    return float(scipy.special.expit(first.rival - first.log_p))
 
 
 def _probability(state: State, statistic: float, parameters: int, log_p: float) -> float:

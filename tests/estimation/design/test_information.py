@@ -10,6 +10,7 @@ from cellapp.estimation.design.information import (
     NuisanceProjector,
     detectable_size,
     visible_root,
+    visible_squares,
 )
 
 pytestmark = pytest.mark.fast
@@ -55,3 +56,18 @@ def test_the_detectable_size_has_the_needed_noncentrality() -> None:
     projector = NuisanceProjector.of(nuisance)
     size = detectable_size(float(np.sqrt(projector.behind(rows).squares[0])), 25.0)
     assert size**2 * float(rows[0] @ projector.project(rows[0])) == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_squares_along_visible_directions_are_those_of_the_root(hidden: int) -> None:
+    """Whether all directions of a batch show, or one of its last member is hidden."""
+    nuisance, _ = rows_of(3, 10, 1)
+    rows = np.random.default_rng(4).normal(size=(5, 3, nuisance.shape[1]))
+    rows[-1, :hidden] = nuisance[0]
+    projected = NuisanceProjector.of(nuisance).project(rows)
+    gram, norms = rows @ projected.swapaxes(1, 2), np.linalg.norm(rows, axis=2)
+    moments = projected @ np.random.default_rng(5).normal(size=nuisance.shape[1])
+    root, count = visible_root(gram, norms)
+    squares, found = visible_squares(gram, norms, moments)
+    np.testing.assert_allclose(squares, np.sum(np.einsum("bkr,bk->br", root, moments) ** 2, axis=1), rtol=1e-9)
+    assert found.tolist() == count.tolist() == [3, 3, 3, 3, 3 - hidden]

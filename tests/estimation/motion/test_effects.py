@@ -148,6 +148,11 @@ def test_play_is_no_dry_friction_where_no_joint_winds_up():
     assert (effect.slug, effect.form, others) == ("backlash", "constant", [])
     assert terms == steps[0].terms
     assert effect.values == pytest.approx([120e-6] * 6, rel=0.15)
+    alone = problem.without_terms().with_terms(steps[0].terms)
+    state = State(alone, solve(alone, rows), 1.0)
+    for rival, share in ((-50.0, 0.5), (-47.0, 0.95), (np.inf, 1.0)):  # wind-up that would explain as much, or less
+        ((effect, _),) = effects_of(state, [replace(steps[0], rival=rival)])
+        assert effect.posterior == pytest.approx(share, abs=0.01)
 
 
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.design.information import SMALLEST, VISIBLE, Behind, visible_root
+from cellapp.estimation.design.information import SMALLEST, VISIBLE, Behind, visible_squares
 from cellapp.estimation.discovery.candidates import Block, CandidateLaw
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
 from cellapp.robot.kinematics.transforms import Array
@@ -109,9 +109,9 @@ class BlockSelection:
         for size in np.unique(sizes).tolist():
             numbers = np.flatnonzero(sizes == size)
             places = place[first[numbers, None] + np.arange(size)]
-            root, ranks[numbers] = visible_root(gram[places[:, :, None], places[:, None, :]], norms[places])
-            along = np.einsum("bkr,bk->br", root, moments[places])
-            shares[numbers] = np.sum(along**2, axis=1) / self.residual.square
+            of_sets = gram[places[:, :, None], places[:, None, :]]
+            explained, ranks[numbers] = visible_squares(of_sets, norms[places], moments[places])
+            shares[numbers] = explained / self.residual.square
         found = zip(shares.tolist(), ranks.tolist(), strict=True)
         return [(bic_gain(share, len(self.residual), rank), share) for share, rank in found]
 

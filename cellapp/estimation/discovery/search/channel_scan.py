@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.design.information import visible_root
+from cellapp.estimation.design.information import visible_squares
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
@@ -119,9 +119,8 @@ class ChannelScan:
                 gram[:, there, here] = block.swapaxes(1, 2)
         moments = np.concatenate([functions @ one.moment for one in directions], axis=1)
         norms = np.sqrt(squares)
-        root, rank = visible_root(gram, norms)
-        u = np.einsum("bkl,bk->bl", root, moments)
-        share = np.minimum(np.einsum("bl,bl->b", u, u) / self.residual.square, MOST_SHARE)
+        explained, rank = visible_squares(gram, norms, moments)
+        share = np.minimum(explained / self.residual.square, MOST_SHARE)
         value = -len(self.residual) * np.log1p(-share) - rank * math.log(len(self.residual))
         return np.where((rank > 0) & (norms.max(axis=1) > NO_DISPLACEMENT), value, -np.inf)
 

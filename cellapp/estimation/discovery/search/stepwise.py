@@ -198,7 +198,6 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     progress.step("beyond the library")
     before_names = cache(partial(with_smooth_terms, problem, start))
     beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
-    named.give_up_scan()
     if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     drift = with_one_drift(problem, named)
@@ -207,6 +206,7 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
         return best
+    named.give_up_scan()
     free = _with_free_functions(problem, before_names(), named)
     if best_state([best, free]) is not best:
         best = free
