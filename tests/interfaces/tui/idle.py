@@ -14,6 +14,8 @@ from pathlib import Path
 from time import monotonic, process_time
 from typing import Any
 
+from textual._context import active_app
+
 _WINDOW_S = 0.005
 """Between two looks; a thread that waits for the interpreter gets it meanwhile."""
 _BUSY_S = 0.0005
@@ -24,9 +26,12 @@ _THREADS = Path("/proc/self/task")
 
 
 async def wait_for_idle(min_sleep: float = 0.0, max_sleep: float = 5.0) -> None:
-    """Wait until the application has nothing to do, at least ``min_sleep`` and at most ``max_sleep`` [s]."""
-    began_s = monotonic()
-    while monotonic() - began_s < max_sleep:
+    """Wait until the application has nothing to do, at least ``min_sleep`` and at most ``max_sleep`` [s].
+
+    One that was told to end draws on until its test leaves it: it is not waited for.
+    """
+    app, began_s = active_app.get(None), monotonic()
+    while monotonic() - began_s < max_sleep and (app is None or app.return_code is None):
         used_s = process_time()
         await asyncio.sleep(_WINDOW_S)
         used_s = process_time() - used_s

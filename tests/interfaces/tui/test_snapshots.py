@@ -72,6 +72,7 @@ async def test_every_screen_looks_as_it_did_and_cuts_no_number(size: tuple[int, 
     async with day(finished_run, size) as (pilot, app):
         for entry in SCREENS:
             await pilot.press(entry.key)
+            await until(pilot, lambda step=entry.step: step == app.day_screen.STEP, entry.step)  # type: ignore[misc]
             await settle(pilot)
             differences += difference(f"{entry.step}-{size_name(size)}.txt", await final_text(pilot, app))
             for tab in app.screen.query(TabPane).results():
