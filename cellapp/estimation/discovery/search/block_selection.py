@@ -65,7 +65,7 @@ class BlockSelection:
         blocks = tuple(block for block in trimmed if block)
         if all(candidate.refines(block) for block in blocks):
             return None
-        norms = np.maximum(np.linalg.norm(candidate.rows, axis=1), SMALLEST)
+        norms = np.maximum(np.sqrt(np.einsum("md,md->m", candidate.rows, candidate.rows)), SMALLEST)
         return cls(candidate, behind, norms, candidate.rows @ residual.projected, residual, blocks)
 
     def select(self, price: float) -> tuple[Block, float]:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,15 +86,14 @@ class ChannelScan:
         invisible or has too many columns."""
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
         batches = families.batches()
-
-        @cache  # channels share directions
-        def behind(one: _Direction, other: _Direction) -> Array:
-            # of the distinct functions: families share many, and one large product is faster than many small ones
-            return np.asarray(families.distinct @ self.residual.projector.kernel(one.unit, other.unit))
-
+        kernel = self.residual.projector.kernel
         for row, channel in enumerate(chosen):
             directions = self.directions[channel]
-            projected = [[behind(one, other) for other in directions[: k + 1]] for k, one in enumerate(directions)]
+            # of the distinct functions: families share many, and one large product is faster than many small ones
+            projected = [
+                [families.distinct @ kernel(one.unit, other.unit) for other in directions[: k + 1]]
+                for k, one in enumerate(directions)
+            ]
             for numbers, places in batches:
                 if len(directions) * places.shape[1] <= MOST_COLUMNS:
                     those = [[one[places] for one in row_of] for row_of in projected]

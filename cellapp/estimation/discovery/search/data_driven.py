@@ -68,6 +68,7 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
     """
     if not best.fit.terms:
         return None
+    best.give_up_scan()
     gain = criterion(start.fit) - criterion(best.fit)
     scores = _best_scores(problem, start)
     if not scores or max(score.value for score in scores) <= _PROMISE * gain:
