@@ -63,6 +63,9 @@ from cellapp.robot.kinematics.transforms import Array
 _CHANCE = 1e-3
 """Corrected p-value below which a law enters."""
 _MOST_LINES = 12
+_WORTH_A_FIT = 0.5
+"""Share of the power of a line that chance rarely has, from which one is fitted: its own leakage hides it among its
+neighbours, and the evidence of the fit decides."""
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
@@ -420,7 +423,7 @@ class _Search:
         if len(taken) >= 2 * _MOST_LINES:
             return None
         power, turns = line_powers(state.problem, state.solution)
-        threshold = math.log(power.size / _CHANCE)
+        threshold = _WORTH_A_FIT * math.log(power.size / _CHANCE)
         for joint, cycles in taken:
             near = np.abs(np.arange(power.shape[1]) - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))
             power[joint, near] = 0.0
