@@ -265,7 +265,10 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
                 assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
         for name, discovery in calibrated_and_searched(run).arms.items():
             assert discovery.result.accepted[0].effect == "backlash", name
-            assert discovery.result.accepted[0].answer_set == ("backlash",), name
+            assert "unsettled_measurement" not in discovery.result.accepted[0].answer_set, name
+            assert discovery.result.accepted[0].posterior is not None
+            assert discovery.result.accepted[0].posterior > 0.9, name
+            assert discovery.result.candidates["unsettled_measurement"] < 0.01, name
 
 
 def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
