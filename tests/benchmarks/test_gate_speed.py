@@ -31,7 +31,7 @@ def test_a_motion_among_obstacles(benchmark):
     assert len(ways) > 20
     benchmark(lambda: [refuse_motion(cell, *way) for way in ways[:20]])
     ours, without = best_of(
-        5, lambda: [refuse_motion(cell, *way) for way in ways], lambda: [refuse_motion(bare, *way) for way in ways]
+        9, lambda: [refuse_motion(cell, *way) for way in ways], lambda: [refuse_motion(bare, *way) for way in ways]
     )
     benchmark.extra_info["ratio_to_no_obstacles"] = ours / without
     assert ours / without < 3.0
