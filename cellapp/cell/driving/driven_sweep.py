@@ -205,7 +205,8 @@ class SweepDriver:
             self._give_up(recorded.values(), streaming)
             raise
         live.end(records[name], track, reached[name])
-        beside = [_on_stamps(records[name], its, later_s[one]) for one, its in records.items() if one != name]
+        stamps_s = records[name].time_s
+        beside = [rows_at(stamps_s, its.time_s + later_s[one], its.q) for one, its in records.items() if one != name]
         return SweepPart(records[name], track, reached[name], *beside), reached
 
     def _later_s(self, arms: Mapping[str, Arm]) -> dict[str, float]:
@@ -243,11 +244,6 @@ class SweepDriver:
                 arm.end_recording()
         with suppress(TrackerError):
             streaming.end_track()
-
-
-def _on_stamps(joints: JointRecord, other: JointRecord, later_s: float) -> Array:
-    """Joint positions (n, K) [rad] of another arm at the stamps of ``joints``; its clock is ``later_s`` [s] behind."""
-    return rows_at(joints.time_s, other.time_s + later_s, other.q)
 
 
 def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:

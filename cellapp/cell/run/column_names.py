@@ -10,9 +10,10 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 Kind = Literal["joints", "points"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 """Of a recording of motion."""
 EXAMPLES: Mapping[Kind | Literal["readings"], str] = {
     "joints": "time_s,q1,q2,q3",

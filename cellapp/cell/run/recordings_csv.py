@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.column_names import EXAMPLES, Kind, Understood, understood
+from cellapp.cell.run.column_names import EXAMPLES, KINDS, Kind, Understood, understood
 from cellapp.cell.run.column_units import in_si, without_part_of_orientation
 from cellapp.cell.run.csv_header import CsvFile, read_header
 from cellapp.cell.run.csv_import import joint_limits
@@ -113,8 +113,7 @@ def _read_pair(
         )
     names = _sole(tables, "recording", _name_of_files(joints, points, number))
     groups = {kind: _by_recording(table, arms or "", names or "") for kind, table in tables.items()}
-    both: tuple[tuple[Kind, Kind], ...] = (("joints", "points"), ("points", "joints"))
-    for kind, other in both:
+    for kind, other in itertools.permutations(KINDS):
         for its_arm, name in groups[kind].keys() - groups[other].keys():
             raise InputError(
                 f"{tables[kind].path}: recording '{name}' of arm {its_arm} has no {other} in {tables[other].path}"
@@ -287,7 +286,7 @@ def _notes(recorded: RecordedStreams) -> list[str]:
     """What a person should know of a recording that was taken."""
     state = recorded.state
     where = f"recording '{state.name}' of arm {state.arm}"
-    notes = [f"{where}: {sentence}" for kind in ("joints", "points") for sentence in stamp_words(state, kind)]
+    notes = [f"{where}: {sentence}" for kind in KINDS for sentence in stamp_words(state, kind)]
     if state.unknown:
         words = " is unknown; it is" if len(state.unknown) == 1 else " are unknown; they are"
         listed = ", ".join(f"'{name}'" for name in state.unknown)

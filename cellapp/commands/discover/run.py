@@ -147,7 +147,7 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         stops = {name: run.readings(name) for name in run.profile.arms}
         with one_blas_thread():
             arms, heard = calibrated_model.arms, with_eta(listener)
-            found = with_motion(run.profile, found, arms, readings, stops, recordings, heard, cancel)
+            found = with_motion(run.profile, found, arms, stops, recordings, heard, cancel)
         result = discover_result(found)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, DISCOVER, result, found.model, basis)

@@ -24,7 +24,7 @@ from pydantic import JsonValue
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.column_names import Kind
+from cellapp.cell.run.column_names import KINDS
 from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
 from cellapp.commands.trials.blind import Noise, Session, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_cases import EXPECTED, HARD, OUT, Case, cases, library_name
@@ -249,8 +249,7 @@ def digest_of(run: RunFile) -> str:
         found.update(np.ascontiguousarray(readings.q).tobytes())
         found.update(np.ascontiguousarray(readings.p_M).tobytes())
     for state in recording_states(run):
-        streams: tuple[Kind, ...] = ("joints", "points")
-        for kind in streams:
+        for kind in KINDS:
             for column, values in read_stream(run, state, kind)[0].items():
                 found.update(f"{state.arm} {state.name} {kind} {column}".encode())
                 found.update(values.tobytes())
@@ -306,14 +305,13 @@ def _write_runs(
 ) -> list[GroundTruth]:
     """Write the runs and return their truth."""
     truths: list[GroundTruth] = []
-    plan = _Plan.of(profile, setup, seed, 0, cancel)
-    for place, case in enumerate(cases):
-        cancel.check()
-        number = place + 1
-        listener(Progress("seal", place, len(cases), f"run {number}"))
-        if place and place % _TRIALS_A_PLAN == 0:
-            plan = _Plan.of(profile, setup, seed, place, cancel)
-        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
+    for first in range(0, len(cases), _TRIALS_A_PLAN):
+        listener(Progress("seal", first, len(cases), f"run {first + 1}"))
+        plan = _Plan.of(profile, setup, seed, first, cancel)
+        for number, case in enumerate(cases[first : first + _TRIALS_A_PLAN], first + 1):
+            cancel.check()
+            listener(Progress("seal", number - 1, len(cases), f"run {number}"))
+            truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
     listener(Progress("seal", len(cases), len(cases), "done"))
     return truths
 
@@ -335,20 +333,17 @@ class _HiddenCell:
 
     def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
         """Readings with noise."""
-        return blind_readings(self.with_noise(effects), self.plan, self.noise_seed, noise, self.session)
+        return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise, self.session)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
         """Readings at the same stops without noise."""
-        noisy = self.with_noise(effects)
-        assert noisy.plant is not None
-        exact = noisy.model_copy(update={"plant": noisy.plant.model_copy(update={"noise": False})})
-        return blind_readings(exact, self.plan, self.noise_seed, session=self.session)
+        return blind_readings(self.cell(effects, noise=False), self.plan, self.noise_seed, session=self.session)
 
-    def with_noise(self, effects: _Effects) -> Profile:
-        """The simulated cell with its effects."""
+    def cell(self, effects: _Effects, *, noise: bool) -> Profile:
+        """The simulated cell with some effects."""
         hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
         assert hidden.plant is not None
-        settings = hidden.plant.model_copy(update={"noise": True})
+        settings = hidden.plant.model_copy(update={"noise": noise})
         return hidden.model_copy(update={"plant": settings, "seed": self.split_seed})
 
 
@@ -372,7 +367,7 @@ def _write_run(
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
             run.add_readings(name, setup.reported(arm))
-        for streams in () if plan.sweeps is None else plan.sweeps.recorded(cell.with_noise(parameters)):
+        for streams in () if plan.sweeps is None else plan.sweeps.recorded(cell.cell(parameters, noise=True)):
             store_recording(run, streams)
 
     with RunFile.create(folder, public, fill) as run:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.motion.calibrate import each_recorded, recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
+from cellapp.estimation.motion.identify import RecordedArm
 from cellapp.estimation.motion.loops import Loop
 from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
@@ -35,7 +36,7 @@ from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken, Listener, Told, ignore, ignore_words
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
@@ -49,11 +50,43 @@ TITLES = {
 """Of effects that act in motion only."""
 
 
+@dataclass(frozen=True, eq=False)
+class MotionAtRest:
+    """What recordings of an arm show, its model for poses at rest, and the held-out readings that judge it."""
+
+    motion: MotionDiscovery
+    model: ArmModel
+    held_out: HeldOut
+
+    @classmethod
+    def of(
+        cls,
+        arm: RecordedArm,
+        name: str,
+        calibrated: Mapping[str, ArmModel],
+        stops: Mapping[str, Readings],
+        told: Told = ignore_words,
+    ) -> MotionAtRest:
+        """Search the recordings of one arm. Raises as ``effects_in_motion``."""
+        motion = effects_in_motion(arm, told)
+        return cls(motion, _model(calibrated[name], motion), _held_out(name, motion, calibrated, stops))
+
+    @property
+    def effects(self) -> tuple[MotionEffect, ...]:
+        """Effects that serve poses at rest."""
+        return tuple(effect for effect in self.motion.effects if effect.at_rest)
+
+    def better_than(self, other: ArmModel) -> bool:
+        """Whether there are effects whose model predicts the held-out readings better than another one."""
+        if not self.motion.terms or not len(self.held_out):
+            return False
+        return self.held_out.rms_mm(self.model) < self.held_out.rms_mm(other)
+
+
 def with_motion(
     profile: Profile,
     found: CellDiscovery,
     calibrated: Mapping[str, ArmModel],
-    readings: Mapping[str, Readings],
     stops: Mapping[str, Readings],
     recordings: Mapping[str, Sequence[Recording]],
     listener: Listener = ignore,
@@ -61,8 +94,7 @@ def with_motion(
 ) -> CellDiscovery:
     """The discovery of a cell with what recordings of its arms show.
 
-    ``readings`` are those that were searched: ``stops``, and samples of the recordings. ``calibrated`` are the arms
-    before discovery.
+    ``calibrated`` are the arms before discovery, ``stops`` their readings at rest.
 
     Raises
     ------
@@ -72,21 +104,18 @@ def with_motion(
     arms = dict(found.arms)
     for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
         started = time.perf_counter()
-        arm = recorded_arm(profile, name, stops[name], its)
-        motion = effects_in_motion(arm, told)
-        held_out = held_out_at_rest(name, motion, calibrated, stops, readings[name].joints)
-        seconds = time.perf_counter() - started
-        arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
+        at_rest = MotionAtRest.of(recorded_arm(profile, name, stops[name], its), name, calibrated, stops, told)
+        arms[name] = _with_effects(name, found.arms[name], at_rest, time.perf_counter() - started)
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})
     return replace(found, arms=arms, model=model)
 
 
-def held_out_at_rest(
-    name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings], joints: int
+def _held_out(
+    name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
 ) -> HeldOut:
     """Held-out stops of an arm, and samples of the held-out blocks that stand for poses at rest: without what only
     motion has, and with the travel of each joint since it turned round as its last motion."""
-    samples = samples_of(motion.fit, joints, motion.joints_at_rest)
+    samples = samples_of(motion.fit, calibrated[name].geometry.joints, motion.joints_at_rest)
     if not len(stops[name]):
         return HeldOut.of(samples, measurement_conditions(samples))
     apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))
@@ -94,12 +123,9 @@ def held_out_at_rest(
     return HeldOut.of(known[name], conditions_of_arms(calibrated, known)[name])
 
 
-def _with_effects(
-    name: str, found: Discovery, calibrated: ArmModel, motion: MotionDiscovery, held_out: HeldOut, seconds: float
-) -> Discovery:
+def _with_effects(name: str, found: Discovery, at_rest: MotionAtRest, seconds: float) -> Discovery:
     """The discovery of one arm with what motion shows, and with its model where that predicts better."""
-    model = model_at_rest(calibrated, motion)
-    used = bool(motion.terms) and len(held_out) > 0 and held_out.rms_mm(model) < held_out.rms_mm(found.model)
+    motion, used = at_rest.motion, at_rest.better_than(found.model)
     shown = MotionDiscoveryResult(
         effects=tuple(_result(effect) for effect in motion.effects),
         heldout_mm=BeforeAfter(before=motion.heldout_before_mm, after=motion.heldout_after_mm),
@@ -110,7 +136,6 @@ def _with_effects(
     if not used:
         kept = (*found.result.pictures, *pictures)
         return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
-    at_rest = [effect for effect in motion.effects if effect.at_rest]
     accepted = tuple(
         accepted_effect(
             effect.term(),
@@ -118,15 +143,15 @@ def _with_effects(
             Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
             effect.posterior,
         )
-        for effect in at_rest
+        for effect in at_rest.effects
     )
-    names = " and ".join(EFFECTS[effect.slug].title for effect in at_rest)
-    after = held_out.rms_mm(model)
+    names = " and ".join(EFFECTS[effect.slug].title for effect in at_rest.effects)
+    after = at_rest.held_out.rms_mm(at_rest.model)
     changed = replace(found, terms=motion.terms)
     changed = replace(changed, result=found.result.model_copy(update={"accepted": accepted, "motion": shown}))
     return changed.with_model(
-        model,
-        held_out,
+        at_rest.model,
+        at_rest.held_out,
         verdict="explained",
         sentence=f"arm {name}: {names}, by its recordings of motion; {after * 1e3:.0f} µm rms held out",
         contradictions=(),
@@ -135,7 +160,7 @@ def _with_effects(
     )
 
 
-def model_at_rest(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
+def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
     """The arm with the geometry and the effects that motion shows and that act at rest."""
     identification = motion.fit.identification
     return replace(

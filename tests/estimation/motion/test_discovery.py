@@ -49,7 +49,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
         model = moved.calibration.model
         samples = moved.samples["left"]
         found = discover_cell(QUICK, model, {"left": samples.take(np.arange(0, len(samples), 12))})
-        found = with_motion(QUICK, found, model.arms, moved.samples, {"left": none}, recordings)
+        found = with_motion(QUICK, found, model.arms, {"left": none}, recordings)
     discovery = found.arms["left"]
     assert discovery.result.motion is not None
     assert discovery.result.motion.used

@@ -6,8 +6,7 @@ from cellapp.commands.trials.benchmark.problem import Answer, Motion, Problem
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.motion.calibrate import recorded_arm
-from cellapp.estimation.motion.discovery import held_out_at_rest, model_at_rest
-from cellapp.estimation.motion.effects import effects_in_motion
+from cellapp.estimation.motion.discovery import MotionAtRest
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
@@ -27,12 +26,9 @@ def search_of_effects(problem: Problem) -> Answer:
 
 def _by_recordings(problem: Problem, motion: Motion, by_samples: ArmModel) -> Answer | None:
     """What recordings show; None where the search of samples predicts their held-out blocks better."""
-    name, calibrated = problem.arm, problem.geometry_fit.model
-    found = effects_in_motion(recorded_arm(problem.profile, name, motion.stops, motion.recordings))
-    held_out = held_out_at_rest(name, found, {name: calibrated}, {name: motion.stops}, problem.learn.joints)
-    model = model_at_rest(calibrated, found)
-    if not found.terms or held_out.rms_mm(model) >= held_out.rms_mm(by_samples):
+    name = problem.arm
+    arm = recorded_arm(problem.profile, name, motion.stops, motion.recordings)
+    found = MotionAtRest.of(arm, name, {name: problem.geometry_fit.model}, {name: motion.stops})
+    if not found.better_than(by_samples):
         return None
-    return Answer(
-        problem.predicted(model), {effect.slug: effect.posterior for effect in found.effects if effect.at_rest}
-    )
+    return Answer(problem.predicted(found.model), {effect.slug: effect.posterior for effect in found.effects})
