@@ -25,7 +25,7 @@ _IMMOVABLE = 1e-12
 """Replaces a limit of zero, of a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
 """Candidates for one gap that are looked at: more of them differ little."""
-_FOLLOWED = 400
+_FOLLOWED = 200
 """Stops whose losses are followed, those of the least loss first."""
 _COMPARED = 8
 """Of these the best are compared in double precision."""
@@ -90,10 +90,11 @@ def close_gaps(
     design.track(candidates.rows[chosen[easy]])
     staying, added = np.ones(len(chosen), dtype=bool), list[int]()
     hopeless = set[tuple[int, float]]()
+    ends = np.stack([q.min(axis=0), q.max(axis=0)])
     for _ in range(len(chosen)):
         cancel.check()
         stops = np.concatenate([q[chosen[staying]], q[added], kept])
-        inside = _closing(q, stops, limits, hopeless)
+        inside = _closing(q, np.concatenate([stops, ends]), limits, hopeless)
         if inside is None:
             break
         inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
@@ -114,11 +115,12 @@ def close_gaps(
 
 
 def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, float]]) -> Rows | None:
-    """Candidates that close the longest gap, or a good part of it; None where no gap can be closed.
+    """Candidates that close the longest gap of ``stops`` and the ends of the range, or a good part of it; None where
+    no gap can be closed.
 
     ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
     """
-    ends = np.sort(np.concatenate([stops, q.min(axis=0)[None], q.max(axis=0)[None]]), axis=0)
+    ends = np.sort(stops, axis=0)
     ratio = np.diff(ends, axis=0) / np.maximum(limits, _IMMOVABLE)
     rows, joints = np.nonzero(ratio > 1.0)
     longest = np.argsort(-ratio[rows, joints], kind="stable")
