@@ -141,9 +141,7 @@ def _batch(asked: int, chosen: int) -> int:
     return min(asked, max(_FIRST_BATCH, chosen))
 
 
-def _best(
-    candidates: Candidates, information: Array, W: Array, among: Rows, number: int, followed: int
-) -> list[int]:
+def _best(candidates: Candidates, information: Array, W: Array, among: Rows, number: int, followed: int) -> list[int]:
     """The best of some candidates one after the other beside others of some information (p, p)."""
     design = BlockDesign(information, W)
     among = among[design.largest(candidates.rows[among], followed)]
@@ -178,7 +176,7 @@ def _greedy(
 
 
 def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort, cancel: CancelToken) -> Rows:
-    """Chosen stops, those of the least information first, a batch at a time, against the best of the others and them."""
+    """Each chosen stop, the one of the least information first, against the best of the others, or itself."""
     information = candidates.information(chosen)
     W = criterion.weights(inverse_psd(information))
     design = BlockDesign(information, W)
@@ -196,7 +194,7 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
         rows = candidates.rows[looked_at].astype(np.float64, copy=False)
         design.track(rows)
         outside = np.where(free[looked_at], 0.0, -np.inf)
-        for place, stop in enumerate(leaving):
+        for place in range(len(leaving)):
             if outside[place] == 0.0:
                 continue
             design.remove(rows[place])
