@@ -24,9 +24,10 @@ of the rival's law, at a penalty of m^2 / t^2 if the errors of laws that look so
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
-A look-alike of the effect is what all errors of its law look like: there t is the share that a free part of the law may
-have, 0.3, but less for large effects, whose laws the readings correct: an error of t scores t^2 times as much as the
-effect, and with 5 a free part is kept.
+A look-alike of the effect is what all errors of its law look like. There t is the share that a free part of the law may
+have, 0.3, but no more than the readings would have shown: 10 over the effect's score, and where the law is off, so that
+a free part was kept, the share that this may miss, as an error of t scores t^2 times as much as the effect and 5 is
+needed.
 
 What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts, and
 what it leads the threshold by is limited in the same way where a larger effect depends on the same variables.
@@ -175,8 +176,9 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: int) -> float:
     if left <= 0.0:
         return 0.0
     error = _LIKE_A_RIVAL
-    if own.term.slug in EFFECTS and are_look_alikes(own.term.slug, slug):
-        error = max(error, min(SHARES[-1], math.sqrt(LEAST_EVIDENCE / max(more, LEAST_EVIDENCE))))
+    if more > 0.0 and are_look_alikes(own.term.slug, slug):
+        unseen = math.sqrt(LEAST_EVIDENCE / more) if own.term.modulations else SCORE_MARGIN / more
+        error = max(error, min(SHARES[-1], unseen))
     return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / left), own.score - rival)
 
 
