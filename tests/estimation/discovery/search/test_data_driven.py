@@ -228,7 +228,7 @@ def test_one_cause_is_one_unknown(cycles, joints, beside, named):
 
     data, _ = readings_with(bent, np.zeros_like)
     problem, start = searched(*refit(data, ()))
-    terms = (lines(cycles, joints),)
+    terms: tuple[ModelTerm, ...] = (lines(cycles, joints),)
     if beside is not None:
         family = next(
             family.law(channel)
