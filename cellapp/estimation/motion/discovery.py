@@ -52,11 +52,17 @@ TITLES = {
 
 @dataclass(frozen=True, eq=False)
 class MotionAtRest:
-    """What recordings of an arm show, its model for poses at rest, and the held-out readings that judge it."""
+    """What recordings of an arm show, its model for poses at rest, and the held-out readings that judge it.
+
+    Samples among them stand for poses at rest, without what only motion has. A model at rest knows the last motion of a
+    joint only. That of the recordings also says what the turns before left in the joints: ``held_out`` has its samples
+    without that, and ``held_out_of_others``, which judges models of other data, with it.
+    """
 
     motion: MotionDiscovery
     model: ArmModel
     held_out: HeldOut
+    held_out_of_others: HeldOut
 
     @classmethod
     def of(
@@ -69,7 +75,11 @@ class MotionAtRest:
     ) -> MotionAtRest:
         """Search the recordings of one arm. Raises as ``effects_in_motion``."""
         motion = effects_in_motion(arm, told)
-        return cls(motion, _model(calibrated[name], motion), _held_out(name, motion, calibrated, stops))
+        own, others = (
+            _held_out(name, samples_of(motion.fit, calibrated[name].geometry.joints, joints), calibrated, stops)
+            for joints in (motion.laws.joints_with_history, motion.laws.joints_at_rest)
+        )
+        return cls(motion, _model(calibrated[name], motion), own, others)
 
     @property
     def effects(self) -> tuple[MotionEffect, ...]:
@@ -80,7 +90,7 @@ class MotionAtRest:
         """Whether there are effects whose model predicts the held-out readings better than another one."""
         if not self.motion.terms or not len(self.held_out):
             return False
-        return self.held_out.rms_mm(self.model) < self.held_out.rms_mm(other)
+        return self.held_out.rms_mm(self.model) < self.held_out_of_others.rms_mm(other)
 
 
 def with_motion(
@@ -111,11 +121,10 @@ def with_motion(
 
 
 def _held_out(
-    name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
+    name: str, samples: Readings, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
 ) -> HeldOut:
-    """Held-out stops of an arm, and samples of the held-out blocks that stand for poses at rest: without what only
-    motion has, and with the travel of each joint since it turned round as its last motion."""
-    samples = samples_of(motion.fit, calibrated[name].geometry.joints, motion.joints_at_rest)
+    """Held-out stops of an arm, and samples of the held-out blocks of its recordings, with the travel of each joint
+    since it turned round as its last motion."""
     if not len(stops[name]):
         return HeldOut.of(samples, measurement_conditions(samples))
     apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))

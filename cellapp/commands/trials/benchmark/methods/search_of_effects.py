@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from cellapp.commands.trials.benchmark.problem import Answer, Motion, Problem
-from cellapp.estimation.discovery.search.stepwise import search
-from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.discovery.discover import search_rows
 from cellapp.estimation.motion.calibrate import recorded_arm
 from cellapp.estimation.motion.discovery import MotionAtRest
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
 
 
 def search_of_effects(problem: Problem) -> Answer:
     """Name what the search accepts, with its posterior probabilities."""
-    found = search(problem.data, [slug for slug in EFFECTS if slug != UNKNOWN], CancelToken())
-    assert found.posteriors is not None
-    if problem.motion is not None and (better := _by_recordings(problem, problem.motion, found.fit.model)) is not None:
+    nominal = problem.data.model
+    found = search_rows(problem.profile, nominal, problem.learn, problem.learn_conditions, CancelToken())
+    if problem.motion is not None and (better := _by_recordings(problem, problem.motion, found.model)) is not None:
         return better
+    assert found.judged.posteriors is not None
     names: dict[str, float] = {}
-    for term, probability in zip(found.fit.terms, found.posteriors.terms, strict=True):
+    for term, probability in zip(found.judged.fit.terms, found.judged.posteriors.terms, strict=True):
         names[term.slug] = max(probability, names.get(term.slug, 0.0))
-    return Answer(problem.predicted(found.fit.model), names)
+    return Answer(problem.predicted(found.model), names)
 
 
 def _by_recordings(problem: Problem, motion: Motion, by_samples: ArmModel) -> Answer | None:
