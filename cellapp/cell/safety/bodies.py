@@ -159,7 +159,7 @@ class Placed:
         return np.asarray(self.flange @ self.arm.normal_F)
 
     def axes(self, rows: np.ndarray, bodies: np.ndarray) -> tuple[Array, Array]:
-        """Both ends of the axes of some ``bodies`` (p,), each at one of the configurations ``rows`` (p,), (3, p) [m]."""
+        """Both ends of the axes of some ``bodies`` (p,), at configurations ``rows`` (p,), (3, p) each [m]."""
         return self.start.T[:, bodies, rows], self.end.T[:, bodies, rows]
 
     def take(self, rows: np.ndarray | slice) -> Placed:
