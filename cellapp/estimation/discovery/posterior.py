@@ -95,8 +95,8 @@ _FREE_FORM = 3.0
 """How much more often something else needs a free function than an effect whose name that has: of seven such names, of
 no single joint's angle, five were right (seeds 20261226 to 20261128)."""
 _FEW = 280.0
-"""Coordinates beside the parameters with which stand-ins are twice as frequent as with very many: of 18, 16 and 12 names
-from 30, 45 and 60 readings 6, 2 and 2 were wrong (seed 20261129)."""
+"""Coordinates beside the parameters with which stand-ins are twice as frequent as with very many: of 18, 16 and 12
+names from 30, 45 and 60 readings 6, 2 and 2 were wrong (seed 20261129)."""
 _ROW, _SERIES = 8, 4
 """Lines of a joint below so many cycles a turn, and how many of them are a series: a gear has lines at few counts."""
 _LEAVES = 5.0
