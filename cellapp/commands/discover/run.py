@@ -19,12 +19,11 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
-from cellapp.estimation.discovery.discover import discover_cell
+from cellapp.estimation.discovery.discover import ArmSearch, discover_arm, discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import DiscoverResult, Proposal
-from cellapp.estimation.motion.discovery import with_motion
+from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.prior.discovery import SearchWithPriors
-from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.pace import with_eta
@@ -108,13 +107,12 @@ def discover_effects(
     readings: Mapping[str, Readings],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-    *,
-    earlier: Mapping[str, Earlier] | None = None,
+    search_arm: ArmSearch = discover_arm,
 ) -> tuple[DiscoverResult, CellDiscovery]:
     """Search every arm for missing effects.
 
-    ``model`` is the calibrated one, ``readings`` and ``earlier`` are those of the calibration. The model of the outcome
-    has the accepted effects, and its provenance is of now.
+    ``model`` is the calibrated one, ``readings`` are those of the calibration; ``search_arm`` searches one of
+    them. The model of the outcome has the accepted effects, and its provenance is of now.
 
     Raises
     ------
@@ -122,8 +120,7 @@ def discover_effects(
         On request.
     """
     with one_blas_thread():
-        search = SearchWithPriors(earlier) if earlier else None
-        found = discover_cell(profile, model, readings, with_eta(listener), cancel, search)
+        found = discover_cell(profile, model, readings, with_eta(listener), cancel, search_arm)
     extended = replace(found.model, provenance=provenance_of(profile).model_dump())
     return discover_result(found), replace(found, model=extended)
 
@@ -139,16 +136,13 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
-    readings = {name: known_readings(run, name) for name in run.profile.arms}
-    calibrated_model = model_of(run, calibrated)
-    result, found = discover_effects(run.profile, calibrated_model, readings, listener, cancel, earlier=earlier)
-    recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
-    if any(recordings.values()):
-        stops = {name: run.readings(name) for name in run.profile.arms}
-        with one_blas_thread():
-            arms, heard = calibrated_model.arms, with_eta(listener)
-            found = with_motion(run.profile, found, arms, stops, recordings, heard, cancel)
-        result = discover_result(found)
+    names = [*run.profile.arms]
+    readings = {name: known_readings(run, name) for name in names}
+    recordings, stops = {name: read_recordings_of(run, name) for name in names}, {n: run.readings(n) for n in names}
+    model = model_of(run, calibrated)
+    plain = SearchWithPriors(earlier) if earlier else discover_arm
+    search = SearchWithRecordings(model.arms, stops, recordings, plain) if any(recordings.values()) else plain
+    result, found = discover_effects(run.profile, model, readings, listener, cancel, search)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, DISCOVER, result, found.model, basis)
     for note in result.notes or ():

@@ -6,6 +6,7 @@ What was found is stored in each run's file, so that judging continues where it 
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +17,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
@@ -25,8 +28,11 @@ from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_se
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.motion.discovery import with_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
@@ -37,7 +43,7 @@ from cellapp.robot.model import CellModel
 
 TRIAL_RESULT = "sealed-trial"
 """Name of the document in which a run keeps what was found in it."""
-_SEARCHING = ("estimation/calibration", "estimation/design", "estimation/discovery", "robot")
+_SEARCHING = ("estimation/calibration", "estimation/design", "estimation/discovery", "estimation/motion", "robot")
 
 
 class StoredFindings(Record):
@@ -129,17 +135,18 @@ def judge_run(folder: Path, source: str) -> None:
         calibrate_run(run)
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
-        readings = {name: run.readings(name) for name in model.arms}
+        readings = {name: known_readings(run, name) for name in model.arms}
         conditions = conditions_of_arms(model.arms, readings)
         arms = {}
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
             found = discover_arm(run.profile, name, arm, readings[name], conditions=conditions[name])
+            result = _by_recordings(run, model, name, found) or found.result
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
                 # pictures are large, and 'discover' draws them again
-                discovery=found.result.model_copy(update={"pictures": ()}),
+                discovery=result.model_copy(update={"pictures": ()}),
             )
         stored = StoredTrial(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -162,6 +169,21 @@ def source_digest() -> str:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _by_recordings(run: RunFile, model: CellModel, name: str, found: Discovery) -> ArmDiscoveryResult | None:
+    """What an arm's recordings of motion show beside its samples, judged by its stops at rest; None without any."""
+    recordings = read_recordings_of(run, name)
+    if not recordings:
+        return None
+    stops = {one: run.readings(one) for one in model.arms}
+    cell = CellDiscovery({name: found}, model, None)
+    found = with_motion(run.profile, cell, model.arms, stops, {name: recordings}).arms[name]
+    at_rest = HeldOut.of(stops[name], conditions_of_arms(model.arms, stops)[name])
+    errors = BeforeAfter(before=at_rest.rms_mm(model.arms[name]), after=at_rest.rms_mm(found.model))
+    floor_mm = at_rest.noise_floor_mm()
+    stated = {"heldout_mm": errors, "noise_floor_mm": floor_mm if math.isfinite(floor_mm) else None}
+    return found.result.model_copy(update=stated)
 
 
 def _stored(folder: Path) -> StoredTrial | None:

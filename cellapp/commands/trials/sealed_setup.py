@@ -32,8 +32,11 @@ RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
 MASS_ERROR = 0.05
 """Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
-FEWEST_STOPS = 25
-"""At least 10 are held out; the 15 that are left just determine the geometry."""
+FEWEST_HELD_OUT = 10
+FEWEST_STOPS = 15 + FEWEST_HELD_OUT
+"""Of these 15 just determine the geometry."""
+HELD_OUT = 100
+"""Stops at rest that judge what recordings of motion show, where no number is given."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
 """Widths of narrow joint ranges."""
 _CENTRES = 30
@@ -52,7 +55,7 @@ class Setup(Record):
     laws : str
         same: by laws of the library's shape; other: by laws of other shapes.
     stops : int or None
-        Stops of each run, in place of the profile's.
+        Stops of each run, in place of the profile's, or of those to sweep at and ``HELD_OUT`` more.
     ranges : str
         full; narrow: each joint moves over 10 to 50 degrees about a drawn centre.
     mass_error : float
@@ -107,8 +110,22 @@ class Setup(Record):
             raise InputError("--plan designed needs the full joint ranges; leave out --ranges narrow")
         if self.stops is not None and self.stops < FEWEST_STOPS:
             raise InputError(f"--stops: {self.stops} are too few to identify the geometry; give {FEWEST_STOPS} or more")
+        if self.sweeps is not None:
+            self._check_sweeps(self.sweeps)
         if not 0.0 <= self.mass_error < 1.0:
             raise InputError(f"--mass-error: {self.mass_error:g} is not a share from 0 to below 1")
+
+    def _check_sweeps(self, sweeps: int) -> None:
+        """Raise ``InputError`` for conditions that recordings of motion cannot have."""
+        if self.flip_approach:
+            raise InputError("--sweeps: motion has no approach signs to flip; leave out --flip-approach")
+        if self.ranges != "full":
+            raise InputError("--sweeps needs the full joint ranges; leave out --ranges narrow")
+        if self.stops is not None and self.stops - sweeps < FEWEST_HELD_OUT:
+            raise InputError(
+                f"--stops: {self.stops} with {sweeps} to sweep at leave too few to judge by;"
+                f" give {sweeps + FEWEST_HELD_OUT} or more"
+            )
 
     def cell(self, profile: Profile) -> Profile:
         """The profile with the number of stops, the splits and the masses of these trials, and nothing hidden."""
@@ -116,19 +133,20 @@ class Setup(Record):
         geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
         changes: dict[str, object] = {"plant": plant}
-        if self.stops is not None:
-            quarter = self.stops // 4
-            identify, validate = max(quarter, 15), max(quarter, 10)
+        stops = self.stops if self.sweeps is None or self.stops is not None else self.sweeps + HELD_OUT
+        if stops is not None:
+            quarter = stops // 4
+            identify, validate = max(quarter, 15), max(quarter, FEWEST_HELD_OUT)
             if self.sweeps is not None:
-                identify, validate = self.sweeps, self.stops - self.sweeps
+                identify, validate = self.sweeps, stops - self.sweeps
             splits = {
                 "identify": identify,
                 "validate_": validate,
-                "train": self.stops - identify - validate,
+                "train": stops - identify - validate,
                 "pair_identify": quarter,
                 "pair_validate": quarter,
             }
-            changes["plan"] = profile.plan.model_copy(update={"stops": self.stops, "reserve": 0})
+            changes["plan"] = profile.plan.model_copy(update={"stops": stops, "reserve": 0})
             changes["splits"] = profile.splits.model_copy(update=splits)
         return profile.model_copy(update=changes)
 

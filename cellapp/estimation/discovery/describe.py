@@ -15,7 +15,7 @@ from cellapp.estimation.discovery.records import TermDescription
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.contradiction import is_borrowed
 from cellapp.robot.effects.data_driven import DataChannel, Variable, data_driven_form
 from cellapp.robot.effects.field import FIELD_LENGTH
 from cellapp.robot.effects.unknown import channel_directions
@@ -28,14 +28,14 @@ _AS_GOOD = 0.95
 
 
 def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
-    """Describe a data-driven term of a fit, or a law with impossible values.
+    """Describe a data-driven term of a fit, or one with a law of the library.
 
     ``size_um`` is without the part that the other parameters can explain.
     """
     term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
     formula, gain = "", None
     curve: tuple[tuple[float, float], ...] = ()
-    if is_contradiction(term.law):
+    if is_borrowed(term.law):
         channel = ", ".join(dict.fromkeys(column.where for column in fit.term_columns(number)))
         names = tuple(sorted(variable.value for variable in term.law.form.variables))
         said = term.note

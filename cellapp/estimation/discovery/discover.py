@@ -202,7 +202,7 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
     return its.readings_with(wrong)
 
 
-def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
+def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, started: float) -> Discovery:
     """The discovery that a search found, with its evidence and the errors at held-out readings.
 
     ``model`` is the calibrated arm; ``started`` is when the search began, by ``time.perf_counter`` [s].
@@ -258,7 +258,7 @@ def _noise(data: ArmData) -> Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class _Searched:
+class Searched:
     """The outcome of a search, and the model fitted to all readings.
 
     ``judged`` holds the searched readings; ``found`` those of the final fit. ``fitted`` is the number of all readings
@@ -283,7 +283,7 @@ def _search_and_refit(
     cancel: CancelToken,
     report: Report,
     prior_sigma: Mapping[str, float] | None,
-) -> _Searched:
+) -> Searched:
     """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them.
 
     ``gross`` (n,) are those of the geometry; others show beside the effects that are found.
@@ -292,7 +292,7 @@ def _search_and_refit(
     rows = rows[~gross[rows]]
     gross = gross.copy()
     for _ in range(ROUNDS):
-        result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
+        result = search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
         wrong = gross_errors_of_model(result.model, readings.take(rows), conditions.take(rows))
         if not wrong.any():
             break
@@ -301,16 +301,19 @@ def _search_and_refit(
     return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
 
 
-def _search_rows(
+def search_rows(
     profile: Profile,
     model: ArmModel,
     readings: Readings,
     conditions: MeasurementConditions,
     cancel: CancelToken,
-    report: Report,
-    prior_sigma: Mapping[str, float] | None,
-) -> _Searched:
-    """Search some of the readings, and fit to all of them."""
+    report: Report = ignore_report,
+    prior_sigma: Mapping[str, float] | None = None,
+) -> Searched:
+    """Search some of the readings to learn from, at most ``_MOST_SEARCHED``, and fit to all of them.
+
+    ``prior_sigma`` as for ``discover_arm``.
+    """
     rows = np.arange(len(readings), dtype=np.intp)
     some = rows
     if len(rows) > _MOST_SEARCHED and not in_sockets(readings):  # a part of them would hardly show the points
@@ -320,18 +323,18 @@ def _search_rows(
     searched = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
     found = search(searched, slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
-        return _Searched(found, found, with_posterior(found.data, found.fit), None)
+        return Searched(found, found, with_posterior(found.data, found.fit), None)
     cancel.check()
     report(SEARCH_STEPS - 1, f"fit to all {counted(len(rows), 'reading')}")
     everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
     if smoothness_of(found.fit.terms) is None:
         to_all = refit_to_all(found, everything)
-        return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
+        return Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
     to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
-    return _Searched(to_all, to_all, fitted_model, len(rows))
+    return Searched(to_all, to_all, fitted_model, len(rows))
 
 
-def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
+def _without_harm(result: Searched, held_out: HeldOut) -> Searched:
     """The result, without its terms where they predict held-out readings worse than geometry alone does.
 
     Few readings can be fitted by effects that are not there. The rise must be more than sampling explains.
@@ -352,7 +355,7 @@ def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
     )
 
 
-def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
+def _with_what_was_left_out(sentence: str, result: Searched) -> str:
     """The sentence of the verdict, with effects that were left out, and with the readings that were left out."""
     said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
     improbable = {slug: p for slug, p in result.found.improbable.items() if slug not in said}

@@ -42,8 +42,12 @@ class HeldOut:
 
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
         """Statistics of the position error of a model."""
+        return _statistics(self.errors_m(model) * 1e3)
+
+    def errors_m(self, model: ArmModel) -> Array:
+        """Position errors (n,) of a model [m]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        return _statistics(position_errors(measured_positions(self.readings, computed), computed) * 1e3)
+        return position_errors(measured_positions(self.readings, computed), computed)
 
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
         """Statistics of the orientation error of a model [mrad]; None where no orientation was measured."""

@@ -24,6 +24,11 @@ of the rival's law, at a penalty of m^2 / t^2 if the errors of laws that look so
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
+A look-alike of the effect is what all errors of its law look like. There t is the share that a free part of the law may
+have, 0.3, but no more than the readings would have shown: 10 over the effect's score, and where the law is off, so that
+a free part was kept, the share that this may miss, as an error of t scores t^2 times as much as the effect and 5 is
+needed.
+
 What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts, and
 what it leads the threshold by is limited in the same way where a larger effect depends on the same variables.
 Rivals that tie share the probability.
@@ -36,8 +41,8 @@ share, w is uniform. So beside each named effect stands the set in which another
     ln weight = -ln 9 - ln(k + 1) - k ln(1 - w).
 
 A free function that has a name leaves little whatever the cause is, and so does a row of a joint's lowest cycles, which
-is a Fourier series. They are taken where no law of the effect has the shape: of effects that are there one in five is
-so, of others every one, hence ln weight = ln 5 - ln 9.
+is a Fourier series. They are taken where no law of the effect has the shape: of effects that are there one in three is
+so, of others every one, hence ln weight = ln 3 - ln 9.
 
 So no name is surer than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes factors:
 Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
@@ -60,7 +65,10 @@ from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.free_part import (
     CAUTIOUS_SHARE,
+    LEAST_EVIDENCE,
+    SHARES,
     FreePart,
+    are_look_alikes,
     gain_beside_free_parts,
     possible_free_parts,
 )
@@ -72,15 +80,17 @@ from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.periodic import LINES
 
 _LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
-"""Error of a law, as a share of its effect, that looks like what one given rival explains better. Laws hold to some
-10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
+"""Error of a law, as a share of its effect, that looks like what one given rival explains better, which is no
+look-alike. Laws hold to some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is
+one of them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 """Error of a law that may look like another effect of the same variables, with whatever values that has."""
 _ODDS_OUTSIDE = 1.0 / 9.0
 """Prior odds that the library lacks a cause that shows. With ``_LEAVES``, from 92 names of the blind runs of seed
 20261126; those that are reported have other seeds."""
-_FREE_FORM = 5.0
-"""How much more often something else needs a free function than an effect whose name that has."""
+_FREE_FORM = 3.0
+"""How much more often something else needs a free function than an effect whose name that has: of seven such names, of
+no single joint's angle, five were right (seeds 20261226 to 20261128)."""
 _ROW, _SERIES = 8, 4
 """Lines of a joint below so many cycles a turn, and how many of them are a series: a gear has lines at few counts."""
 _LEAVES = 5.0
@@ -140,7 +150,7 @@ def posteriors(
         sets.append(_Set(-(score - threshold) / 2.0, lacks=key))
         if len(own) == 1:
             rivals = own[0].alternatives.items()
-            sets += [_Set(-_penalty(own[0].score, rival, coordinates) / 2.0, key, slug) for slug, rival in rivals]
+            sets += [_Set(-_penalty(own[0], slug, rival, coordinates) / 2.0, key, slug) for slug, rival in rivals]
     sets += [_Set(log_odds, lacks=slug) for slug, log_odds in (outside or {}).items()]
     log_weights = np.array([one.log_weight for one in sets])
     weights = np.exp(log_weights - log_weights.max())
@@ -156,17 +166,20 @@ def posteriors(
     return Posteriors(terms, {**having, **named})
 
 
-def _penalty(score: float, rival: float, coordinates: int) -> float:
-    """Penalty of a rival in an effect's place, from their scores there; negative where the rival scores more."""
-    if rival > score:
-        return -_penalty(rival, score, coordinates)
+def _penalty(own: Review, slug: str, rival: float, coordinates: int) -> float:
+    """Penalty of a rival in an effect's place, by its score there; negative where the rival scores more."""
     if math.isinf(rival):
         return math.inf
-    explained = -math.expm1(-max(score, 0.0) / coordinates)
-    left = math.exp(-rival / coordinates) - math.exp(-score / coordinates)
+    less, more = sorted((own.score, rival))
+    explained = -math.expm1(-max(more, 0.0) / coordinates)
+    left = math.exp(-less / coordinates) - math.exp(-more / coordinates)
     if left <= 0.0:
         return 0.0
-    return 1.0 / (1.0 / (score - rival) + _LIKE_A_RIVAL**2 * explained / left)
+    error = _LIKE_A_RIVAL
+    if more > 0.0 and are_look_alikes(own.term.slug, slug):
+        unseen = math.sqrt(LEAST_EVIDENCE / more) if own.term.modulations else SCORE_MARGIN / more
+        error = max(error, min(SHARES[-1], unseen))
+    return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / left), own.score - rival)
 
 
 def _log_odds_outside(found: SearchResult) -> dict[str, float]:
@@ -182,14 +195,14 @@ def _log_odds_outside(found: SearchResult) -> dict[str, float]:
         (term.slug, fit.removed_square(number)) for number, term in enumerate(fit.terms) if term.is_library_effect
     )
     prior = math.log(_ODDS_OUTSIDE / (_LEAVES + 1.0))
-    free = {term.slug for number, term in enumerate(fit.terms) if _is_free_function(fit, number)}
+    free = {term.slug for number, term in enumerate(fit.terms) if is_free_function(fit, number)}
     return {
         slug: prior + _LEAVES * math.log1p(beyond_noise / max(math.fsum(squares), SMALLEST))
         for slug, squares in removed.items()
     } | dict.fromkeys(free, math.log(_ODDS_OUTSIDE * _FREE_FORM))
 
 
-def _is_free_function(fit: JointFit, number: int) -> bool:
+def is_free_function(fit: JointFit, number: int) -> bool:
     """Whether a named term is a free function: smooth by its prior, or a Fourier series of a joint's lowest cycles."""
     term = fit.terms[number]
     if term.law.form != LINES:

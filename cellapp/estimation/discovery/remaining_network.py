@@ -22,8 +22,12 @@ _READINGS_A_FOLD = 2
 
 
 def needs_network(profile: Profile, discovery: Discovery) -> bool:
-    """Whether the profile asks for a network beside the effects of this outcome."""
-    if profile.network.kind == "none":
+    """Whether the profile asks for a network beside the effects of this outcome.
+
+    Beside effects that recordings show there is none: samples of motion hold what no pose at rest has.
+    """
+    motion = discovery.result.motion
+    if profile.network.kind == "none" or (motion is not None and motion.used):
         return False
     asked = profile.discovery.network
     return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")

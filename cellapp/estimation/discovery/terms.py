@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law
-from cellapp.robot.effects.contradiction import ContradictionForm
+from cellapp.robot.effects.contradiction import BorrowedForm
 from cellapp.robot.effects.modulation import Modulation
 from cellapp.robot.effects.periodic import TransmissionError
 from cellapp.robot.kinematics.transforms import Array
@@ -85,8 +85,8 @@ class ModelTerm:
 
     @property
     def effect(self) -> Effect | None:
-        """The effect whose law it has, also where values are impossible; None for what is free or data-driven."""
-        if isinstance(self.law.form, ContradictionForm):
+        """The effect whose law it has, also without its name; None for what is free or data-driven."""
+        if isinstance(self.law.form, BorrowedForm) and self.smooth is None:
             return self.law.form.effect
         return EFFECTS[self.slug] if self.is_library_effect else None
 

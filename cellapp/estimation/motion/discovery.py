@@ -1,8 +1,9 @@
-"""Discovery for arms that were recorded in motion: effects of joints from all points, beside the search of readings.
+"""Discovery for arms that were recorded in motion: effects of joints from all points, then a search of what they leave.
 
-The search of readings (stops, or samples of the recordings) knows all effects of the library. Recordings show those of
-the joints far better: every reversal, dense lines, and what only motion has. Where the arm with the effects that
-recordings show predicts held-out readings better, it is the model from then on; both are judged by the same ones.
+Recordings show effects of the joints far better than readings at rest do: every reversal, dense lines, and what only
+motion has. A search of readings knows all effects of the library. Where the arm with the effects that recordings show
+predicts held-out readings better than without, readings (stops, and samples of the recordings) are searched at the
+joint positions that these effects give them; else as they are.
 """
 
 from __future__ import annotations
@@ -10,23 +11,29 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import scipy
 
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect
+from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
+from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.records import (
+    AcceptedEffect,
     BeforeAfter,
     Evidence,
+    GapStep,
+    HeldOutBeforeAfter,
     LawRecord,
     MotionDiscoveryResult,
     MotionEffectResult,
     Picture,
     Place,
 )
-from cellapp.estimation.motion.calibrate import each_recorded, recorded_arm, samples_of
+from cellapp.estimation.motion.calibrate import recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
 from cellapp.estimation.motion.identify import RecordedArm
 from cellapp.estimation.motion.loops import Loop
@@ -36,9 +43,9 @@ from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Told, ignore, ignore_words
+from cellapp.ground.progress import CancelToken, Report, Told, ignore_report, ignore_words
 from cellapp.ground.results import Estimate
-from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.model import ArmModel
 
 TITLES = {
@@ -48,15 +55,71 @@ TITLES = {
     Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
 }
 """Of effects that act in motion only."""
+_SURE = 3.0
+"""Standard errors by which an effect beside those of recordings must lower the mean squared held-out error."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchWithRecordings:
+    """``discover_arm`` that begins with what recordings of an arm show.
+
+    ``stops`` are the readings at rest and ``calibrated`` the arms before discovery; ``search_arm`` searches arms of
+    which recordings show nothing.
+    """
+
+    calibrated: Mapping[str, ArmModel]
+    stops: Mapping[str, Readings]
+    recordings: Mapping[str, Sequence[Recording]]
+    search_arm: ArmSearch = discover_arm
+
+    def __call__(
+        self,
+        profile: Profile,
+        name: str,
+        model: ArmModel,
+        readings: Readings,
+        cancel: CancelToken | None = None,
+        *,
+        conditions: MeasurementConditions,
+        report: Report = ignore_report,
+    ) -> Discovery:
+        """Search one arm; ``readings`` are stops and samples of its recordings."""
+        known = cancel or CancelToken()
+
+        def told(words: str) -> None:
+            known.check()
+            report(0, f"recordings: {words}")
+
+        if not self.recordings.get(name):
+            return self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+        started = time.perf_counter()
+        arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
+        at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
+        seconds = time.perf_counter() - started
+        if at_rest.better_than(self.calibrated[name]):
+            return at_rest.discovery(profile, seconds, known, report)
+        found = self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+        kept = (*found.result.pictures, *at_rest.pictures)
+        shown = at_rest.result(seconds, used=False)
+        return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
 
 
 @dataclass(frozen=True, eq=False)
 class MotionAtRest:
-    """What recordings of an arm show, its model for poses at rest, and the held-out readings that judge it."""
+    """What recordings of an arm show, its model for poses at rest, and the readings that judge it.
 
+    ``readings`` (n,) are stops, and samples of the recordings that stand for poses at rest. A model at rest knows the
+    last motion of a joint only. That of the recordings also says what the turns before left in the joints: its samples
+    are without that. ``held_out_of_others``, which judges models of other data, has it.
+    """
+
+    name: str
     motion: MotionDiscovery
+    calibrated: ArmModel
     model: ArmModel
-    held_out: HeldOut
+    readings: Readings
+    conditions: MeasurementConditions
+    held_out_of_others: HeldOut
 
     @classmethod
     def of(
@@ -68,96 +131,139 @@ class MotionAtRest:
         told: Told = ignore_words,
     ) -> MotionAtRest:
         """Search the recordings of one arm. Raises as ``effects_in_motion``."""
-        motion = effects_in_motion(arm, told)
-        return cls(motion, _model(calibrated[name], motion), _held_out(name, motion, calibrated, stops))
+        motion, before = effects_in_motion(arm, told), calibrated[name]
+        own, others = (
+            _with_stops(name, samples_of(motion.fit, before.geometry.joints, joints), calibrated, stops)
+            for joints in (motion.laws.joints_with_history, motion.laws.joints_at_rest)
+        )
+        return cls(name, motion, before, _model(before, motion), *own, HeldOut.of(*others))
+
+    @cached_property
+    def held_out(self) -> HeldOut:
+        """Held-out stops and samples."""
+        return HeldOut.of(self.readings, self.conditions)
 
     @property
     def effects(self) -> tuple[MotionEffect, ...]:
         """Effects that serve poses at rest."""
         return tuple(effect for effect in self.motion.effects if effect.at_rest)
 
+    @property
+    def pictures(self) -> tuple[Picture, ...]:
+        """Loops of the joints that show lost motion."""
+        return tuple(loop_picture(loop) for loop in self.motion.loops)
+
     def better_than(self, other: ArmModel) -> bool:
         """Whether there are effects whose model predicts the held-out readings better than another one."""
         if not self.motion.terms or not len(self.held_out):
             return False
-        return self.held_out.rms_mm(self.model) < self.held_out.rms_mm(other)
+        return self.held_out.rms_mm(self.model) < self.held_out_of_others.rms_mm(other)
+
+    def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
+        """What the recordings show, as it is stored."""
+        return MotionDiscoveryResult(
+            effects=tuple(_result(effect) for effect in self.motion.effects),
+            heldout_mm=BeforeAfter(before=self.motion.heldout_before_mm, after=self.motion.heldout_after_mm),
+            used=used,
+            seconds=seconds,
+        )
+
+    def discovery(
+        self, profile: Profile, seconds: float, cancel: CancelToken | None = None, report: Report = ignore_report
+    ) -> Discovery:
+        """The effects that recordings show, with what a search finds in what they leave of the readings.
+
+        ``seconds`` is what the search of the recordings took. Raises ``Cancelled`` on request.
+        """
+        q = self.model.true_joints(self.readings.q, conditions=self.conditions)
+        bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
+        rest = discover_arm(profile, self.name, bare, readings, cancel, conditions=self.conditions, report=report)
+        if not (rest.terms and _surely_better(self.held_out, self.model, _joined(rest.model, self.model))):
+            rest = _without_terms(rest)
+        return self._with_rest(rest, seconds)
+
+    def _with_rest(self, rest: Discovery, seconds: float) -> Discovery:
+        """The discovery of the arm, of which ``rest`` is what was found at the joint positions by its recordings."""
+        result, model = rest.result, _joined(rest.model, self.model) if rest.terms else self.model
+        before, by_motion = (
+            held_out.position_mm(one)
+            for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
+        )
+        names = " and ".join(EFFECTS[effect.slug].title for effect in self.effects)
+        steps = [GapStep(what="geometry alone", effect="", heldout_mm=before.rms)]
+        steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
+        changed = result.model_copy(
+            update={
+                "accepted": (*result.accepted, *(_accepted(effect) for effect in self.effects)),
+                "motion": self.result(seconds, used=True),
+                "pictures": (*result.pictures, *self.pictures),
+                "heldout_mm": BeforeAfter(before=before.rms, after=before.rms),
+                "heldout_position_mm": HeldOutBeforeAfter(before=before, after=before),
+                "seconds": seconds + (result.seconds or 0.0),
+            }
+        )
+        return replace(rest, result=changed, terms=(*rest.terms, *self.motion.terms)).with_model(
+            model,
+            self.held_out,
+            steps=(*steps, *result.steps[1:]),
+            verdict="explained" if result.verdict == "nothing missing" else result.verdict,
+            sentence=f"arm {self.name}: {names}, by its recordings of motion; of the rest, {result.sentence}",
+            uncertainty_mm=None,
+        )
 
 
-def with_motion(
-    profile: Profile,
-    found: CellDiscovery,
-    calibrated: Mapping[str, ArmModel],
-    stops: Mapping[str, Readings],
-    recordings: Mapping[str, Sequence[Recording]],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-) -> CellDiscovery:
-    """The discovery of a cell with what recordings of its arms show.
-
-    ``calibrated`` are the arms before discovery, ``stops`` their readings at rest.
-
-    Raises
-    ------
-    Cancelled
-        On request.
-    """
-    arms = dict(found.arms)
-    for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
-        started = time.perf_counter()
-        at_rest = MotionAtRest.of(recorded_arm(profile, name, stops[name], its), name, calibrated, stops, told)
-        arms[name] = _with_effects(name, found.arms[name], at_rest, time.perf_counter() - started)
-    model = replace(found.model, arms={name: one.model for name, one in arms.items()})
-    return replace(found, arms=arms, model=model)
+def _surely_better(held_out: HeldOut, model: ArmModel, other: ArmModel) -> bool:
+    """Whether another model predicts held-out readings better than chance explains, by pairs of squared errors."""
+    gain = held_out.errors_m(model) ** 2 - held_out.errors_m(other) ** 2
+    return bool(np.mean(gain) > _SURE * np.std(gain) / np.sqrt(len(gain)))
 
 
-def _held_out(
-    name: str, motion: MotionDiscovery, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
-) -> HeldOut:
-    """Held-out stops of an arm, and samples of the held-out blocks that stand for poses at rest: without what only
-    motion has, and with the travel of each joint since it turned round as its last motion."""
-    samples = samples_of(motion.fit, calibrated[name].geometry.joints, motion.joints_at_rest)
+def _without_terms(rest: Discovery) -> Discovery:
+    """A search that accepts nothing."""
+    if not rest.terms:
+        return rest
+    result = rest.result
+    changes = {"accepted": (), "verdict": "nothing missing", "contradictions": (), "steps": result.steps[:1]}
+    titles = " and ".join(EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect for one in result.accepted)
+    sentence = f"{titles} would not predict held-out readings surely better, and is left out"
+    return replace(rest, terms=(), result=result.model_copy(update={**changes, "sentence": sentence}))
+
+
+def _joined(rest: ArmModel, by_motion: ArmModel) -> ArmModel:
+    """An arm with the effects that were found at the joint positions by its recordings, and those of the recordings."""
+    names = [name for term in by_motion.effects for name in term.names]
+    assert rest.covariance is not None
+    assert by_motion.covariance is not None
+    of_terms = by_motion.covariance[-len(names) :, -len(names) :]
+    return replace(
+        rest,
+        effects=(*rest.effects, *by_motion.effects),
+        identified=(*rest.identified, *names),
+        covariance=scipy.linalg.block_diag(rest.covariance, of_terms),
+        posterior=None,
+    )
+
+
+def _accepted(effect: MotionEffect) -> AcceptedEffect:
+    """An effect that recordings show, as one of the discovery."""
+    return accepted_effect(
+        effect.term(),
+        Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
+        Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        effect.posterior,
+    )
+
+
+def _with_stops(
+    name: str, samples: Readings, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
+) -> tuple[Readings, MeasurementConditions]:
+    """Stops of an arm, and after them samples of its recordings, with the travel of each joint since it turned round as
+    its last motion."""
     if not len(stops[name]):
-        return HeldOut.of(samples, measurement_conditions(samples))
+        return samples, measurement_conditions(samples)
     apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))
     known = {**stops, name: joined([stops[name], replace(samples, configuration=apart)])}
-    return HeldOut.of(known[name], conditions_of_arms(calibrated, known)[name])
-
-
-def _with_effects(name: str, found: Discovery, at_rest: MotionAtRest, seconds: float) -> Discovery:
-    """The discovery of one arm with what motion shows, and with its model where that predicts better."""
-    motion, used = at_rest.motion, at_rest.better_than(found.model)
-    shown = MotionDiscoveryResult(
-        effects=tuple(_result(effect) for effect in motion.effects),
-        heldout_mm=BeforeAfter(before=motion.heldout_before_mm, after=motion.heldout_after_mm),
-        used=used,
-        seconds=seconds,
-    )
-    pictures = tuple(loop_picture(loop) for loop in motion.loops)
-    if not used:
-        kept = (*found.result.pictures, *pictures)
-        return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
-    accepted = tuple(
-        accepted_effect(
-            effect.term(),
-            Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
-            Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
-            effect.posterior,
-        )
-        for effect in at_rest.effects
-    )
-    names = " and ".join(EFFECTS[effect.slug].title for effect in at_rest.effects)
-    after = at_rest.held_out.rms_mm(at_rest.model)
-    changed = replace(found, terms=motion.terms)
-    changed = replace(changed, result=found.result.model_copy(update={"accepted": accepted, "motion": shown}))
-    return changed.with_model(
-        at_rest.model,
-        at_rest.held_out,
-        verdict="explained",
-        sentence=f"arm {name}: {names}, by its recordings of motion; {after * 1e3:.0f} µm rms held out",
-        contradictions=(),
-        pictures=pictures,
-        network_mm=None,
-    )
+    return known[name], conditions_of_arms(calibrated, known)[name]
 
 
 def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.loops import Loop, loops
 from cellapp.estimation.motion.lost_motion import ALTERNATIVES, fading_terms
@@ -55,7 +54,7 @@ from cellapp.estimation.motion.steps import (
     with_step,
     with_values,
 )
-from cellapp.estimation.motion.terms import JointTerm, Law, of_all_joints, state_in_motion
+from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, of_all_joints
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.kinematics.transforms import Array
@@ -82,7 +81,7 @@ class MotionDiscovery:
     """The fit with all effects that were found, in the order in which they entered, and the errors without any.
 
     ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are those of
-    the joints that show lost motion; ``moving`` are terms that serve no command at rest, with their values.
+    the joints that show lost motion; ``laws`` are those of the joints that show them.
     """
 
     fit: MotionFit
@@ -90,14 +89,8 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
+    laws: JointLaws = field(repr=False)
     loops: tuple[Loop, ...] = ()
-    moving: tuple[tuple[JointTerm, float], ...] = ()
-
-    def joints_at_rest(self, path: JointPath, time_s: Array) -> Array:
-        """Joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]."""
-        terms, values = tuple(term for term, _ in self.moving), np.array([value for _, value in self.moving])
-        state = state_in_motion(path, time_s, None, torques=False)
-        return state.q + state.offsets(terms, values)
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
@@ -154,7 +147,6 @@ class _Search:
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         fit = motion_fit(final.problem, freed)
-        entered = list(dict.fromkeys(step.law for step in steps))
         found_effects = effects_of(final, steps)
         effects = tuple(effect for effect, _ in found_effects)
         at_rest = [term for effect, terms in found_effects if effect.at_rest for term in terms]
@@ -162,9 +154,13 @@ class _Search:
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
-        moving = [law for law in entered if law not in AT_REST]
-        aside = tuple(pair for law in moving for pair in with_values(final, shown(final, law, steps)))
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn, aside)
+        entered = dict.fromkeys(step.law for step in steps)
+        stays, moves = (
+            tuple(pair for law in laws if law in entered for pair in with_values(final, shown(final, law, steps)))
+            for laws in (AT_REST, [law for law in entered if law not in AT_REST])
+        )
+        laws_of_joints = JointLaws(stays, moves, final.problem.masses)
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws_of_joints, drawn)
 
     def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Lines at the counts that are best beside all other terms: the first ones entered before these were known.

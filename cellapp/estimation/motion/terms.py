@@ -292,3 +292,33 @@ def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
     force, moment = force[:-1], moment[:-1]
     about = moment - np.cross(now.origins[:-1], force)
     return np.asarray(np.einsum("jna,jna->nj", now.rotations[:-1, :, :, 2], about))
+
+
+@dataclass(frozen=True, eq=False)
+class JointLaws:
+    """Laws of an arm's joints, each with its value: those that act at rest, and those of motion only."""
+
+    at_rest: tuple[tuple[JointTerm, float], ...]
+    moving: tuple[tuple[JointTerm, float], ...]
+    masses: Masses | None
+
+    def joints_at_rest(self, path: JointPath, time_s: Array) -> Array:
+        """Joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]: without what
+        only motion has."""
+        state = state_in_motion(path, time_s, None, torques=False)
+        return state.q + state.offsets(*_apart(self.moving))
+
+    def joints_with_history(self, path: JointPath, time_s: Array) -> Array:
+        """The same with what the laws at rest have in motion beyond rest, where they know the last motion of each
+        joint only: what the turns before it left, and the torque of accelerations."""
+        terms, values = _apart(self.at_rest)
+        torques = any(term.needs_torques for term in terms)
+        q = self.joints_at_rest(path, time_s)
+        moves = state_in_motion(path, time_s, self.masses, torques=torques)
+        side, travel = np.sign(np.rint(moves.direction)), path.travel_at(time_s, moves.q)
+        rests = state_at_rest(q, side, self.masses if torques else None, travel)
+        return q + moves.offsets(terms, values) - rests.offsets(terms, values)
+
+
+def _apart(pairs: tuple[tuple[JointTerm, float], ...]) -> tuple[tuple[JointTerm, ...], Array]:
+    return tuple(term for term, _ in pairs), np.array([value for _, value in pairs])

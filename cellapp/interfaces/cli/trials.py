@@ -90,7 +90,9 @@ def seal(
     ] = None,
     kind: Annotated[
         str,
-        typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard or mixed."),
+        typer.Option(
+            "--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard, motion, mixed."
+        ),
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
@@ -112,6 +114,10 @@ def seal(
     plan: Annotated[
         str, typer.Option("--plan", metavar="PLAN", help="How stops are chosen: random or designed.")
     ] = "random",
+    sweeps: Annotated[
+        int | None,
+        typer.Option("--sweeps", min=1, help="Stops with a sweep of each arm on record; others at rest judge them."),
+    ] = None,
 ) -> Stated:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
     from cellapp.cell.profile import load_profile
@@ -121,7 +127,7 @@ def seal(
 
     setup = Setup(
         kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
-        stated=not unstated, flip_approach=flip_approach, plan_method=plan,
+        stated=not unstated, flip_approach=flip_approach, plan_method=plan, sweeps=sweeps,
     )  # fmt: skip
     result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=work.listener, cancel=work.cancel)
     said = (

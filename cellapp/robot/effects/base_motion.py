@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 
 import numpy as np
@@ -20,8 +19,10 @@ from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
+    WANDERING,
     WARM_UP_FORM,
     after_onset,
+    half_cycles,
     run_fraction,
     run_span,
     times_known,
@@ -35,13 +36,10 @@ _COMPONENTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn_x", "rad"), ("turn_y",
 _MOST_MOTION = 1e-2
 """Bound of each component [m, rad]: a base that moved by a centimetre must be registered again."""
 QUADRATIC = LawForm("quadratic", "over the run, with a bow", (FIRST, LAST))
-WANDERING = LawForm("smooth", "slowly to and fro over the run", (FIRST, LAST, AMPLITUDE))
 FIRST_STOP = Constant("first_stop", "", FIXED)
 LAST_STOP = Constant("last_stop", "", FIXED)
 WANDERING_IN_ORDER = LawForm("smooth_in_order", WANDERING.words, (FIRST_STOP, LAST_STOP, AMPLITUDE))
 """As ``WANDERING``, against the place in the order of measurement, where the times are not known."""
-_HALF_CYCLES = 12
-"""Half cycles over the run of a wandering base: the shortest is a sixth of the run."""
 
 
 class BaseDrift(Effect):
@@ -116,8 +114,8 @@ class BaseDrift(Effect):
         if law.form in (WANDERING, WANDERING_IN_ORDER):
             return [
                 with_prior_sd(column, law.constants[AMPLITUDE.name] / k)
-                for k in range(1, _HALF_CYCLES + 1)
-                for column in _twist(self.slug, context, np.cos(k * math.pi * along), f"_{k}")
+                for k, wave in half_cycles(along).items()
+                for column in _twist(self.slug, context, wave, f"_{k}")
             ]
         columns = _twist(self.slug, context, along)
         if law.form == QUADRATIC:

@@ -1,7 +1,8 @@
-"""Laws of the library with physically impossible values: what the readings show, said in words and not dropped.
+"""Laws of the library without their names: what the readings show, said in words and not dropped.
 
-An impossible sign or size has a cause of its own, such as another sign convention of the readings or a wrong mass. The
-term belongs to the unknown effects; in JSON its law is named ``contradiction|effect|law``.
+A law that holds with physically impossible values only has a cause of its own, such as another sign convention of the
+readings or a wrong mass. A law may also describe a part of what something unknown does. Such terms belong to the
+unknown effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``.
 """
 
 from __future__ import annotations
@@ -16,42 +17,60 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 
-_PREFIX = "contradiction"
+_CONTRADICTION, _IMITATION = "contradiction", "imitation"
 
 
 @dataclass(frozen=True)
-class ContradictionForm(LawForm):
-    """The form ``contradicted`` of an effect's law, without physical bounds."""
+class BorrowedForm(LawForm):
+    """The form ``lent`` of an effect's law, without physical bounds, for what is not that effect."""
 
     effect: Effect = field(kw_only=True)
-    contradicted: LawForm = field(kw_only=True)
+    lent: LawForm = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class ContradictionForm(BorrowedForm):
+    """One that holds with impossible values only."""
 
 
 def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
     """A form of an effect as a contradiction."""
     return ContradictionForm(
-        name="|".join((_PREFIX, effect.slug, form.name)),
+        name="|".join((_CONTRADICTION, effect.slug, form.name)),
         words=f"as {effect.title}, {form.words}, but with impossible values",
         constants=form.constants,
         variables=form.variables or effect.variables,
         effect=effect,
-        contradicted=form,
+        lent=form,
     )
 
 
-def contradiction_named(name: str, library: Mapping[str, Effect]) -> ContradictionForm | None:
+def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
+    """A form of an effect as a part of what something unknown does."""
+    return BorrowedForm(
+        name="|".join((_IMITATION, effect.slug, form.name)),
+        words=f"as {effect.title}, {form.words}",
+        constants=form.constants,
+        variables=form.variables or effect.variables,
+        effect=effect,
+        lent=form,
+    )
+
+
+def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedForm | None:
     """The form of a name in JSON; None if it is not one. Raises ``ValueError`` for a law that the effect lacks."""
     prefix, _, rest = name.partition("|")
     slug, _, law = rest.partition("|")
-    if prefix != _PREFIX or slug not in library:
+    make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation}.get(prefix)
+    if make is None or slug not in library:
         return None
-    return form_without_bounds(library[slug], library[slug].form(law))
+    return make(library[slug], library[slug].form(law))
 
 
-def contradicted_law(law: Law) -> Law:
-    """The law of the library that a contradiction is made of."""
-    assert isinstance(law.form, ContradictionForm)
-    return law.form.contradicted.law(law.constants, law.tried)
+def lent_law(law: Law) -> Law:
+    """The law of the library that a term without its name has."""
+    assert isinstance(law.form, BorrowedForm)
+    return law.form.lent.law(law.constants, law.tried)
 
 
 def contradicted_effect(law: Law) -> Effect:
@@ -63,6 +82,11 @@ def contradicted_effect(law: Law) -> Effect:
 def is_contradiction(law: Law) -> bool:
     """Whether a law is one of the library with impossible values."""
     return isinstance(law.form, ContradictionForm)
+
+
+def is_borrowed(law: Law) -> bool:
+    """Whether a law is one of the library, for what is not its effect."""
+    return isinstance(law.form, BorrowedForm)
 
 
 def contradiction_meaning(effect: Effect) -> Meaning:

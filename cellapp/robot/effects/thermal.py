@@ -13,12 +13,15 @@ from cellapp.robot.effects.effect import Effect, ImpossibleValues
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
+    WANDERING,
     WARM_UP_FORM,
     WARM_UP_TIME,
+    half_cycles,
     lagged,
     run_fraction,
     run_span,
@@ -237,6 +240,8 @@ class JointDrift(Effect):
         ``f = 1 - exp(-(t - first) / tau)``, tau is searched, k in rad.
     joint_temperature
         ``f_j = T_j - T_j,mean`` [K], k in rad/K.
+    smooth
+        Half cycles ``cos(i pi f)`` of each joint, i = 1 to 12, small by prior, the more so the faster (1 / i).
 
     Size: 20 to 50 µrad, 15 to 70 µm at a UR10's flange (estimate, not sourced). Visible where poses and time are not
     correlated. Look-alikes: drift of the base, thermal growth. Joint temperatures, and cooling down, distinguish them.
@@ -265,7 +270,7 @@ class JointDrift(Effect):
     )
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
-    forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE)
+    forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
     free_drivers = (
         FreeDriver(Quantity.TIME),
         FreeDriver(Quantity.TEMPERATURE),
@@ -277,6 +282,10 @@ class JointDrift(Effect):
             return ""
         return "no times and no joint temperatures"
 
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Over the time of the run."""
+        return [SmoothLaw(WANDERING.name, 2e-5, run_span(context))] if times_known(context) else []
+
     def laws(self, context: EffectContext) -> list[Law]:
         """Those whose times or temperatures are known."""
         joints_c = context.conditions.joints_c
@@ -286,8 +295,15 @@ class JointDrift(Effect):
         return laws
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column per joint; the end of the run, or its mean temperature, where unknown."""
+        """One column per joint, twelve where it wanders; the end of the run, or its mean temperature, where unknown."""
         unit, largest = "rad", _MOST_DRIFT
+        if law.form == WANDERING:
+            amplitude = law.constants[AMPLITUDE.name]
+            return [
+                with_prior_sd(joint_column(f"drift{j + 1}_{k}", unit, j, wave, -largest, largest), amplitude / k)
+                for k, wave in half_cycles(run_fraction(context, law)).items()
+                for j in range(context.joints)
+            ]
         if law.form == ZERO_BY_TEMPERATURE:
             drifted, unit, largest = _above_mean_joints(context, law), "rad/K", _MOST_DRIFT_PER_KELVIN
         else:

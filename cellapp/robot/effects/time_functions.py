@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, Law, LawForm, NeighbouringPauses
+from cellapp.robot.effects.smooth import AMPLITUDE
 from cellapp.robot.kinematics.transforms import Array
 
 TIME_CONSTANTS = (900.0, 1800.0, 3600.0, 7200.0, 14400.0)
@@ -29,6 +31,9 @@ ONSET = Constant(
     factor=1.0 / 3600.0,
 )
 LINEAR_FORM = LawForm("linear", "steadily over the run", (FIRST, LAST))
+WANDERING = LawForm("smooth", "slowly to and fro over the run", (FIRST, LAST, AMPLITUDE))
+_HALF_CYCLES = 12
+"""Half cycles over the run of what wanders: the shortest is a sixth of the run."""
 WARM_UP_FORM = LawForm("warm_up", "warming up", (FIRST, LAST, WARM_UP_TIME))
 ONSET_FORM = LawForm("onset", "at once", (ONSET,))
 
@@ -50,6 +55,11 @@ def run_fraction(context: EffectContext, law: Law) -> Array:
     """Fraction of the run (n,), 0 at its beginning to 1 at its end; constant beyond, where nothing was measured."""
     first, last = law.constants[FIRST.name], law.constants[LAST.name]
     return np.clip((times(context, law.constants) - first) / (last - first), 0.0, 1.0)
+
+
+def half_cycles(along: Array) -> dict[int, Array]:
+    """``cos(k pi f)`` (n,) at fractions f (n,) of a run, for k = 1 to 12."""
+    return {k: np.cos(k * math.pi * along) for k in range(1, _HALF_CYCLES + 1)}
 
 
 def warm_up(context: EffectContext, law: Law) -> Array:

@@ -12,10 +12,11 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.contradiction import (
+    BorrowedForm,
     ContradictionForm,
-    contradicted_law,
+    borrowed_form_named,
     contradiction_meaning,
-    contradiction_named,
+    lent_law,
 )
 from cellapp.robot.effects.data_driven import (
     PERIOD,
@@ -62,7 +63,7 @@ class Unknown(Effect):
     Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of
     the base with one amplitude and one length scale.
 
-    A law of an effect of the library whose values are physically impossible is such a term as well.
+    A law of the library whose values are impossible, or that imitates a part of something else, is one as well.
 
     It is not scanned like the named effects; ``dictionary`` and ``pairs`` list the laws to try. A term imitates every
     named effect that has its channel and variable.
@@ -79,7 +80,7 @@ class Unknown(Effect):
 
     def form(self, name: str) -> LawForm:
         """The form of a name such as ``joint 2|q1`` or ``contradiction|backlash|constant``."""
-        form = form_named(name) or contradiction_named(name, self._library)
+        form = form_named(name) or borrowed_form_named(name, self._library)
         return super().form(name) if form is None else form
 
     def meaning_of(self, law: Law) -> Meaning:
@@ -91,9 +92,9 @@ class Unknown(Effect):
         return data_driven_meaning(law.form.channel, law.form.drivers)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """One column per function and direction, all in one block; those of the effect for a contradiction."""
-        if isinstance(law.form, ContradictionForm):
-            of_effect = law.form.effect.columns(context, contradicted_law(law), names)
+        """One column per function and direction, all in one block; those of the effect for a law of the library."""
+        if isinstance(law.form, BorrowedForm):
+            of_effect = law.form.effect.columns(context, lent_law(law), names)
             return [replace(column, lower=-np.inf, upper=np.inf) for column in of_effect]
         channel = data_driven_form(law).channel
         if channel not in channels(context.joints):

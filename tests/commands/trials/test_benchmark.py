@@ -18,7 +18,6 @@ from cellapp.commands.trials.benchmark.problem import Answer
 from cellapp.commands.trials.benchmark.real import records_words
 from cellapp.commands.trials.benchmark.scoring import scored, set_score
 from cellapp.commands.trials.benchmark.trial import (
-    HELD_OUT,
     BenchmarkResult,
     RealProblems,
     benchmark_table,
@@ -29,6 +28,7 @@ from cellapp.commands.trials.benchmark.trial import (
 from cellapp.commands.trials.league.series import series_texts
 from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, GroundTruth, HiddenLaw
 from cellapp.commands.trials.sealed_cases import IN_MOTION
+from cellapp.commands.trials.sealed_setup import HELD_OUT
 from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile

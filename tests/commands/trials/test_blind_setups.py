@@ -14,6 +14,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials import blind_matrix
 from cellapp.commands.trials.blind_matrix import MatrixResult, matrix_cells
+from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, NoiseLengths, ScoredRun
 from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
@@ -23,12 +24,13 @@ from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.skeleton import Work
 from cellapp.commands.trials.visible_size import beyond_law, registered_model
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from cellapp.interfaces import cli
-from tests.twin import PROFILES
+from tests.twin import PROFILES, small_twin
 
 SEED = 5
 
@@ -87,7 +89,26 @@ def test_flipped_signs_are_those_of_the_way_back(tmp_path: Path) -> None:
         assert np.array_equal(readings.approach[1:], -np.sign(np.diff(readings.q, axis=0)))
 
 
+def test_recordings_are_judged_by_stops_at_rest(tmp_path: Path) -> None:
+    seal_trials(small_twin(60), tmp_path / "t", 1, Setup(kind="none", sweeps=1, stops=25), seed=SEED)
+    (judged,) = judge_trials(tmp_path / "t").trials
+    with RunFile.open(tmp_path / "t" / "run-0001") as run:
+        stored = StoredTrial.model_validate_json(run.read_result(TRIAL_RESULT) or "")
+        assert [len(run.readings("left").in_split(split)) for split in ("identify", "validate")] == [1, 24]
+        floor_um = 1e3 * HeldOut.of(run.readings("left"), measurement_conditions(run.readings("left"))).noise_floor_mm()
+    for name, arm in judged.arms.items():
+        assert arm.names == ()
+        assert arm.seconds > 0.0
+        motion = stored.arms[name].discovery.motion
+        assert motion is not None
+        assert motion.effects == ()
+        assert arm.heldout_um.after != pytest.approx(1e3 * motion.heldout_mm.after), "blocks of the recording"
+    assert judged.arms["left"].noise_um.stated == pytest.approx(floor_um)
+
+
 def test_splits_follow_the_number_of_stops() -> None:
+    motion = Setup(sweeps=7).cell(twin())
+    assert (motion.plan.stops, motion.splits.identify, int(motion.splits.validate_)) == (107, 7, 100)
     for stops in (40, 60, 150, 400):
         splits = Setup(stops=stops).cell(twin()).splits
         assert splits.identify + splits.train + int(splits.validate_) == stops
@@ -103,6 +124,9 @@ def test_splits_follow_the_number_of_stops() -> None:
         ({"stops": 12}, "--stops: 12 are too few to identify the geometry; give 25 or more"),
         ({"mass_error": 1.0}, "--mass-error: 1 is not a share"),
         ({"flip_approach": True, "kind": "pair"}, "leave out --kind pair"),
+        ({"sweeps": 5, "flip_approach": True}, "--sweeps: motion has no approach signs to flip"),
+        ({"sweeps": 5, "ranges": "narrow"}, "--sweeps needs the full joint ranges"),
+        ({"sweeps": 20, "stops": 29}, "--stops: 29 with 20 to sweep at leave too few to judge by; give 30 or more"),
     ],
 )
 def test_conditions_that_make_no_sense_are_refused(changes: dict[str, Any], message: str) -> None:

@@ -320,6 +320,8 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         ("seal twin.yaml --out new --laws odd", 2, "laws are same, other"),
         ("seal twin.yaml --out new --stops 12", 2, "--stops: 12 are too few"),
         ("seal twin.yaml --out new --flip-approach --kind pair", 2, "leave out --kind pair"),
+        ("seal twin.yaml --out new --sweeps 20 --ranges narrow", 2, "--sweeps needs the full joint ranges"),
+        ("seal twin.yaml --out new --sweeps 0", 2, ""),
         ("blind-matrix twin.yaml --out new --only none.such", 2, "no cell is called 'none.such'"),
         ("blind-matrix twin.yaml --out new --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
         ("seal twin.yaml --out new --noise pink", 2, "noises are gaussian, heavy, repeatability"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,19 +57,32 @@ def test_rivals_that_tie_share_the_probability():
     assert posteriors([three], {}, THRESHOLD, COORDINATES).terms[0] == pytest.approx(1.0 / 3.0, abs=1e-3)
 
 
+def beside_rival_that_leaves(rival, share, score, **law):
+    """Probability of a drift of joint zeros of which a rival leaves a share."""
+    squares = math.exp(-score / COORDINATES)
+    its = -COORDINATES * math.log(squares + share**2 * (1.0 - squares))
+    named = review("joint_drift", score, **{rival: its})
+    named = replace(named, term=replace(named.term, **law))
+    return posteriors([named], {}, THRESHOLD, COORDINATES).terms[0]
+
+
+def test_errors_of_a_law_look_like_its_look_alikes_where_the_readings_would_not_show_them():
+    alike = [beside_rival_that_leaves("base_drift", 0.3, score) for score in (40.0, 600.0)]
+    assert 0.6 < alike[0] < beside_rival_that_leaves("target_slip", 0.3, 40.0) - 0.1
+    assert alike[1] > 0.99
+    assert beside_rival_that_leaves("base_drift", 0.0, 100.0) == pytest.approx(0.5, abs=1e-3)
+    off = beside_rival_that_leaves("base_drift", 0.1, 600.0, modulations=("a free part",))
+    assert off < 0.8 < beside_rival_that_leaves("base_drift", 0.1, 600.0), "of a law that is off"
+
+
 @pytest.mark.parametrize("score", [100.0, 600.0, 6000.0])
 def test_a_rival_that_leaves_what_a_law_may_leave_is_possible(score):
     """The share m of the effect that a rival leaves decides where noise is small; not noise alone."""
 
-    def accepted_with_rival_that_leaves(share):
-        squares = math.exp(-score / COORDINATES)
-        rival = -COORDINATES * math.log(squares + share**2 * (1.0 - squares))
-        return posteriors([review("joint_drift", score, base_drift=rival)], {}, THRESHOLD, COORDINATES).terms[0]
-
-    assert 0.49 < accepted_with_rival_that_leaves(0.01) < 0.7
-    assert accepted_with_rival_that_leaves(0.4) > 0.99
-    tied, better = accepted_with_rival_that_leaves(0.0), review("joint_drift", score, base_drift=score + 1.0)
-    assert tied == pytest.approx(0.5, abs=1e-3)
+    assert 0.49 < beside_rival_that_leaves("target_slip", 0.01, score) < 0.7
+    assert beside_rival_that_leaves("target_slip", 0.4, score) > 0.99
+    assert beside_rival_that_leaves("target_slip", 0.0, score) == pytest.approx(0.5, abs=1e-3)
+    better = review("joint_drift", score, target_slip=score + 1.0)
     assert posteriors([better], {}, THRESHOLD, COORDINATES).terms[0] < 0.5
 
 
@@ -116,8 +130,8 @@ def cycles_of(*counts: int) -> Any:
 
 
 def test_a_row_of_the_lowest_cycles_of_a_joint_is_a_free_function():
-    assert posterior._is_free_function(cycles_of(2, 3, 4, 5), 0)
-    assert not posterior._is_free_function(cycles_of(2, 4, 50, 100, 150), 0)
+    assert posterior.is_free_function(cycles_of(2, 3, 4, 5), 0)
+    assert not posterior.is_free_function(cycles_of(2, 4, 50, 100, 150), 0)
 
 
 def test_a_rival_loses_what_the_effect_loses_beside_a_larger_one(monkeypatch):

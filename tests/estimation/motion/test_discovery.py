@@ -12,7 +12,7 @@ from cellapp.commands.discover.view import view
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.estimation.motion.calibrate import calibrate_with_motion
-from cellapp.estimation.motion.discovery import with_motion
+from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
 from cellapp.ground.threads import one_blas_thread
@@ -48,8 +48,8 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
         moved = calibrate_with_motion(QUICK, {"left": none}, recordings)
         model = moved.calibration.model
         samples = moved.samples["left"]
-        found = discover_cell(QUICK, model, {"left": samples.take(np.arange(0, len(samples), 12))})
-        found = with_motion(QUICK, found, model.arms, {"left": none}, recordings)
+        search = SearchWithRecordings(model.arms, {"left": none}, recordings)
+        found = discover_cell(QUICK, model, {"left": samples}, search_arm=search)
     discovery = found.arms["left"]
     assert discovery.result.motion is not None
     assert discovery.result.motion.used

@@ -12,7 +12,7 @@ from cellapp.estimation.motion.identify import RecordedArm, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path
 from cellapp.estimation.motion.lost_motion import fading_terms
 from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import Law, state_at_rest
+from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, Masses, state_at_rest, state_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
 from cellapp.robot.effects.term import displacement, term_from_json, term_to_json
 from cellapp.robot.kinematics.chain import nominal_geometry
@@ -121,3 +121,31 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
     assert not begun[rests].any()
     just_begun = (np.abs(t[kept] - 1.05) < 0.06) | (np.abs(t[kept] - 9.05) < 0.06)
     assert begun[~rests & ~just_begun].all()
+
+
+def test_samples_with_their_history_have_the_points_of_the_motion_by_laws_at_rest():
+    rng = np.random.default_rng(8)
+    _, path = path_of(rng)
+    t = np.linspace(2.0, 29.0, 400)
+    masses = Masses(NOMINAL, Bodies(np.full(6, 4.0), np.zeros((6, 3)), 1.0, np.zeros(3)), np.array([0.0, 0.0, 1.0]))
+    play = [(JointTerm(Law.PLAY, joint), 80e-6) for joint in range(6)]
+    remembered = [(JointTerm(Law.PLAY, joint, fading=Fading(REACH, kept=True)), 60e-6) for joint in range(6)]
+    elastic = [(JointTerm(law, 1), size) for law, size in ((Law.COMPLIANCE, 2e-6), (Law.WINDUP, 5e-7))]
+    line = [(JointTerm(Law.LINE, 2, 40), 50e-6)]
+    lag = ((JointTerm(Law.LAG, 3), 2e-3),)
+    laws = JointLaws((*play, *remembered, *elastic, *line), lag, masses)
+    moves = state_in_motion(path, t, masses, torques=True)
+    of_motion = moves.q + sum(moves.offsets((term,), np.array([size])) for term, size in (*laws.at_rest, *lag))
+
+    q = laws.joints_with_history(path, t)
+    at_rest = state_at_rest(q, np.sign(np.rint(moves.direction)), masses, path.travel_at(t, moves.q))
+    terms, sizes = (tuple(one) for one in zip(*laws.at_rest, strict=True))
+    np.testing.assert_allclose(q + at_rest.offsets(terms, np.array(sizes)), of_motion, rtol=0.0, atol=1e-6)
+    history = q - laws.joints_at_rest(path, t)
+    assert np.sqrt(np.mean(history**2, axis=0)).min() > 5e-6, (
+        "older turns and accelerations are no part of laws at rest"
+    )
+    plain = JointLaws((*play[1:], *line), lag, masses)
+    turned = np.abs(moves.direction) == 1.0
+    same = np.where(turned, plain.joints_with_history(path, t) - plain.joints_at_rest(path, t), 0.0)
+    np.testing.assert_allclose(same, 0.0, atol=1e-6)

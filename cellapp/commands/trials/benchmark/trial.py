@@ -35,8 +35,6 @@ from cellapp.robot.kinematics.transforms import Array
 KINDS = (ONE, PAIR, OUT)
 """Sets of sealed runs. One arm of each run is without effects: these arms are the set ``clean``."""
 ALL = "all"
-HELD_OUT = 100
-"""Stops at rest by which runs in motion are judged."""
 
 
 class MethodScore(Record):
@@ -225,7 +223,7 @@ def _sets(profile: Profile, cells: Sequence[Profile], sweeps: int | None) -> dic
     """Set -> its cell and conditions. Raises ``InputError`` if two cells have one name."""
     sets = {kind: (profile, Setup(kind=kind, laws="same" if kind == OUT else "other")) for kind in KINDS}
     if sweeps is not None:
-        sets[MOTION] = profile, Setup(kind=MOTION, laws="other", stops=sweeps + HELD_OUT, sweeps=sweeps)
+        sets[MOTION] = profile, Setup(kind=MOTION, laws="other", sweeps=sweeps)
     for cell in cells:
         if cell.name in sets or not re.fullmatch(r"[\w.-]+", cell.name):
             raise InputError(f"--cells: a set cannot be called '{cell.name}', as this profile is; give it another name")

@@ -7,7 +7,7 @@ import numpy as np
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.contradiction import is_borrowed
 from cellapp.robot.effects.data_driven import Quantity, Variable, data_driven_form
 from cellapp.robot.kinematics.transforms import Array
 
@@ -40,7 +40,7 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
 
     ``joint`` (from 0) is the one that the term offsets; ``beside`` is a joint that the term acts at without an offset.
     """
-    if term.slug != UNKNOWN or is_contradiction(term.law):
+    if term.slug != UNKNOWN or is_borrowed(term.law):
         return [_axis_of_effect(data, term, joint, beside)]
     found = []
     for variable in data_driven_form(term.law).drivers:

@@ -24,7 +24,7 @@ from cellapp.estimation.discovery.pictures.picture import PictureData, make_pict
 from cellapp.estimation.discovery.records import CurveRecord, Picture
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import EFFECTS, Channel
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.contradiction import is_borrowed
 from cellapp.robot.effects.data_driven import data_driven_form
 from cellapp.robot.kinematics.transforms import Array
 
@@ -100,7 +100,7 @@ class _TermPictures:
     def _title(self) -> str:
         term = self.fit.terms[self.number]
         title = EFFECTS[term.slug].title
-        if term.slug != UNKNOWN or is_contradiction(term.law):
+        if term.slug != UNKNOWN or is_borrowed(term.law):
             return title
         channel = data_driven_form(term.law).channel
         return title if channel.channel is Channel.JOINT else f"{title}, {channel.name}"

@@ -6,6 +6,8 @@ effect whose sentence says what it behaves like and what to check.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cellapp.estimation.calibration.identification import TooFewReadings
@@ -24,7 +26,7 @@ from cellapp.robot.effects.contradiction import form_without_bounds, sentence
 
 _TRIED = 6
 """Best laws whose values are fitted in full: the law with the right drivers is among the first."""
-_MOSTLY = 0.5
+MOSTLY = 0.5
 """Share of the explained sum of squares that blocks with impossible values must hold: a negative value at one joint
 among many is an alias, not what the law is about."""
 
@@ -87,7 +89,10 @@ def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
     except TooFewReadings:  # the readings do not determine all its columns
         return None
     blocks = trial.blocks_beyond_bounds(len(terms))
-    if not blocks or _share(trial, len(terms), blocks) < _MOSTLY:
+    if (
+        not blocks
+        or share_of(trial, len(terms), [column.block in blocks for column in trial.term_columns(len(terms))]) < MOSTLY
+    ):
         return None
     outside = [
         (column, value)
@@ -99,10 +104,9 @@ def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
     return ModelTerm(UNKNOWN, unbounded, score.names, note=note)
 
 
-def _share(fit: JointFit, number: int, blocks: set[str]) -> float:
-    """Share of a term's visible signal that some of its blocks hold."""
-    projector = fit.residual_without(number).projector
-    chosen = np.array([column.block in blocks for column in fit.term_columns(number)])
+def share_of(fit: JointFit, number: int, some: Sequence[bool]) -> float:
+    """Share of a term's visible signal that some of its columns hold."""
+    projector, chosen = fit.residual_without(number).projector, np.array(some)
     values, rows = fit.term_values(number), fit.term_rows(number)
     parts = projector.project(np.stack([values[chosen] @ rows[chosen], values[~chosen] @ rows[~chosen]]))
     squares = np.sum(parts**2, axis=1)

@@ -13,16 +13,19 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.posterior import is_free_function
 from cellapp.estimation.discovery.search.channel_scan import ChannelScan, Families
 from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
+from cellapp.estimation.discovery.search.contradiction import MOSTLY, share_of
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.estimation.discovery.search.tuning import apply_step
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
-from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm, ModelTerms, with_term
+from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects.contradiction import imitation, is_borrowed
 from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
+from cellapp.robot.effects.meaning import place_in_words
 from cellapp.robot.effects.smooth import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
@@ -90,6 +93,38 @@ def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
     moves = {(column.channel, column.index) for column in state.fit.term_columns(number)}
     own = all(one.joint in (None, joint) for one in form.drivers)
     return own and moves == {(form.channel.channel, joint)} and EFFECTS[term.slug].variables == form.variables
+
+
+def without_imitations(problem: SearchProblem, state: SearchState) -> SearchState:
+    """The state with names that more probably stand in for something unknown as terms of that.
+
+    One cause is one unknown: a hose about a joint looks like lines, or a curve, of its angle. A name that mostly moves
+    a joint by its angle belongs to an unknown term that does so too, and a curve of one joint alone, or a series of its
+    lowest cycles, has no name: gears err alike in several joints, a hose pulls at one. Of nine such names none was
+    right (seeds 20261226, 20261227, 20261128).
+    """
+    fit, terms = state.fit, state.fit.terms
+    unknown = {
+        column.joint
+        for number, term in enumerate(terms)
+        if term.slug == UNKNOWN and not is_borrowed(term.law) and DriverVariable.JOINT_ANGLE in term.law.form.variables
+        for column in fit.term_columns(number)
+    } - {None}
+    for number, term in enumerate(terms):
+        if term.slug == UNKNOWN or EFFECTS[term.slug].variables != {DriverVariable.JOINT_ANGLE}:
+            continue
+        moved = [column.joint for column in fit.term_columns(number)]
+        if not (
+            share_of(fit, number, [joint in unknown for joint in moved]) > MOSTLY
+            or (term.slug == TRANSMISSION_ERROR and len(set(moved)) == 1 and is_free_function(fit, number))
+        ):
+            continue
+        effect = EFFECTS[term.slug]
+        places = place_in_words(tuple(dict.fromkeys(column.where for column in fit.term_columns(number))))
+        note = f"something moves {places} and looks like {effect.title}"
+        law = imitation(effect, term.law.form).law(term.law.constants, term.law.tried)
+        terms = with_term(terms, number, replace(term, slug=UNKNOWN, law=law, note=note))
+    return state if terms is fit.terms else problem.state(terms, state)
 
 
 def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
@@ -168,7 +203,7 @@ class _Tried:
         taken = {
             data_driven_form(term.law).subject
             for term in fit.terms
-            if term.slug == UNKNOWN and not is_contradiction(term.law)
+            if term.slug == UNKNOWN and not is_borrowed(term.law)
         }
         evaluated = Families.of(data, families)
         possible = np.array(

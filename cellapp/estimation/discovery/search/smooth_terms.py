@@ -12,6 +12,7 @@ from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProble
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.base_motion import BaseDrift
+from cellapp.robot.effects.thermal import JointDrift
 
 
 def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
@@ -23,7 +24,7 @@ def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState
 
 
 def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with one smooth drift of the base in place of its effects of time; None where it has fewer than two.
+    """The state with a smooth drift, of base or joint zeros, for its effects of time; None where it has fewer than two.
 
     What wanders looks like steps and warming up, one after the other.
     """
@@ -34,7 +35,7 @@ def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | 
         return None
     others = tuple(term for term, out in zip(state.fit.terms, of_time, strict=True) if not out)
     rest = problem.state(others, state)
-    drifts = [one for one in components(rest.data, rest.fit) if one.slug == BaseDrift.slug]
+    drifts = [one for one in components(rest.data, rest.fit) if one.slug in (BaseDrift.slug, JointDrift.slug)]
     return _with_process(problem, rest, drifts)
 
 

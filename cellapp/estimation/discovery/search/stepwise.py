@@ -4,7 +4,8 @@
 2. Where the named effects leave more than the noise, extend the model by what the library lacks: data-driven terms or
    free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
 3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
-4. Drop a named effect that is more probably not there than there, and look once more without it.
+4. Drop a named effect that is more probably not there than there, and look once more without it. Take the name from
+   what more probably is a part of something unknown.
 """
 
 from __future__ import annotations
@@ -22,7 +23,11 @@ from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
 from cellapp.estimation.discovery.search.contradiction import with_contradiction
-from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
+from cellapp.estimation.discovery.search.data_driven import (
+    in_place_of_names,
+    with_data_driven_terms,
+    without_imitations,
+)
 from cellapp.estimation.discovery.search.free_part import (
     may_be_left_by_a_look_alike,
     with_free_parts,
@@ -143,8 +148,12 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             alternatives = {slug: min(score, most) for slug, score in reviews[number].alternatives.items()}
             reviews[number] = replace(reviews[number], alternatives=alternatives)
         else:
-            found = replace(found, reviews=tuple(reviews))
-            return replace(found, posteriors=posteriors_of(found, remaining_scan(found)) if doubtful else probable)
+            found, unnamed = replace(found, reviews=tuple(reviews)), without_imitations(problem, state)
+            if unnamed is not state:
+                found = replace(_result(problem, unnamed, found.geometry_only), improbable=found.improbable)
+            elif not doubtful:
+                return replace(found, posteriors=probable)
+            return replace(found, posteriors=posteriors_of(found, remaining_scan(found)))
         improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
         found = replace(_result(problem, state, found.geometry_only), improbable=improbable)

@@ -15,17 +15,22 @@ from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.process.structured import fit_process, process_terms
 from cellapp.estimation.discovery.search.channel_scan import MOST_COLUMNS, ChannelScan, Families
 from cellapp.estimation.discovery.search.comparison import best_state
-from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
+from cellapp.estimation.discovery.search.data_driven import (
+    in_place_of_names,
+    with_data_driven_terms,
+    without_imitations,
+)
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.smooth_terms import with_one_drift
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.search.whole_field import BesideField
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.data_driven import FIELD, channels
+from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
@@ -135,6 +140,18 @@ def test_what_wanders_is_one_drift_and_not_several_effects_of_time():
     assert with_one_drift(problem, named(problem, start, ["base_step", "encoder_eccentricity"])) is None
 
 
+def test_joint_zeros_that_wander_are_no_drift_of_the_base():
+    phase = 2.0 * np.pi * np.arange(200) / 200.0
+    paths = np.stack([np.sin((0.7 + 0.3 * j) * phase + j) for j in range(6)], axis=1)
+    data, _ = readings_with(lambda q: 5e-5 * paths, np.zeros_like)
+    problem, start = searched(*refit(data, ()))
+    two = named(problem, start, ["base_drift", "joint_drift"])
+    one = with_one_drift(problem, two)
+    assert one is not None
+    assert [(term.slug, term.law.name) for term in one.fit.terms] == [("joint_drift", "smooth")]
+    assert best_state([two, one]) is one
+
+
 @pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])
 def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
     """Beside a scatter that no law explains, a law of 5 % of the sum of squares is significant in 1000 readings."""
@@ -182,3 +199,54 @@ def test_beside_a_field_a_law_counts_for_what_the_waves_of_the_field_cannot_foll
 
     assert gain(0.0) < 0.0
     assert gain(1e-4) > 30.0
+
+
+def lines(cycles: Sequence[int], joints: Sequence[int]) -> ModelTerm:
+    """Lines of a transmission error of some joints, from 1."""
+    names = tuple(f"{wave}{count}q{joint}" for joint in joints for count in cycles for wave in ("cos", "sin"))
+    return ModelTerm(TRANSMISSION_ERROR, LINES.law(), names)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "joints", "beside", "named"),
+    [
+        ((2, 3, 4, 5), (1,), None, False),  # a series of the lowest cycles
+        ((2, 3, 4, 5), (1, 2), None, True),
+        ((2, 20), (1,), None, True),  # a gear
+        ((2, 20), (1,), "joint 1|q1|q2", False),
+        ((2, 20), (1,), "joint 2|q1|q2", True),
+        ((2, 20), (1,), "joint 1|q2", False),
+        ((2, 20), (1,), "joint 1|time", True),
+    ],
+)
+def test_one_cause_is_one_unknown(cycles, joints, beside, named):
+    """What one hose does to a joint is no gear's beside it, and a curve of one joint alone has no name."""
+
+    def bent(q):
+        offset = sum(np.cos(count * q - 0.4) for count in cycles) * np.isin(np.arange(1, 7), joints)
+        return 3e-5 * offset
+
+    data, _ = readings_with(bent, np.zeros_like)
+    problem, start = searched(*refit(data, ()))
+    terms: tuple[ModelTerm, ...] = (lines(cycles, joints),)
+    if beside is not None:
+        family = next(
+            family.law(channel)
+            for family in (*curve_families(data.context), *pair_families(data.context))
+            for channel in channels(6)
+            if family.law(channel).name == beside
+        )
+        columns = tuple(column.name for column in data.columns(UNKNOWN, family))
+        terms = (*terms, ModelTerm(UNKNOWN, family, columns))
+    state = problem.state(terms, start)
+    found = without_imitations(problem, state)
+    assert (found is state) is named
+    if named:
+        return
+    term = found.fit.terms[0]
+    assert (term.slug, term.law.name) == (UNKNOWN, f"imitation|{TRANSMISSION_ERROR}|{LINES.name}")
+    assert EFFECTS[UNKNOWN].form(term.law.name) == term.law.form
+    np.testing.assert_allclose(found.fit.residual, state.fit.residual, atol=1e-3)
+    said = describe(found.data, found.fit, 0)
+    assert said.channel == "joint 1"
+    assert said.sentence.startswith("something moves joint 1 and looks like transmission error")

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cellapp.commands.trials.benchmark.problem import Answer, Motion, Problem
-from cellapp.estimation.discovery.search.stepwise import search
-from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.discovery.discover import search_rows
+from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.motion.calibrate import recorded_arm
 from cellapp.estimation.motion.discovery import MotionAtRest
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import EFFECTS
-from cellapp.robot.model import ArmModel
 
 
 def search_of_effects(problem: Problem) -> Answer:
     """Name what the search accepts, with its posterior probabilities."""
-    found = search(problem.data, [slug for slug in EFFECTS if slug != UNKNOWN], CancelToken())
-    assert found.posteriors is not None
-    if problem.motion is not None and (better := _by_recordings(problem, problem.motion, found.fit.model)) is not None:
-        return better
-    names: dict[str, float] = {}
-    for term, probability in zip(found.fit.terms, found.posteriors.terms, strict=True):
-        names[term.slug] = max(probability, names.get(term.slug, 0.0))
-    return Answer(problem.predicted(found.fit.model), names)
+    if problem.motion is not None and (found := _by_recordings(problem, problem.motion)) is not None:
+        named = [(one.effect, one.posterior) for one in found.result.accepted if one.posterior is not None]
+        return Answer(problem.predicted(found.model), _most_probable(named))
+    searched = search_rows(problem.profile, problem.data.model, problem.learn, problem.learn_conditions, CancelToken())
+    assert searched.judged.posteriors is not None
+    slugs = [term.slug for term in searched.judged.fit.terms]
+    named = list(zip(slugs, searched.judged.posteriors.terms, strict=True))
+    return Answer(problem.predicted(searched.model), _most_probable(named))
 
 
-def _by_recordings(problem: Problem, motion: Motion, by_samples: ArmModel) -> Answer | None:
-    """What recordings show; None where the search of samples predicts their held-out blocks better."""
-    name = problem.arm
+def _most_probable(named: Sequence[tuple[str, float]]) -> dict[str, float]:
+    """Each name once, with its largest probability."""
+    return {slug: max(p for other, p in named if other == slug) for slug, _ in named}
+
+
+def _by_recordings(problem: Problem, motion: Motion) -> Discovery | None:
+    """Discovery that begins with what recordings show; None where that predicts no better than geometry."""
+    name, geometry = problem.arm, problem.geometry_fit.model
     arm = recorded_arm(problem.profile, name, motion.stops, motion.recordings)
-    found = MotionAtRest.of(arm, name, {name: problem.geometry_fit.model}, {name: motion.stops})
-    if not found.better_than(by_samples):
-        return None
-    return Answer(problem.predicted(found.model), {effect.slug: effect.posterior for effect in found.effects})
+    found = MotionAtRest.of(arm, name, {name: geometry}, {name: motion.stops})
+    return found.discovery(problem.profile, 0.0) if found.better_than(geometry) else None
