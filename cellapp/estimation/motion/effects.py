@@ -177,7 +177,7 @@ class _Search:
                 near = _near(state, term, lines)
                 values = state.solution.values.copy()
                 values[places_of(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
-                power = line_powers(state.problem, replace(state.solution, values=values))[0][term.joint]
+                ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
                 reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
                 count = int(np.argmax(np.where(reach & (np.arange(len(power)) > 1), power, 0.0)))
                 better.update({(line.joint, line.cycles): None for line in near})
@@ -418,7 +418,8 @@ class _Search:
         taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is Law.LINE]
         if len(taken) >= 2 * _MOST_LINES:
             return None
-        power, turns = line_powers(state.problem, state.solution)
+        joints = range(state.problem.layout.parameters.joints)
+        power, turns = line_powers(state.problem, state.solution, joints)
         threshold = _WORTH_A_FIT * math.log(power.size / _CHANCE)
         for joint, cycles in taken:
             near = np.abs(np.arange(power.shape[1]) - cycles) <= max(1.0, _ALIKE_TURNS / max(turns[joint], 1e-3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import scipy
@@ -25,18 +26,18 @@ _LOG_2 = math.log(2.0)
 """Median of the power of noise over its mean: powers of cosine and sine together are exponential."""
 
 
-def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
-    """Power of each cycle count of each joint in the residuals, (N, counts + 1), in units of the noise there: above
-    ``ln(1 / p)`` by chance with probability p. And the turns (N,) that each joint's range spans.
+def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
+    """Power of each cycle count of some joints in the residuals, (joints, counts + 1), in units of the noise there:
+    above ``ln(1 / p)`` by chance with probability p. And the turns (joints,) that the range of each spans.
 
     A line of c cycles has the frequency ``c qd / 2 pi``, slowly changing: whitening multiplies it by the filter's
     response there.
     """
     from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
 
-    joints, model = problem.layout.parameters.joints, problem.model(solution.values)
-    sums, energy = np.zeros((joints, _MOST_CYCLES + 1), dtype=np.complex128), np.zeros((joints, _MOST_CYCLES + 1))
-    low, high = np.full(joints, np.inf), np.full(joints, -np.inf)
+    model, own, shape = problem.model(solution.values), list(joints), (len(joints), _MOST_CYCLES + 1)
+    sums, energy = np.zeros(shape, dtype=np.complex128), np.zeros(shape)
+    low, high = np.full(len(own), np.inf), np.full(len(own), -np.inf)
     for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
         whitening = np.ones(1) if problem.whitening is None else problem.whitening[number]
         left = lfilter(whitening, [1.0], residuals(model, track, number, source.rows), axis=0)
@@ -47,9 +48,10 @@ def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
             u = track.controller_times(source.rows[part], *model.clock(number))
             q, qd = track.path.at(u)
             _, J = joint_jacobian(model.geometry, JointAngles.of(q))
+            q, qd, J = q[:, own], qd[:, own], J[:, own]
             turned, weight = np.einsum("ajn,na->nj", J, left[part]) * scale, np.einsum("ajn,ajn->nj", J, J) * scale
             low, high = np.minimum(low, q.min(axis=0)), np.maximum(high, q.max(axis=0))
-            for joint in range(joints):
+            for joint in range(len(own)):
                 place = np.rint(np.outer(_COUNTS, qd[:, joint] * step)).astype(np.intp) % _RESPONSE
                 gain = response[place]
                 sums[joint] += np.einsum("cn,cn,n->c", np.conj(_powers(q[:, joint])), gain, turned[:, joint])
