@@ -27,12 +27,12 @@ from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
+from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
-from cellapp.estimation.motion.discovery import with_motion
+from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
@@ -137,11 +137,13 @@ def judge_run(folder: Path, source: str) -> None:
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: known_readings(run, name) for name in model.arms}
         conditions = conditions_of_arms(model.arms, readings)
-        arms = {}
+        stops = {name: run.readings(name) for name in model.arms}
+        recordings = {name: read_recordings_of(run, name) for name in model.arms}
+        search, arms = SearchWithRecordings(model.arms, stops, recordings), dict[str, StoredFindings]()
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = discover_arm(run.profile, name, arm, readings[name], conditions=conditions[name])
-            result = _by_recordings(run, model, name, found) or found.result
+            found = search(run.profile, name, arm, readings[name], conditions=conditions[name])
+            result = _judged_at_rest(model, name, found, stops) if recordings[name] else found.result
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
@@ -171,14 +173,8 @@ def source_digest() -> str:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _by_recordings(run: RunFile, model: CellModel, name: str, found: Discovery) -> ArmDiscoveryResult | None:
-    """What an arm's recordings of motion show beside its samples, judged by its stops at rest; None without any."""
-    recordings = read_recordings_of(run, name)
-    if not recordings:
-        return None
-    stops = {one: run.readings(one) for one in model.arms}
-    cell = CellDiscovery({name: found}, model, None)
-    found = with_motion(run.profile, cell, model.arms, stops, {name: recordings}).arms[name]
+def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mapping[str, Readings]) -> ArmDiscoveryResult:
+    """What was found in an arm with recordings, with the errors at its held-out stops alone."""
     at_rest = HeldOut.of(stops[name], conditions_of_arms(model.arms, stops)[name])
     errors = BeforeAfter(before=at_rest.rms_mm(model.arms[name]), after=at_rest.rms_mm(found.model))
     floor_mm = at_rest.noise_floor_mm()

@@ -15,7 +15,7 @@ from cellapp.estimation.discovery.records import TermDescription
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
-from cellapp.robot.effects.contradiction import is_borrowed
+from cellapp.robot.effects.contradiction import is_borrowed, is_contradiction
 from cellapp.robot.effects.data_driven import DataChannel, Variable, data_driven_form
 from cellapp.robot.effects.field import FIELD_LENGTH
 from cellapp.robot.effects.unknown import channel_directions
@@ -36,8 +36,11 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
     formula, gain = "", None
     curve: tuple[tuple[float, float], ...] = ()
     if is_borrowed(term.law):
-        channel = ", ".join(dict.fromkeys(column.where for column in fit.term_columns(number)))
+        columns = fit.term_columns(number)
+        channel = ", ".join(dict.fromkeys(column.where for column in columns))
         names = tuple(sorted(variable.value for variable in term.law.form.variables))
+        if not is_contradiction(term.law):  # of the joints' own angles
+            names = tuple(sorted({f"q{column.joint + 1}" for column in columns if column.joint is not None}))
         said = term.note
     else:
         form = data_driven_form(term.law)

@@ -189,7 +189,7 @@ class MotionAtRest:
             held_out.position_mm(one)
             for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
         )
-        names = " and ".join(EFFECTS[effect.slug].title for effect in self.effects)
+        its, names = f"arm {self.name}: ", " and ".join(EFFECTS[effect.slug].title for effect in self.effects)
         steps = [GapStep(what="geometry alone", effect="", heldout_mm=before.rms)]
         steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
         changed = result.model_copy(
@@ -207,7 +207,7 @@ class MotionAtRest:
             self.held_out,
             steps=(*steps, *result.steps[1:]),
             verdict="explained" if result.verdict == "nothing missing" else result.verdict,
-            sentence=f"arm {self.name}: {names}, by its recordings of motion; of the rest, {result.sentence}",
+            sentence=f"{its}{names}, by its recordings of motion; of the rest: {result.sentence.removeprefix(its)}",
             uncertainty_mm=None,
         )
 

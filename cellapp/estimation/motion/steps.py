@@ -234,36 +234,47 @@ def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
 def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
     """The effects of all laws that entered and that some joint shows, with the terms of their parameters.
 
-    Beside wind-up that some joint shows, play is the dry part of friction: the arm shows one cause, not two.
+    Beside wind-up that some joint shows, play is the dry part of friction, and two cycles beside more than three times
+    as much of one are of the same disc: the arm shows one cause, not two.
     """
-    laws = list(dict.fromkeys(step.law for step in steps))
-    groups: list[tuple[Law | MotionLaw, ...]] = [(law,) for law in laws]
-    if Law.PLAY in laws and shown(state, Law.WINDUP, steps):
-        groups[laws.index(Law.WINDUP)] = (Law.WINDUP, Law.PLAY)
-        del groups[laws.index(Law.PLAY)]
-    found = [_effect_of(state, group, steps) for group in groups]
-    return [one for one in found if one[1]]
+    groups = {law: {law: shown(state, law, steps)} for law in dict.fromkeys(step.law for step in steps)}
+    if groups.get(Law.WINDUP, {}).get(Law.WINDUP) and Law.PLAY in groups:
+        groups[Law.WINDUP].update(groups.pop(Law.PLAY))
+    if Law.ONE_CYCLE in groups and Law.LINE in groups:
+        lines = groups[Law.LINE][Law.LINE]
+        tilted = _of_tilted_discs(state, groups[Law.ONE_CYCLE][Law.ONE_CYCLE], lines)
+        groups[Law.ONE_CYCLE][Law.LINE] = tilted
+        groups[Law.LINE][Law.LINE] = tuple(term for term in lines if term not in tilted)
+    return [_effect_of(state, group, steps) for group in groups.values() if any(group.values())]
+
+
+def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequence[JointTerm]) -> tuple[JointTerm, ...]:
+    """Lines of two cycles that are less than a third of one cycle of the same joint."""
+    size = dict[tuple[int, int], float]()
+    for term, value in [*with_values(state, one_cycle), *with_values(state, lines)]:
+        size[term.joint, term.cycles] = math.hypot(size.get((term.joint, term.cycles), 0.0), value)
+    small = {joint for joint, count in size if count == 2 and size[joint, 2] < size.get((joint, 1), 0.0) / 3.0}
+    return tuple(term for term in lines if term.cycles == 2 and term.joint in small)
 
 
 def _effect_of(
-    state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]
+    state: State, group: Mapping[Law | MotionLaw, tuple[JointTerm, ...]], steps: Sequence[Step]
 ) -> tuple[MotionEffect, tuple[JointTerm, ...]]:
-    """The effect of the first of ``laws``, to which the others belong."""
-    law, own = laws[0], [step for step in steps if step.law in laws]
+    """The effect of the first law of a group of laws with their terms, to which the others belong."""
+    law, *others = (one for one, its in group.items() if its)
     terms, values, errors = list[JointTerm](), list[float](), list[float]()
-    for one in laws:
-        shows = shown(state, one, steps)
-        if shows:
-            all_values, covariance = values_of(state, terms_of(one, steps))
-            places = [terms_of(one, steps).index(term) for term in shows]
-            terms += shows
-            values += all_values[places].tolist()
-            errors += np.sqrt(np.diag(covariance))[places].tolist()
+    for one in (law, *others):
+        all_values, covariance = values_of(state, terms_of(one, steps))
+        places = [terms_of(one, steps).index(term) for term in group[one]]
+        terms += group[one]
+        values += all_values[places].tolist()
+        errors += np.sqrt(np.diag(covariance))[places].tolist()
+    own = [step for step in steps if set(step.terms) & set(terms)]
     only = OF_SPEEDS if isinstance(law, MotionLaw) else ONLY_MOTION.get(law, "")
     if law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     log_p, statistic = min(step.log_p for step in own), sum(step.statistic for step in own)
-    dry = len(laws) > 1
+    dry = Law.PLAY in others
     effect = MotionEffect(
         slug=law.value,
         names=tuple(term.name.replace("half_play", "dry") if dry else term.name for term in terms),
@@ -279,7 +290,7 @@ def _effect_of(
         at_rest=law in AT_REST,
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p)
         * _odds(steps, law),
-        form=_form(law, terms, dry),
+        form=_form(law, terms, others),
         constants={
             _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
             for term in terms
@@ -289,11 +300,13 @@ def _effect_of(
     return effect, tuple(terms)
 
 
-def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], dry: bool) -> str:
+def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law | MotionLaw]) -> str:
     """The form of the effect's law that describes the same at stops; empty where none does."""
     if any(term.fading for term in terms):
         return "gradual"
-    return "both" if dry else AT_REST.get(law, "") if isinstance(law, Law) else ""
+    if others:
+        return "both" if Law.PLAY in others else "tilted"
+    return AT_REST.get(law, "") if isinstance(law, Law) else ""
 
 
 def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:

@@ -42,6 +42,7 @@ CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, C
 
 ONE = LawForm("", "one cycle per revolution")
 ONE_SMOOTH = LawForm("smooth", "one cycle per revolution, small by prior", (AMPLITUDE,))
+TILTED = LawForm("tilted", "one cycle per revolution, and fewer than a third as much of two")
 
 
 class EncoderEccentricity(Effect):
@@ -49,7 +50,8 @@ class EncoderEccentricity(Effect):
 
     A graduated disc of radius r whose centre is e off the axis, read by one head; 2 µm on 25 mm is 80 µrad, 50 to
     110 µm at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
-    encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it.
+    encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it. A disc that is
+    tilted by t, too, looks elliptic to its head: two cycles of ``tan^2(t / 2)`` beside (``tilted``, of recordings).
     Look-alikes: joint compliance, two cycles per revolution over a small range.
     """
 
@@ -75,7 +77,7 @@ class EncoderEccentricity(Effect):
     )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
-    forms = (ONE, ONE_SMOOTH)
+    forms = (ONE, ONE_SMOOTH, TILTED)
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """One cycle per revolution, at any amplitude."""
@@ -88,7 +90,10 @@ class EncoderEccentricity(Effect):
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """Cosine and sine of each joint."""
+        """Cosine and sine of each joint; of a tilted disc those of both cycle counts."""
+        if law.form == TILTED:
+            both = dict.fromkeys(range(context.joints), (1, 2))
+            return _waves(context, both if names is None else _counts_of(names, context.joints))
         columns = _waves(context, {j: (1,) for j in range(context.joints)})
         if law.form == ONE_SMOOTH:
             return [with_prior_sd(column, law.constants[AMPLITUDE.name]) for column in columns]

@@ -37,7 +37,7 @@ from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_v
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.smooth import AMPLITUDE, with_prior_sd
-from cellapp.robot.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning
+from cellapp.robot.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning, imitation_meaning
 from cellapp.robot.kinematics.transforms import Array
 
 _LARGEST = 1e-2
@@ -87,6 +87,8 @@ class Unknown(Effect):
         """Checks by channel and further stops by variables; those of the effect that a contradiction behaves like."""
         if isinstance(law.form, ContradictionForm):
             return contradiction_meaning(law.form.effect)
+        if isinstance(law.form, BorrowedForm):
+            return imitation_meaning(law.form.effect.title, law.form.effect.meaning)
         if not isinstance(law.form, DataDrivenForm):
             return self.meaning
         return data_driven_meaning(law.form.channel, law.form.drivers)

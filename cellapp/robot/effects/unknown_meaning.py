@@ -76,6 +76,17 @@ def data_driven_meaning(channel: DataChannel, drivers: Sequence[Variable]) -> Me
     )
 
 
+def imitation_meaning(title: str, meaning: Meaning) -> Meaning:
+    """Meaning of a term that moves a joint by its angle and looks like an effect, ``title``, that is less probable."""
+    return Meaning(
+        cause=f"Something moves {{place}} and looks like {title}; a dress pack that pulls at it is more probable.",
+        size=UNKNOWN_MEANING.size,
+        size_source=UNKNOWN_MEANING.size_source,
+        check=tuple(dict.fromkeys((*_CHECKS[Channel.JOINT], *meaning.check))),
+        settle=("Take the hose or cable off {place} and measure 20 stops again.", *meaning.settle),
+    )
+
+
 def _to_settle(variable: Variable) -> str:
     return _SETTLE.get(variable.quantity, _OTHER_STATION).replace("{variable}", _variable_in_words(variable))
 

@@ -13,7 +13,9 @@ from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.shaped import vibration
 from cellapp.estimation.motion.steps import State, Step, effects_of
-from cellapp.estimation.motion.terms import Law, Masses, of_all_joints, torques_in_motion
+from cellapp.estimation.motion.terms import JointTerm, Law, Masses, of_all_joints, torques_in_motion
+from cellapp.robot.effects import EFFECTS, EffectContext, MeasurementConditions
+from cellapp.robot.effects.term import displacement
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm
@@ -109,7 +111,7 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     rng = np.random.default_rng(7)
     late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])
     arm = replace(true_arm(rng), time_constant=late, springs={0: (9.0, 0.04)})
-    discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, slow=10e-6))
+    discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, point_hz=50.0, slow=10e-6))
     assert set(found) == {"time_constant", "vibration", "inertia"}
     assert found["time_constant"].values == pytest.approx(late[:6], abs=1e-3)
     gain, hz, damping = found["vibration"].values
@@ -153,6 +155,37 @@ def test_play_is_no_dry_friction_where_no_joint_winds_up():
     for rival, share in ((-50.0, 0.5), (-47.0, 0.95), (np.inf, 1.0)):  # wind-up that would explain as much, or less
         ((effect, _),) = effects_of(state, [replace(steps[0], rival=rival)])
         assert effect.posterior == pytest.approx(share, abs=0.01)
+
+
+class OffCentre(Arm):
+    """An arm whose discs are off their axes: all joints turn by 90 urad more at a quarter turn."""
+
+    def points(self, q):
+        return super().points(q + 90e-6 * np.sin(q))
+
+
+def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
+    rng = np.random.default_rng(10)
+    plain = true_arm(rng)
+    amplitude = np.array([15e-6, 60e-6, 0, 0, 0, 0, 0])
+    arm = OffCentre(plain.rows, plain.tool, plain.base, plain.half_play, cycles=2.0, amplitude=amplitude)
+    recording = record(rng, arm, sweep(rng, 6, reach=2.5), seconds=100.0, point_hz=40.0, white=5e-6, slow=0.0)
+    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    one_cycle = of_all_joints(Law.ONE_CYCLE, 6)
+    lines = tuple(JointTerm(Law.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
+    steps = [Step(law, its, 100.0, -50.0, 1.0, 1.0) for law, its in ((Law.LINE, lines), (Law.ONE_CYCLE, one_cycle))]
+    problem = problem.without_terms().with_terms((*lines, *one_cycle))
+    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem, rows), 1.0), steps)
+    assert (gear.slug, gear.joints, gear.form) == ("transmission_error", (2,), "lines")
+    assert of_gear == lines[2:]
+    assert (disc.slug, disc.form, disc.at_rest) == ("encoder_eccentricity", "tilted", True)
+    assert set(of_disc) >= set(lines[:2])
+    value, q = dict(zip(disc.names, disc.values.tolist(), strict=True)), rng.uniform(-1.0, 1.0, (20, 6))
+    context = EffectContext(q, MeasurementConditions(), NOMINAL, BODIES, np.array([0.0, 0.0, 1.0]))
+    turned = displacement([disc.term()], EFFECTS, context).joints[:, 0]
+    waves = [value[f"{w}{n}q1"] * of(n * q[:, 0]) for n in (1, 2) for w, of in (("cos", np.cos), ("sin", np.sin))]
+    np.testing.assert_allclose(turned, sum(waves), rtol=1e-9)
+    assert np.hypot(value["cos2q1"], value["sin2q1"]) == pytest.approx(15e-6, abs=5e-6)
 
 
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():

@@ -100,7 +100,7 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
 
     One cause is one unknown: a hose about a joint looks like lines, or a curve, of its angle. A name that mostly moves
     a joint by its angle belongs to an unknown term that does so too, and a curve of one joint alone, or a series of its
-    lowest cycles, has no name: gears err alike in several joints, a hose pulls at one. Of nine such names none was
+    lowest cycles, has no name: gears err alike in several joints, a hose pulls at one. Of eight such names none was
     right (seeds 20261226, 20261227, 20261128).
     """
     fit, terms = state.fit, state.fit.terms

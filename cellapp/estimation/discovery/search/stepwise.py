@@ -148,12 +148,17 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             alternatives = {slug: min(score, most) for slug, score in reviews[number].alternatives.items()}
             reviews[number] = replace(reviews[number], alternatives=alternatives)
         else:
-            found, unnamed = replace(found, reviews=tuple(reviews)), without_imitations(problem, state)
+            found = replace(found, reviews=tuple(reviews))
+            if doubtful:
+                probable = posteriors_of(found, remaining_scan(found))
+                left = [probability for probability, _ in _probability_of_answers(found, probable)]
+                if any(left[number] < _EVEN_ODDS for _, number in doubtful):
+                    continue  # without rivals that end worse it is improbable by itself
+            unnamed = without_imitations(problem, state)
             if unnamed is not state:
                 found = replace(_result(problem, unnamed, found.geometry_only), improbable=found.improbable)
-            elif not doubtful:
-                return replace(found, posteriors=probable)
-            return replace(found, posteriors=posteriors_of(found, remaining_scan(found)))
+                probable = posteriors_of(found, remaining_scan(found))
+            return replace(found, posteriors=probable)
         improbable = {**found.improbable, state.fit.terms[number].slug: probability}
         problem, state = without, rest
         found = replace(_result(problem, state, found.geometry_only), improbable=improbable)

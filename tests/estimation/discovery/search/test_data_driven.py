@@ -248,5 +248,6 @@ def test_one_cause_is_one_unknown(cycles, joints, beside, named):
     assert EFFECTS[UNKNOWN].form(term.law.name) == term.law.form
     np.testing.assert_allclose(found.fit.residual, state.fit.residual, atol=1e-3)
     said = describe(found.data, found.fit, 0)
-    assert said.channel == "joint 1"
+    assert (said.channel, said.variables) == ("joint 1", ("q1",))
+    assert "dress pack" in EFFECTS[UNKNOWN].meaning_of(term.law).cause
     assert said.sentence.startswith("something moves joint 1 and looks like transmission error")

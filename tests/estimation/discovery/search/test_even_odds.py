@@ -31,8 +31,13 @@ PLAY = 1e-4
 SLUGS = ("backlash", "base_step")
 
 
-def searched(monkeypatch: pytest.MonkeyPatch, stated: Mapping[str, float]) -> SearchResult:
-    """The outcome for an arm with backlash, where the probabilities of effects are those stated, else 1."""
+def searched(
+    monkeypatch: pytest.MonkeyPatch, stated: Mapping[str, float], limited: Mapping[str, float] | None = None
+) -> SearchResult:
+    """The outcome for an arm with backlash, where the probabilities of effects are those stated, else 1.
+
+    ``limited`` are those once rivals score less than the name.
+    """
     profile = load_profile(TWIN)
     few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
     arm = profile.arms["left"]
@@ -55,7 +60,9 @@ def searched(monkeypatch: pytest.MonkeyPatch, stated: Mapping[str, float]) -> Se
     )
 
     def probable(found: SearchResult, scan: object) -> Posteriors:
-        return Posteriors(tuple(stated.get(term.slug, 1.0) for term in found.fit.terms), stated)
+        out = all(max(one.alternatives.values(), default=0.0) < one.score for one in found.reviews)
+        here = stated if limited is None or not out else limited
+        return Posteriors(tuple(here.get(term.slug, 1.0) for term in found.fit.terms), here)
 
     monkeypatch.setattr(stepwise, "posteriors_of", probable)
     return stepwise.search(data, SLUGS, CancelToken())
@@ -98,6 +105,8 @@ def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
     monkeypatch.setattr(stepwise, "review", led)
     (found,) = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}).reviews
     assert found.alternatives["friction_windup"] < found.score
+    alone = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}, {"backlash": 0.1, "friction_windup": 0.2})
+    assert alone.improbable == {"backlash": pytest.approx(0.3)}, "its answer set was probable by that rival only"
 
 
 def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
