@@ -109,7 +109,7 @@ def residual_problem(n):
 @pytest.mark.parametrize("readings", [200, 12_000])
 def test_training_of_a_residual_network(benchmark, readings):
     q, residual = residual_problem(readings)
-    training = benchmark.pedantic(train_network, args=(q, residual), kwargs={"seed": 1}, rounds=2)
+    training = benchmark.pedantic(train_network, args=(q, residual), kwargs={"seed": 1})
     assert training.network is not None
 
 

@@ -18,15 +18,15 @@ _STOPS_PER_BLOCK = 100
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
 """Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
 stops are hardly a sample of the workspace."""
-_STEPS_PER_STOP = 12
-"""Steps of the search for each stop; twice as many save half a percent of travel more."""
+_STEPS_PER_STOP = 3
+"""Steps of the search for each stop; twice as many save a percent of travel more."""
 _LEAST_STEPS = 500
 _FORBIDDEN_STEPS = 20.0
 """Cost of a pair that must not stand together, in usual steps: never worth it."""
 _PAIR_GOAL = 0.1
 """Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
-_PAIR_WEIGHT = 0.15
-"""Charge of a pair for a correlation that is too large by 1, in usual steps."""
+_PAIR_WEIGHT = 7.5e-4
+"""Charge of a stop for a correlation of that size, in usual steps."""
 _DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
 """Correlations with posture that are small enough: of time, and of the other courses of a drift."""
 _DECAY = 2.0
@@ -93,7 +93,7 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
         _pair_cost(stops, members, sizes),
         [np.where(of_arm[..., None] >= 0, one.values[of_arm], 0.0) for one, of_arm in zip(stops.postures, members)],
         _PAIR_GOAL,
-        _PAIR_WEIGHT * stops.usual_step_s,
+        _PAIR_WEIGHT * n * stops.usual_step_s,
     )
     order = best_order(task, max(_LEAST_STEPS, _STEPS_PER_STOP * n), rng, cancel)
     ways = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from cellapp.cell.planning.exclusions import shortage
 from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
 from cellapp.cell.planning.usable import Usable, admitted_by_gate, together, usable
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, visible
+from cellapp.cell.safety.gate import CellBodies, clear_alone, in_view, visible
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -109,11 +109,15 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
         If none is found in many draws; the message says which constraint excludes them.
     """
     low, high = joint_ranges(cell, profile, name).T
+    arm, none = cell.arms[name], np.arange(0)
+    bare = replace(arm, frames=arm.frames[none], start=arm.start[none], end=arm.end[none], radius=arm.radius[none])
     fruitless = 0
     while True:
         q = rng.uniform(low, high, size=(_INDEPENDENT, len(low)))
+        if cell.field is not None:  # most are turned away: that is told without bodies
+            q = q[in_view(cell.field, place(bare, q))]
         q = q[visible(cell, name, q)]
-        q = q[clear_alone(cell, place(cell.arms[name], q))]
+        q = q[clear_alone(cell, place(arm, q))]
         yield from q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
         fruitless = 0 if len(q) else fruitless + _INDEPENDENT
         if fruitless >= _MOST_DRAWS:

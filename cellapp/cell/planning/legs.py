@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +18,6 @@ from cellapp.robot.kinematics.transforms import Array
 _MOST_WAYS = 6
 """Sides and steps of one stop for which the gate is asked about the way: if all are refused, the stop itself is hard to
 reach, and a detour is sought."""
-_ASKED_TOGETHER = 12
-"""Other sides and steps of which the last motions are looked at together."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
 
@@ -86,7 +84,7 @@ class LegPlanner:
         """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
         own = {name: step[stop] for name, step in self._step.items()}
         usable, asked = None, 0
-        for steps in self._steps_to(stop, own):
+        for steps in self._steps_to(stop, here, own):
             if not self._last_is_free(stop, steps):
                 continue
             usable, asked = usable or steps, asked + 1
@@ -103,10 +101,11 @@ class LegPlanner:
         found = self._finder.find(here, self._begin_of(stop, usable))
         return found if isinstance(found, str) else found.legs
 
-    def _steps_to(self, stop: int, own: Steps) -> Iterator[Steps]:
+    def _steps_to(self, stop: int, here: Configuration | None, own: Steps) -> Iterator[Steps]:
         """The planned steps of a stop, then others whose last motion begins where the arms may stand.
 
-        A repeat has those of its stop. The others are drawn when they are asked for, which is seldom.
+        A repeat has those of its stop. The others are drawn when they are asked for, which is seldom. The gate mostly
+        accepts the first of them: it is asked about one, then about some at a time.
         """
         yield own
         if self._arrangement.repeat_of[stop] >= 0:
@@ -115,14 +114,22 @@ class LegPlanner:
         begins = {name: q[stop] - patterns[name] for name, q in self._q.items()}
         free = clear_stops(self._cell, begins)
         others = [{name: rows[k] for name, rows in patterns.items()} for k in np.flatnonzero(free).tolist()]
+        asked = 0
         for number, steps in enumerate(others):
-            if number % _ASKED_TOGETHER == 0:
-                some = others[number : number + _ASKED_TOGETHER]
-                self._finder.gate.ask((self._begin_of(stop, one), self._at(stop)) for one in some)
+            if number == asked:
+                asked = 3 * number + 1
+                self._ask(stop, here, others[number:asked])
             yield steps
+
+    def _ask(self, stop: int, here: Configuration | None, some: Sequence[Steps]) -> None:
+        """Ask the gate about the motions to a stop with some steps together."""
+        begins = [self._begin_of(stop, one) for one in some]
+        ways = [] if here is None else [(here, begin) for begin in begins]
+        self._finder.gate.ask([*((begin, self._at(stop)) for begin in begins), *ways])
 
     def _accepts(self, stop: int, steps: Steps) -> bool:
         """Whether the gate accepts other steps at a stop that is reached straight."""
+        self._ask(stop, self._before[stop], [steps])
         return self._last_is_free(stop, steps) and self._way_is_free(stop, self._before[stop], steps)
 
     def _last_is_free(self, stop: int, steps: Steps) -> bool:

@@ -64,8 +64,9 @@ def repair_order(
 def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
     """Another order in which all ways that are new are free; None if none is found that costs less than ``limit``."""
     costs: list[tuple[float, int, Move]] = []
+    along = ways.along(now)
     for move in _moves(now.block, place):
-        added = ways.added_s(now, move)
+        added = ways.added_s(along, move)
         costs += [(float(added[k]), k, move) for k in np.argsort(added, kind="stable")[:_MOST_TRIED].tolist()]
     costs.sort(key=lambda one: one[:2])
     positions = np.arange(1, now.rows.shape[1] + 1)
@@ -75,8 +76,11 @@ def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangem
         if added_s <= limit
     ]
     new = [[(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in move.steps()] for move in tried]
-    ways.ask(way for of_move in new for way in of_move)
-    for move, of_move in zip(tried, new, strict=True):
+    asked = 0
+    for number, (move, of_move) in enumerate(zip(tried, new, strict=True)):
+        if number == asked:  # about one in two is free
+            asked = 2 * number + 2
+            ways.ask(way for later in new[number:asked] for way in later)
         if all(ways.is_free(*way) for way in of_move):
             return now.taken(move.source(positions) - 1)
     return None
@@ -139,25 +143,26 @@ class _Ways:
         here, there = self._at(arrangement, before), self._at(arrangement, place)
         return None if here is None or there is None or before == place else (here, there)
 
-    def added_s(self, now: Arrangement, move: Move) -> Array:
-        """Time that each of the moves adds (n,) [s]."""
-        padded = [self._padded(now, arm) for arm in range(len(now.rows))]
+    def along(self, now: Arrangement) -> list[Array]:
+        """Positions of each arm from start to end, NaN where these are not given."""
+        found = []
+        for name, rows in zip(self._stops.names, now.rows, strict=True):
+            q = self._stops.q[name][rows]
+            nowhere = np.full(q.shape[1], np.nan)
+            start, end = (nowhere if one is None else one[name] for one in (self._start, self._end))
+            found.append(np.concatenate([start[None], q, end[None]]))
+        return found
+
+    def added_s(self, along: list[Array], move: Move) -> Array:
+        """Time that each of the moves adds (n,) [s] to a way ``along`` positions."""
         added: Array = np.zeros(len(move.low))
         for position, before, here in move.steps():
-            added += self._time_s(padded, before, here) - self._time_s(padded, position - 1, position)
+            added += self._time_s(along, before, here) - self._time_s(along, position - 1, position)
         return added
 
-    def _time_s(self, padded: list[Array], before: NDArray[np.intp], here: NDArray[np.intp]) -> Array:
-        seconds = self._stops.way_s([q[here] - q[before] for q in padded])
+    def _time_s(self, along: list[Array], before: NDArray[np.intp], here: NDArray[np.intp]) -> Array:
+        seconds = self._stops.way_s([q[here] - q[before] for q in along])
         return np.asarray(np.where(np.isfinite(seconds) & (here > 0), seconds, 0.0))
-
-    def _padded(self, now: Arrangement, arm: int) -> Array:
-        """Positions of an arm from start to end, NaN where these are not given."""
-        name = self._stops.names[arm]
-        q = self._stops.q[name][now.rows[arm]]
-        nowhere = np.full(q.shape[1], np.nan)
-        ends = [nowhere if one is None else one[name] for one in (self._start, self._end)]
-        return np.concatenate([ends[0][None], q, ends[1][None]])
 
     def _at(self, arrangement: Arrangement, place: int) -> Configuration | None:
         if place < 0:

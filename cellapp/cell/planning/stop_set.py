@@ -89,16 +89,18 @@ class StopSet:
     def arm_times_s(self, arm: int, rows: Rows) -> Array:
         """Time of an arm alone between all pairs of the stops ``rows`` (m,), shape (m, m) [s].
 
-        Ways on which the arm alone is not clear take as long as a usual step more: that is what a detour costs.
+        Ways on which the arm alone is not clear take as long as a usual step more: that is what a detour costs. Those
+        that take longer than a usual step are not looked at.
         """
         name, cell = self.names[arm], self.cell_of_ways
         q, m = self.q[name][rows], len(rows)
         i, k = np.triu_indices(m, 1)
         way = q[k] - q[i]
         seconds = motion_s(self.profile.arms[name], way)
+        looked_at = seconds < self.usual_step_s  # an order hardly has longer ones
         free = np.ones(len(way), dtype=bool)
         for part in _PARTS_OF_WAY:
-            left = np.flatnonzero(free)
+            left = np.flatnonzero(free & looked_at)
             free[left] = clear_alone(cell, place(cell.arms[name], q[i[left]] + part * way[left]))
         times: Array = np.zeros((m, m))
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)

@@ -31,15 +31,18 @@ _TRIES_AT_ONCE = 512
 _TRIES_A_STOP = 2
 """Moves tried in one step at most for each stop of a block: the best of more is nearly the best of all, which no
 temperature would ever leave for a worse one."""
-_HOT, _COLD = 0.1, 0.015
-"""First and last temperature over the mean time between two stops: at first a move that costs half as much as a usual
-step is often accepted, at last only gains are."""
-_RANDOM_SHARE = 0.5
+_HOT, _COLD = 0.04, 0.012
+"""First and last temperature over the mean time between two stops: the first order is near already, and a hotter start
+would lose it; at last only gains are accepted."""
+_RANDOM_SHARE = 0.2
 """Share of moves of random positions; the others bring near neighbours together."""
 _LONGEST_SHIFT = 3
 """Most positions that are shifted together."""
 _POWER = 6
 """Power of correlations that is charged: the largest ones rule, and a change by one exchange is foreseen well."""
+_BEND = 0.35 * _POWER * (_POWER - 1)
+"""Bend of the charge in one exchange: less than at its beginning, or exchanges that halve a correlation would seem to
+save nothing."""
 _CHECK_EVERY = 50
 """Steps between two looks at the cancel token."""
 
@@ -85,7 +88,7 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
     rng : numpy.random.Generator
     cancel : CancelToken
     """
-    tours = _Tours(task, _random_order(task, rng))
+    tours = _Tours(task, _near_order(task, rng))
     scale = float(np.mean(task.time_s)) or 1.0
     temperatures = np.geomspace(_HOT * scale, _COLD * scale, steps) if task.sizes.max(initial=0) > 1 else ()
     for step, temperature in enumerate(temperatures):
@@ -95,13 +98,22 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
     return tours.inner
 
 
-def _random_order(task: TourTask, rng: np.random.Generator) -> Order:
-    """An order (K, B, m + 2) with positions of no stop (number m) before the first and after the last stop."""
+def _near_order(task: TourTask, rng: np.random.Generator) -> Order:
+    """An order (K, B, m + 2) of each arm alone, from a random stop to the nearest one that is left, and so on.
+
+    Positions of no stop (number m) are before the first and after the last stop.
+    """
     arms, blocks, m, _ = task.time_s.shape
     order = np.full((arms, blocks, m + 2), m, dtype=np.intp)
-    for block, size in enumerate(task.sizes.tolist()):
-        for arm in range(arms):
-            order[arm, block, 1 : size + 1] = rng.permutation(size)
+    block = np.arange(blocks)
+    for arm in range(arms):
+        left_out = np.where(np.arange(m) < task.sizes[:, None], 0.0, np.inf)
+        here = (rng.random(blocks) * task.sizes).astype(np.intp)
+        for place in range(1, m + 1):
+            going = block[place <= task.sizes]
+            order[arm, going, place] = here[going]
+            left_out[block, here] = np.inf
+            here = np.argmin(task.time_s[arm, block, here] + left_out, axis=1)
     return order
 
 
@@ -215,11 +227,11 @@ class _Tours:
         """Moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
         arms, blocks = len(self._at), len(self._sizes)
         shape = blocks, max(1, min(_TRIES_AT_ONCE // blocks, _TRIES_A_STOP * self._m))
+        arm = int(rng.integers(arms))
         position = (rng.random(shape) * (self._sizes + 1)).astype(np.intp)
         if rng.random() < _RANDOM_SHARE:
             other = 1 + (rng.random(shape) * self._sizes).astype(np.intp)
         else:
-            arm = int(rng.integers(arms))
             stop = np.minimum(self._at[arm].take(position + self._first * (self._m + 2)), self._m - 1)
             rank = rng.integers(self._near.shape[2], size=shape)
             near = self._near[arm, stop + self._first * self._m, rank]
@@ -228,7 +240,7 @@ class _Tours:
         low = np.minimum(np.minimum(position, other) + 1, high)
         draw = rng.random()
         if draw < 0.4:
-            return Move("exchange", low, high, arm=int(rng.integers(arms)) if arms > 1 else None)
+            return Move("exchange", low, high, arm=arm if arms > 1 else None)
         if draw < 0.5:
             return Move("exchange", low, high)
         if draw < 0.75:
@@ -273,7 +285,7 @@ class _Tours:
             own_change, their_change = (self._changes(k, self._first, low[k], high[k]) for k in (arm, other))
             correlation = correlation.T if flipped else correlation
             slope = unit * _POWER * correlation ** (_POWER - 1)
-            bend = unit / self._total * 0.5 * _POWER * (_POWER - 1) * correlation ** (_POWER - 2)
+            bend = unit / self._total * _BEND * correlation ** (_POWER - 2)
             p_own, p_their = slope.shape
             own_change, their_change = own_change.reshape(-1, p_own), their_change.reshape(-1, p_their)
             less = np.sum((own_change @ slope - own_change**2 @ bend * their_change) * their_change, axis=1)

@@ -82,10 +82,8 @@ class TransitPlanner:
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> TransitPath | None:
         """The shortest way through some of the configurations ``between`` that the gate accepts."""
-        timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
-        shortest = [
-            list(pairwise([here, *one[2], there])) for one in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]
-        ]
+        ways = [list(pairwise([here, *through, there])) for through in between]
+        shortest = [ways[k] for k in np.argsort(self._ways_s(ways), kind="stable")[:_MOST_ASKED].tolist()]
         for number, way in enumerate(shortest):
             if number % _ASKED_TOGETHER == 0:
                 self.gate.ask(motion for other in shortest[number : number + _ASKED_TOGETHER] for motion in other)
@@ -98,10 +96,20 @@ class TransitPlanner:
         legs = []
         for before, after in pairwise([here, *through]):
             legs.append({name: q for name, q in after.items() if not np.array_equal(q, before[name])})
-        return TransitPath(tuple(leg for leg in legs if leg), self._route_s([here, *through, there]))
+        way = list(pairwise([here, *through, there]))
+        return TransitPath(tuple(leg for leg in legs if leg), float(self._ways_s([way])[0]))
 
-    def _route_s(self, stations: Sequence[Configuration]) -> float:
-        return sum(self.seconds(before, after) for before, after in pairwise(stations))
+    def _ways_s(self, ways: Sequence[Sequence[tuple[Configuration, Configuration]]]) -> Array:
+        """Time of the motions of each way, of which each takes as long as its slowest arm (n,) [s]."""
+        steps = [step for way in ways for step in way]
+        if not steps:
+            return np.zeros(0)
+        of_arms = [
+            motion_s(self._profile.arms[name], np.array([after[name] - before[name] for before, after in steps]))
+            for name in steps[0][0]
+        ]
+        of_way = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
+        return np.bincount(of_way, np.max(of_arms, axis=0)).astype(np.float64)
 
     def _one_after_the_other(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
         """The arms in each order, if there are several and not too many."""

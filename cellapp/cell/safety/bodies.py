@@ -158,6 +158,10 @@ class Placed:
         """Viewing direction of the SMR, shape (n, 3)."""
         return np.asarray(self.flange @ self.arm.normal_F)
 
+    def axes(self, rows: np.ndarray, bodies: np.ndarray) -> tuple[Array, Array]:
+        """Both ends of the axes of some ``bodies`` (p,), at configurations ``rows`` (p,), (3, p) each [m]."""
+        return self.start.T[:, bodies, rows], self.end.T[:, bodies, rows]
+
     def take(self, rows: np.ndarray | slice) -> Placed:
         """The bodies at some of the configurations."""
         start, end = (np.ascontiguousarray(ends.T[..., rows]).T for ends in (self.start, self.end))

@@ -11,6 +11,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 _PAIRS_AT_ONCE = 20_000
 """Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
+_ROUNDING_M = 1e-6
+"""Of distances between spheres, from their squares [m]."""
 
 
 def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
@@ -25,8 +27,12 @@ def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
     for begin in range(0, len(rows), _PAIRS_AT_ONCE):
         batch = slice(begin, begin + _PAIRS_AT_ONCE)
         r, a, b = rows[batch], i[batch], k[batch]
-        gap = segment_distance(first.start[r, a], first.end[r, a], second.start[r, b], second.end[r, b])
-        np.minimum.at(gaps, r, gap - first.radius[a] - second.radius[b])
+        ends, others = first.axes(r, a), second.axes(r, b)
+        between = 0.5 * (ends[0] + ends[1] - others[0] - others[1])
+        needed = first.arm.extents[a] + second.arm.extents[b] + within + _ROUNDING_M
+        near = ~(np.einsum("cp,cp->p", between, between) > needed * needed)  # also for NaN
+        gap = segment_distance(*(end[:, near].T for end in (*ends, *others)))
+        np.minimum.at(gaps, r[near], gap - first.radius[a[near]] - second.radius[b[near]])
     return gaps
 
 
@@ -97,17 +103,21 @@ def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:
     k, b = np.nonzero(near_second)
     if len(i) == 0 or len(k) == 0:
         return np.inf
-    first_radius, second_radius = first.radius[a], second.radius[b]
+    ends, others = first.axes(i, a), second.axes(k, b)
+    first_middle, second_middle = 0.5 * (ends[0] + ends[1]), 0.5 * (others[0] + others[1])
+    first_square, second_square = np.sum(first_middle**2, axis=0), np.sum(second_middle**2, axis=0)
+    extent, other_extent = first.arm.extents[a] + clearance + _ROUNDING_M, second.arm.extents[b]
     block = max(1, _PAIRS_AT_ONCE // len(k))
     for start in range(0, len(i), block):
-        rows, bodies = i[start : start + block], a[start : start + block]
-        gap = segment_distance(
-            first.start[rows, bodies][:, None],
-            first.end[rows, bodies][:, None],
-            second.start[k, b],
-            second.end[k, b],
-        )
-        smallest = float((gap - first_radius[start : start + block, None] - second_radius).min())
+        part = slice(start, start + block)
+        squares = first_square[part, None] + second_square - 2.0 * (first_middle[:, part].T @ second_middle)
+        near = ~(squares > (extent[part, None] + other_extent) ** 2)  # by spheres; also for NaN
+        one, other = np.nonzero(near)
+        if not len(one):
+            continue
+        one += start
+        gap = segment_distance(*(end[:, one].T for end in ends), *(end[:, other].T for end in others))
+        smallest = float((gap - first.radius[a[one]] - second.radius[b[other]]).min())
         if not smallest >= clearance:  # also for NaN
             return smallest
     return np.inf

@@ -232,7 +232,7 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
         return np.zeros(len(q), dtype=bool)
     bodies = place(cell.arms[name], q)
     tracker = cell.field.T_C_M[:3, 3]
-    seen = _in_view(cell.field, bodies)
+    seen = in_view(cell.field, bodies)
     rows = np.flatnonzero(seen)
     if len(rows):
         bodies = bodies.take(rows)
@@ -256,7 +256,7 @@ def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
     return seen
 
 
-def _in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
+def in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
     """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
     conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
     return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))

@@ -84,12 +84,21 @@ class _Paths:
     count: Numbers
 
     def take(self, rows: Numbers) -> _Paths:
-        """Some of the paths."""
-        return _Paths(self.arm, self.start[rows], self.target[rows], self.count[rows])
+        """Some of the paths, in their order; bodies that are placed already are taken along."""
+        if len(rows) == len(self.count):
+            return self
+        some = _Paths(self.arm, self.start[rows], self.target[rows], self.count[rows])
+        if "coarse_bodies" in vars(self):
+            kept = np.zeros(len(self.count), dtype=np.bool_)
+            kept[rows] = True
+            vars(some)["coarse_bodies"] = self.coarse_bodies.take(np.flatnonzero(kept[self.coarse[0]]))
+        return some
 
     def one(self, row: int) -> SampledPath:
         """A path by itself."""
-        return SampledPath(self.arm, self.start[row], self.target[row], int(self.count[row]))
+        path = SampledPath(self.arm, self.start[row], self.target[row], int(self.count[row]))
+        vars(path)["coarse_bodies"] = self.coarse_bodies.take(slice(*np.searchsorted(self.coarse[0], (row, row + 1))))
+        return path
 
     @cached_property
     def half_step(self) -> Array:

@@ -24,8 +24,12 @@ _SMALLEST_BATCH = 20
 _FIRST_BATCH = 5
 """The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
 updates lose as many digits."""
+_SAMPLED = 4000
+"""Candidates at least of which the mean information is taken: errors are then known to a percent."""
 _ORDERED_AT_ONCE = 100
 """Stops that are put in order until gains are computed afresh."""
+_FOLLOWED_IN_ORDER = 400
+"""Candidates that are followed while they are put in order: the first stops change all gains."""
 _LEAST_FOLLOWED = 80
 """Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
 
@@ -77,8 +81,9 @@ class Candidates:
 
     @cached_property
     def mean_information(self) -> Array:
-        """Mean information (p, p) of a candidate."""
-        return information_of(self.rows) / max(len(self.rows), 1)
+        """Mean information (p, p) of a candidate, of many a sample."""
+        some = self.rows[:: max(1, len(self.rows) // _SAMPLED)]
+        return information_of(some) / max(len(some), 1)
 
     def information(self, chosen: Rows) -> Array:
         """Information (p, p) of a design."""
@@ -120,23 +125,36 @@ def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Crit
         return chosen
     early = candidates.prior + information_of(candidates.rows[chosen]) / 4.0
     weights = criterion.weights(inverse_psd(early))
-    left = np.ones(len(chosen), dtype=bool)
+    left = np.ones(len(candidates), dtype=bool)
     order = list[int]()
     while len(order) < min(effort.ordered, len(chosen)):
-        rest = np.flatnonzero(left)
-        design = BlockDesign(candidates.information(chosen[order]), weights)
-        design.track(candidates.rows[chosen[rest]])
-        for _ in range(min(_batch(_ORDERED_AT_ONCE, len(order)), effort.ordered - len(order), len(rest))):
-            best = rest[int(np.argmax(np.where(left[rest], design.gains(), -np.inf)))]
-            left[best] = False
-            order.append(int(best))
-            design.add(candidates.rows[chosen[best]])
-    return chosen[np.concatenate([order, np.flatnonzero(left)]).astype(np.intp)]
+        number = min(_batch(_ORDERED_AT_ONCE, len(order)), effort.ordered - len(order))
+        rest = chosen[left[chosen]]
+        before = candidates.information(np.array(order, dtype=np.intp))
+        order += _best(candidates, before, weights, rest, number, _FOLLOWED_IN_ORDER)
+        left[order] = False
+    return np.concatenate([np.array(order, dtype=np.intp), chosen[left[chosen]]])
 
 
 def _batch(asked: int, chosen: int) -> int:
     """Stops until gains are computed afresh: fewer at the beginning, where each of them changes most of all gains."""
     return min(asked, max(_FIRST_BATCH, chosen))
+
+
+def _best(candidates: Candidates, information: Array, W: Array, among: Rows, number: int, followed: int) -> list[int]:
+    """The best of some candidates one after the other beside others of some information (p, p)."""
+    design = BlockDesign(information, W)
+    among = among[design.largest(candidates.rows[among], followed)]
+    rows = candidates.rows[among].astype(np.float64, copy=False)
+    design.track(rows)
+    free = np.zeros(len(among))
+    found = list[int]()
+    for _ in range(min(number, len(among))):
+        best = int(np.argmax(design.gains() + free))
+        free[best] = -np.inf
+        found.append(int(among[best]))
+        design.add(rows[best])
+    return found
 
 
 def _greedy(
@@ -145,20 +163,15 @@ def _greedy(
     """Stop after stop the largest gain among a subset."""
     free = np.ones(len(candidates), dtype=bool)
     size = max(_SMALLEST_BATCH, -(-count // effort.batches))
-    chosen, information = list[int](), candidates.prior
-    while len(chosen) < count:
+    information, before = candidates.prior, 0
+    while before < count:
         cancel.check()
         subset = np.asarray(rng.permutation(np.flatnonzero(free))[: max(effort.subset, 2 * size)])
-        design = BlockDesign(information, W)
-        before = len(chosen)
-        subset = subset[design.largest(candidates.rows[subset], _followed(effort, _batch(size, before)))]
-        design.track(candidates.rows[subset])
-        for _ in range(min(_batch(size, before), count - before)):
-            best = int(np.argmax(np.where(free[subset], design.gains(), -np.inf)))
-            free[subset[best]] = False
-            chosen.append(int(subset[best]))
-            design.add(candidates.rows[chosen[-1]])
-        information = information + information_of(candidates.rows[chosen[before:]])
+        number = min(_batch(size, before), count - before)
+        come = _best(candidates, information, W, subset, number, _followed(effort, number))
+        free[come] = False
+        before += len(come)
+        information = information + information_of(candidates.rows[come])
     return np.flatnonzero(~free)
 
 
@@ -176,21 +189,20 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
         cancel.check()
         leaving = queue[first : first + effort.batch]
         coming = promising[free[promising]]
-        design = BlockDesign(information, W)
         coming = coming[design.largest(candidates.rows[coming], _followed(effort, effort.batch))]
         looked_at = np.concatenate([leaving, coming])
-        design.track(candidates.rows[looked_at])
-        before = free.copy()
-        for stop in leaving:
-            if free[stop]:
+        rows = candidates.rows[looked_at].astype(np.float64, copy=False)
+        design.track(rows)
+        outside = np.where(free[looked_at], 0.0, -np.inf)
+        for place in range(len(leaving)):
+            if outside[place] == 0.0:
                 continue
-            design.remove(candidates.rows[stop])
-            free[stop] = True
-            best = looked_at[int(np.argmax(np.where(free[looked_at], design.gains(), -np.inf)))]
-            design.add(candidates.rows[best])
-            free[best] = False
-        come, gone = (candidates.rows[before & ~free], candidates.rows[free & ~before])
-        information = information + information_of(come) - information_of(gone)
+            design.remove(rows[place])
+            outside[place] = 0.0
+            best = int(np.argmax(design.gains() + outside))
+            outside[best] = -np.inf
+            design.add(rows[best])
+        free[looked_at] = outside == 0.0
     return np.flatnonzero(~free)
 
 

@@ -25,6 +25,8 @@ _IMMOVABLE = 1e-12
 """Replaces a limit of zero, of a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
 """Candidates for one gap that are looked at: more of them differ little."""
+_FOLLOWED = 200
+"""Stops whose losses are followed, those of the least loss first."""
 _COMPARED = 8
 """Of these the best are compared in double precision."""
 
@@ -83,21 +85,28 @@ def close_gaps(
     """
     design = BlockDesign(candidates.information(chosen), criterion.weights(candidates.covariance(chosen)))
     design.track(candidates.rows[chosen])
+    easy = np.argsort(design.losses(), kind="stable")  # losses change slowly: only the first ones are followed
+    easy, later = easy[:_FOLLOWED], easy[_FOLLOWED:]
+    design.track(candidates.rows[chosen[easy]])
     staying, added = np.ones(len(chosen), dtype=bool), list[int]()
     hopeless = set[tuple[int, float]]()
+    ends = np.stack([q.min(axis=0), q.max(axis=0)])
     for _ in range(len(chosen)):
         cancel.check()
         stops = np.concatenate([q[chosen[staying]], q[added], kept])
-        inside = _closing(q, stops, limits, hopeless)
+        inside = _closing(q, np.concatenate([stops, ends]), limits, hopeless)
         if inside is None:
             break
         inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
         inside = inside[design.largest(candidates.rows[inside], _COMPARED)]
         best = int(inside[np.argmax(design.gains_of(candidates.rows[inside]))])
         free = staying & _dispensable(np.concatenate([stops, q[[best]]]), limits, staying)
-        if not free.any():
+        while not free[easy].any() and len(later):
+            easy, later = later[:_FOLLOWED], later[_FOLLOWED:]
+            design.track(candidates.rows[chosen[easy]])
+        if not free[easy].any():
             break
-        leaving = int(np.argmin(np.where(free, design.losses(), np.inf)))
+        leaving = int(easy[np.argmin(np.where(free[easy], design.losses(), np.inf))])
         design.add(candidates.rows[best])
         design.remove(candidates.rows[chosen[leaving]])
         staying[leaving] = False
@@ -106,24 +115,24 @@ def close_gaps(
 
 
 def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, float]]) -> Rows | None:
-    """Candidates that close the longest gap, or a good part of it; None where no gap can be closed.
+    """Candidates that close the longest gap of ``stops`` and the ends of the range, or a good part of it; None where
+    no gap can be closed.
 
     ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
     """
-    ends = np.sort(np.concatenate([stops, q.min(axis=0)[None], q.max(axis=0)[None]]), axis=0)
+    ends = np.sort(stops, axis=0)
     ratio = np.diff(ends, axis=0) / np.maximum(limits, _IMMOVABLE)
-    for place in np.argsort(-ratio, axis=None):
-        row, joint = np.unravel_index(place, ratio.shape)
-        if ratio[row, joint] <= 1.0:
-            return None
+    rows, joints = np.nonzero(ratio > 1.0)
+    longest = np.argsort(-ratio[rows, joints], kind="stable")
+    for row, joint in zip(rows[longest].tolist(), joints[longest].tolist(), strict=True):
         low, high, limit = ends[row, joint], ends[row + 1, joint], limits[joint]
-        if (int(joint), float(low)) in hopeless:
+        if (joint, float(low)) in hopeless:
             continue
         margin = limit / 2.0 if high - low >= 2.0 * limit else high - low - limit
         inside = np.flatnonzero((q[:, joint] >= low + margin) & (q[:, joint] <= high - margin))
         if len(inside):
             return inside
-        hopeless.add((int(joint), float(low)))
+        hopeless.add((joint, float(low)))
     return None
 
 

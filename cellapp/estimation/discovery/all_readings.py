@@ -28,7 +28,8 @@ from cellapp.estimation.discovery.process.evidence import Hyperparameters, Proce
 from cellapp.estimation.discovery.process.structured import StructuredProcess, needed_components, process_terms
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
-from cellapp.robot.effects import EffectColumn
+from cellapp.robot.effects import EffectColumn, displacement_by
+from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.posterior import PosteriorDraws
@@ -104,29 +105,34 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
     return found
 
 
-def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> NormalMatrix:
-    """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there."""
+def _gathered(
+    data: ArmData, fit: JointFit, further: Sequence[Component] = (), gram: Array | None = None
+) -> NormalMatrix:
+    """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there.
+
+    ``gram`` is X^T X of a model nearby if it is known: most of the time goes into it, and it hardly changes.
+    """
     count = sum(len(one.columns) for one in further)
     total = fit.layout.total + count
-    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
+    products: Array = np.zeros((total, total)) if gram is None else gram
+    moment, square = np.zeros(total), 0.0
     geometric = np.array(fit.identification.estimated.columns, dtype=np.intp)
     deviation = fit.model.geometry.vector()[geometric] - data.model.nominal.vector()[geometric]
     values = np.concatenate([deviation, fit.identification.effect_values, np.zeros(count)])
     for chunk in _chunks(data):
-        white = whitening(chunk.sigma)
-        columns = [*chunk.term_columns(fit.terms), *_columns(chunk, further)]
-        rows = LinearModel.of(
-            fit.model.geometry,
-            chunk.readings.q,
-            white,
-            fit.identification.estimated.columns,
-            columns,
-            chunk.conditions.R_M_S,
-        ).rows
-        left = chunk.readings.p_M - fit.model.predict(chunk.readings.q, conditions=chunk.conditions)
-        target = np.einsum("acn,nc->an", white, left).ravel() + values @ rows
-        found += NormalMatrix.of(rows, target)
-    return found
+        q, R_M_S, white = chunk.readings.q, chunk.conditions.R_M_S, whitening(chunk.sigma)
+        of_terms = chunk.term_columns(fit.terms)
+        columns = [*of_terms, *_columns(chunk, further)]
+        rows = LinearModel.of(fit.model.geometry, q, white, fit.identification.estimated.columns, columns, R_M_S).rows
+        moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
+        predicted = smr_positions(fit.model.geometry, q + moved.joints, R_M_S) + moved.shift_M
+        left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted).ravel()
+        if gram is None:
+            products += rows @ rows.T
+        moment += rows @ left
+        square += float(left @ left)
+    of_values = products @ values
+    return NormalMatrix(products, moment + of_values, square + float(values @ (2.0 * moment + of_values)))
 
 
 def _chunks(data: ArmData) -> Iterator[ArmData]:
@@ -139,10 +145,10 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     """The model with values and uncertainty from all readings."""
     model, flat = fit.model, fit.layout.geometric
     columns = list(fit.identification.estimated.columns)
-    covariance = np.zeros((0, 0))
+    gram = None
     for _ in range(_STEPS):
-        equations = _gathered(data, fit).with_priors(fit.precision)
-        values, covariance = equations.solution, equations.covariance
+        equations = _gathered(data, fit, gram=gram).with_priors(fit.precision)
+        values, gram = equations.solution, equations.normal.gram
         vector = model.geometry.vector()
         vector[columns] = data.model.nominal.vector()[columns] + values[:flat]
         effects = tuple(
@@ -154,7 +160,7 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     draws = PosteriorDraws.of_covariance(
         columns=tuple(columns),
         sizes=[term.size for term in fit.terms],
-        covariance=covariance,
+        covariance=equations.covariance,
         noise=noise_of(data),
         seed=(data.profile.seed, _DRAW_SEED),
     )

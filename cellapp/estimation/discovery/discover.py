@@ -51,6 +51,7 @@ from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
+from cellapp.ground.memory import give_back
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
@@ -326,6 +327,7 @@ def search_rows(
         return Searched(found, found, with_posterior(found.data, found.fit), None)
     cancel.check()
     report(SEARCH_STEPS - 1, f"fit to all {counted(len(rows), 'reading')}")
+    give_back()  # what the search tried
     everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
     if smoothness_of(found.fit.terms) is None:
         to_all = refit_to_all(found, everything)

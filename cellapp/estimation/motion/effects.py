@@ -137,6 +137,9 @@ class _Search:
                 break
             state, step = found
             steps = with_step(steps, step)
+            while step.law is Law.LINE and (more := self._lines(state, steps)):  # laws were looked for just before
+                state, step = more
+                steps = with_step(steps, step)
             state, steps = self._with_best_reach(self._judged_to_its_end(state), steps, step.law)
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)

@@ -28,6 +28,11 @@ _STEP_S = 2e-3
 """Step of the grid: a hundredth of the period of 5 Hz, 12 steps of 40 Hz."""
 _SHARE = 0.05
 """Steps of frequency and damping for derivatives: shares of the width of a resonance, and of the damping."""
+_BILINEAR = {
+    1: np.array([[1.0, -1.0], [1.0, 1.0]]),
+    2: np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]]),
+}
+"""By degree n: (z - 1)^(n - i) (z + 1)^i of each term of a polynomial of s = 2 rate (z - 1) / (z + 1)."""
 _MOST_KEPT = 60
 """Answers that are kept of one path."""
 
@@ -121,10 +126,11 @@ def _filtered(
     """A transfer function on even positions ``q`` (G,) that have had the first speed, and the acceleration ``bend``,
     for ever; ``ramp`` is its answer to unit speed. ``warped`` is the frequency [rad/s] at which it is to be exact,
     of a quadratic one, whose answer to acceleration is -1."""
-    from scipy.signal import bilinear, lfilter  # it loads scipy.stats: not for commands without recordings
+    from scipy.signal import lfilter  # it loads scipy.stats: not for commands without recordings
 
     rate = 0.5 * warped / math.tan(0.5 * warped * _STEP_S) if warped else 1.0 / _STEP_S
-    b, a = bilinear(above, below, rate)
+    by_z = _BILINEAR[len(below) - 1] * (2.0 * rate) ** np.arange(len(below) - 1.0, -1.0, -1.0)[:, None]
+    b, a = np.array(above) @ by_z, np.array(below) @ by_z
     if warped:  # slow accelerations as they are
         b = b / (rate * _STEP_S) ** 2
     t = _STEP_S * np.arange(len(q))

@@ -5,6 +5,7 @@ A command imports what it needs when it is called, so that help and requests to 
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from functools import partial
@@ -14,6 +15,9 @@ from cellapp.interfaces.cli.requests import ask_job, plain_request
 
 _COMPLETION = "_CELLAPP_COMPLETE"
 """Variable by which a shell asks typer to complete a command line."""
+_COLLECTED_AFTER = (20_000, 10, 10)
+"""Thresholds of Python's collector: by its own (700, 10, 10) it passes over the modules again and again as they load,
+and over the widgets of the terminal application at every key."""
 
 
 def main() -> None:
@@ -22,6 +26,7 @@ def main() -> None:
     The list of commands needs none of them, the terminal application no command line. Everything else, and whatever
     goes wrong, is the matter of the whole command line.
     """
+    gc.set_threshold(*_COLLECTED_AFTER)
     if sys.argv[1:] in (["-h"], ["--help"]):
         from cellapp.interfaces.cli.program import run_program
         from cellapp.interfaces.cli.top import overview

@@ -235,6 +235,7 @@ class CellApp(JobKeys):
         if step not in self._screens:
             screen = next(entry for entry in SCREENS if entry.step == step).make()
             assert isinstance(screen, DayScreen)
+            screen.fit(self.size)
             self._screens[step] = screen
             self.install_screen(self._screens[step], step)
         return self._screens[step]

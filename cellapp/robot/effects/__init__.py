@@ -7,7 +7,14 @@ from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, L
 from cellapp.robot.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
 from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
-from cellapp.robot.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
+from cellapp.robot.effects.term import (
+    Displacement,
+    EffectTerm,
+    displacement,
+    displacement_by,
+    term_from_json,
+    term_to_json,
+)
 
 __all__ = [
     "EFFECTS",
@@ -34,6 +41,7 @@ __all__ = [
     "Tuned",
     "Wave",
     "displacement",
+    "displacement_by",
     "enumeration",
     "joint_column",
     "motion_laws",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cellapp.robot.effects.column import EffectColumn
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import Law
@@ -57,19 +58,26 @@ class Displacement:
 
 def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
     """Sum of the displacements of all terms."""
-    joints, shift_M = np.zeros(context.q.shape), np.zeros((len(context), 3))
+    columns: list[EffectColumn] = []
     for term in terms:
         of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
-        columns = {c.name: c for c in with_modulations(of_law, term.modulations, context)}
-        for name, value in zip(term.names, term.values.tolist(), strict=True):
-            column = columns[name]
-            if column.joint is not None:
-                assert column.offset is not None
-                joints[:, column.joint] += value * column.offset
-            else:
-                assert column.shift_M is not None
-                shift_M += value * column.shift_M
-    return Displacement(joints, shift_M)
+        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+        columns += [by_name[name] for name in term.names]
+    values = [value for term in terms for value in term.values.tolist()]
+    return displacement_by(columns, values, *context.q.shape)
+
+
+def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n: int, joints: int) -> Displacement:
+    """Sum of columns times values at ``n`` stops of an arm with ``joints`` joints."""
+    moved, shift_M = np.zeros((n, joints)), np.zeros((n, 3))
+    for column, value in zip(columns, values, strict=True):
+        if column.joint is not None:
+            assert column.offset is not None
+            moved[:, column.joint] += value * column.offset
+        else:
+            assert column.shift_M is not None
+            shift_M += value * column.shift_M
+    return Displacement(moved, shift_M)
 
 
 def term_to_json(term: EffectTerm) -> dict[str, Any]:

@@ -42,6 +42,8 @@ from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, p
 Signs = NDArray[np.float64] | NDArray[np.int8]
 MODEL_SCHEMA = "cellapp-calibration"
 _VERSION = 1
+_AT_ONCE = 4096
+"""Configurations whose columns of effects are held together: 1000 columns of them take 32 MB."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,6 +124,11 @@ class ArmModel:
         conditions: MeasurementConditions | None = None,
     ) -> Displacement:
         """Displacement by all effects of the model where the controller reads ``q`` (n, N) [rad]."""
+        if len(q) > _AT_ONCE:
+            conditions = self.context(q, approach, payload_kg, conditions).conditions
+            chunks = np.array_split(np.arange(len(q)), -(-len(q) // _AT_ONCE))
+            parts = [self.effect_displacement(q[rows], conditions=conditions.take(rows)) for rows in chunks]
+            return Displacement(*map(np.concatenate, zip(*((one.joints, one.shift_M) for one in parts), strict=True)))
         context = self.context(q, approach, payload_kg, conditions)
         each = [displacement([term], EFFECTS, context) for term in self.effects]
         moved = Displacement.total(each, len(context), q.shape[1])

@@ -15,6 +15,7 @@ from cellapp.robot.kinematics.transforms import rotation_from_vector
 from tests.series import Array, Series, series, twin
 
 STOPS, BEGIN = 130, 80
+SEEDS = [11, *(pytest.param(seed, marks=pytest.mark.long) for seed in (12, 13))]
 Fault = Callable[[Mapping[str, Series]], None]
 
 
@@ -72,7 +73,7 @@ def test_an_eccentric_encoder_raises_nothing_where_stops_follow_each_other_on_sh
     assert [raised(seed, stops=200, short_ways=True) for seed in (2, 3, 4)] == [[]] * 3
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("arm", ["left", "right"])
 def test_an_smr_that_slips_is_named_within_five_stops_and_once(seed, arm):
     [(stop, suspicion)] = raised(seed, slip(arm, np.array([0.18e-3, -0.24e-3, 0.0])))
@@ -83,7 +84,7 @@ def test_an_smr_that_slips_is_named_within_five_stops_and_once(seed, arm):
     assert size_mm == pytest.approx(0.3, abs=0.12)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_bumped_tracker_is_named_within_five_stops_and_once(seed):
     [(stop, suspicion)] = raised(seed, bump)
     assert BEGIN <= stop <= BEGIN + 4

@@ -123,7 +123,7 @@ def test_an_arm_without_home_has_a_roadmap() -> None:
     assert refusals(cell, found.stops, first) == []
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_plans_among_obstacles_pass_the_gate(seed: int) -> None:
     profile = with_pillar(planned_twin(16))
     cell, homes = cell_bodies(profile), home_positions(profile)

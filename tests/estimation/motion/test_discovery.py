@@ -36,7 +36,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
         lag_s=np.array([0.0, 0.0, 0.0, 0.0, 0.003, 0.0, 0.0]),
     )
     motion = sweep(rng, 6)
-    recordings = {"left": (record(rng, arm, motion, seconds=100.0, slow=10e-6),)}
+    recordings = {"left": (record(rng, arm, motion, seconds=100.0, point_hz=50.0, slow=10e-6),)}
     none = Readings(
         configuration=np.zeros(0, dtype=np.int64),
         time_s=np.zeros(0),

@@ -111,7 +111,7 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     rng = np.random.default_rng(7)
     late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])
     arm = replace(true_arm(rng), time_constant=late, springs={0: (9.0, 0.04)})
-    discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, slow=10e-6))
+    discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, point_hz=50.0, slow=10e-6))
     assert set(found) == {"time_constant", "vibration", "inertia"}
     assert found["time_constant"].values == pytest.approx(late[:6], abs=1e-3)
     gain, hz, damping = found["vibration"].values

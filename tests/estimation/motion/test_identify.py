@@ -280,7 +280,7 @@ def test_recordings_that_tell_nothing_are_refused(case):
         fit_of(replace(recording, points=other.points))
 
 
-@pytest.mark.parametrize("seed", [21, 22, 23])
+@pytest.mark.parametrize("seed", [21, *(pytest.param(seed, marks=pytest.mark.long) for seed in (22, 23))])
 def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a_bad_one(seed):
     """What the model lacks is the same for all: none is followed at the cost of the others."""
     rng = np.random.default_rng(seed)

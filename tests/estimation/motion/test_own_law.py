@@ -31,7 +31,9 @@ def plugin(tmp_path):
 
 def recording(seed, **changes):
     rng = np.random.default_rng(seed)
-    return record(rng, replace(true_arm(rng), **changes), sweep(rng, 6, speed=0.8), seconds=200.0, slow=20e-6)
+    return record(
+        rng, replace(true_arm(rng), **changes), sweep(rng, 6, speed=0.8), seconds=200.0, point_hz=50.0, slow=20e-6
+    )
 
 
 def test_it_is_found_in_recordings_with_its_size(plugin):

@@ -20,7 +20,7 @@ def away_from_truth(arm: Led, geometry: Geometry) -> float:
     return float(np.linalg.norm(apply(register(true, computed), computed) - true, axis=1).mean())
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_the_true_arm_is_found(seed: int) -> None:
     arm = led(seed, gauge_m=0.4)
     found, notes = calibrate_arm(panda(), "left", arm.readings)

@@ -1,20 +1,43 @@
-"""Tests of the terminal application run in a folder of their own and wait for no animation."""
+"""Tests of the terminal application run in a folder of their own, wait for no animation and paint only what they look
+at."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from textual._compositor import Compositor
+from textual.screen import Screen
 
-from tests.interfaces.tui.idle import wait_for_idle
+from tests.interfaces.tui.idle import wait_for_idle, wait_for_screen
+
+_painted = Compositor.render_update
+
+
+@pytest.fixture
+def painted() -> None:
+    """For tests of how fast the application is: it paints as in a terminal."""
 
 
 @pytest.fixture(autouse=True)
-def _surroundings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _surroundings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("textual.pilot.wait_for_idle", wait_for_idle)
     monkeypatch.setattr("textual.app.wait_for_idle", wait_for_idle)
+    monkeypatch.setattr("textual.pilot.Pilot._wait_for_screen", wait_for_screen)
     monkeypatch.setattr("textual.constants.TEXTUAL_ANIMATIONS", "none")
     # sets aside for good what is there: right for one application a process, of hundreds it keeps gigabytes
     monkeypatch.setattr("cellapp.interfaces.tui.app.gc", SimpleNamespace(collect=int, freeze=int))
     monkeypatch.chdir(tmp_path)  # runs go to logs in the working directory
+    if "painted" not in request.fixturenames:
+        monkeypatch.setattr(Compositor, "render_update", _update)
+
+
+def _update(compositor: Compositor, full: bool = False, screen_stack: list[Screen] | None = None, **how: Any) -> Any:
+    """Paint only on request, as for a picture: there is no terminal that would show it, and a third of all time goes
+    there. ``pilot.until`` and ``shown_text`` paint the whole screen."""
+    if full:
+        return _painted(compositor, full, screen_stack, **how)
+    compositor._dirty_regions.clear()
+    return None

@@ -15,6 +15,7 @@ from time import monotonic, process_time
 from typing import Any
 
 from textual._context import active_app
+from textual.pilot import Pilot
 
 _WINDOW_S = 0.005
 """Between two looks; a thread that waits for the interpreter gets it meanwhile."""
@@ -23,6 +24,8 @@ _BUSY_S = 0.0005
 _SOON_S = 0.02
 """Timers due within this time count as work: Textual draws by one of them, 60 times a second."""
 _THREADS = Path("/proc/self/task")
+_MOST_TURNS = 200
+"""Turns of the event loop that are waited for where a job says more and more."""
 
 
 async def wait_for_idle(min_sleep: float = 0.0, max_sleep: float = 5.0) -> None:
@@ -37,6 +40,19 @@ async def wait_for_idle(min_sleep: float = 0.0, max_sleep: float = 5.0) -> None:
         used_s = process_time() - used_s
         if used_s < _BUSY_S and _loop_is_idle() and not _threads_compute() and monotonic() - began_s >= min_sleep:
             return
+
+
+async def wait_for_screen(pilot: Pilot[None], timeout: float = 0.0) -> bool:
+    """Wait until no widget has a message left, in place of a pilot's message to each of a hundred widgets; raise what
+    the application has raised."""
+    loop: Any = asyncio.get_running_loop()
+    for _ in range(_MOST_TURNS):
+        await asyncio.sleep(0)
+        if pilot.app._exception is not None:
+            raise pilot.app._exception
+        if not loop._ready:
+            return True
+    return False
 
 
 def _loop_is_idle() -> bool:

@@ -37,19 +37,6 @@ from tests.interfaces.tui.pilot import (
 )
 
 
-async def test_every_screen_is_one_key_away_and_shows_where_one_is() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for entry in (*SCREENS, SCREENS[0]):
-            await pilot.press(entry.key)
-            await pilot.pause()
-            assert entry.step == app.day_screen.STEP
-            (present,) = app.screen.query(".step.present").results(StepTab)
-            assert present.step == entry.step
-            assert " SIMULATED " in shown_text(app).splitlines()[0]
-
-
 async def test_a_refusal_without_a_profile_goes_when_one_is_open() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -85,25 +72,31 @@ async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the step that comes next without a run")
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_stop_is_in_the_same_corner_of_every_screen_and_dialog(size: tuple[int, int]) -> None:
+async def test_every_screen_is_one_key_away_and_stop_is_in_the_same_corner_of_screens_and_dialogs() -> None:
     app = CellApp(PROFILES)
-    corner = Region(size[0] - 11, 0, 11, 1)
-    async with app.run_test(size=size) as pilot:
+    async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        for entry in SCREENS:
-            await pilot.press(entry.key)
-            await pilot.pause()
-            assert app.screen.query_one(StopButton).region == corner
-            assert shown_text(app).splitlines()[0].endswith(" STOP  Esc")
-        for key in ("ctrl+p", "question_mark", "f5"):
-            await pilot.press(key)
-            await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
-            await pilot.pause()
-            assert app.screen.query_one(StopButton).region == corner
-            assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
+        for size in SIZES:
+            await pilot.resize_terminal(*size)
+            corner = Region(size[0] - 11, 0, 11, 1)
+            for entry in (*SCREENS, SCREENS[0]):
+                await pilot.press(entry.key)
+                await pilot.pause()
+                assert entry.step == app.day_screen.STEP
+                (present,) = app.screen.query(".step.present").results(StepTab)
+                assert present.step == entry.step
+                assert app.screen.query_one(StopButton).region == corner
+                first_line = shown_text(app).splitlines()[0]
+                assert " SIMULATED " in first_line
+                assert first_line.endswith(" STOP  Esc")
+            for key in ("ctrl+p", "question_mark", "f5"):
+                await pilot.press(key)
+                await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
+                await pilot.pause()
+                assert app.screen.query_one(StopButton).region == corner
+                assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
+                await pilot.press("escape")
+                await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
 
 
 async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:

@@ -309,6 +309,7 @@ async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
         await ended(pilot, app)
 
 
+@pytest.mark.usefixtures("painted")
 async def test_a_flood_of_events_keeps_the_keys_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("app", "pilot"):  # it is never idle
         monkeypatch.setattr(f"textual.{module}.wait_for_idle", partial(wait_for_idle, max_sleep=0.2))

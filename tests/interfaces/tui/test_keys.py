@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -68,12 +69,12 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_no_screen_parts_a_key_from_its_label(size: tuple[int, int]) -> None:
+async def test_no_screen_parts_a_key_from_its_label() -> None:
     app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
+    async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        for entry in SCREENS:
+        for size, entry in product(SIZES, SCREENS):
+            await pilot.resize_terminal(*size)
             await pilot.press(entry.key)
             await pilot.pause()
             line = app.screen.query_one(KeyLine)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
@@ -25,6 +26,13 @@ from tests.interfaces.tui.pilot import SMALL, ended, tells, until
 from tests.twin import small_twin, write_profile
 
 RUN = Path("run")
+PROFILE = Path("profiles/twin.yaml")
+
+
+@pytest.fixture(autouse=True)
+def _profiles(_surroundings: None) -> None:
+    """The application is started with profiles: without one it asks what to begin with."""
+    write_profile(PROFILE.parent)
 
 
 def stored(folder: Path = RUN) -> PlannedStops:
@@ -34,10 +42,9 @@ def stored(folder: Path = RUN) -> PlannedStops:
 
 async def shown(pilot: Pilot[None], app: CellApp, tab: str = "stops") -> None:
     """Open the run and show one of the tabs."""
-    write_profile(Path("profiles"))
     new_planned_run(small_twin(8, plan={"method": "random"}), RUN).close()
-    app.open_profile(Path("profiles/twin.yaml"))
-    app.open_run(RUN, Path("profiles/twin.yaml"))
+    app.open_profile(PROFILE)
+    app.open_run(RUN, PROFILE)
     await until(pilot, lambda: app.workspace.folder == RUN, "the run")
     await pilot.press("2")
     await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
@@ -58,7 +65,7 @@ async def fill(pilot: Pilot[None], app: CellApp, dialog: type, field: str, text:
 
 
 async def test_marked_stops_are_frozen_and_others_are_added() -> None:
-    app = CellApp(Path("profiles"))
+    app = CellApp(PROFILE.parent)
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app)
         await until(pilot, lambda: table(app).row_count == 8, "the stops")
@@ -82,15 +89,14 @@ async def test_marked_stops_are_frozen_and_others_are_added() -> None:
 
 
 async def test_a_plan_is_designed_and_designed_again_around_what_is_frozen() -> None:
-    path = write_profile(Path("profiles"))
-    text = path.read_text("utf-8").replace(
+    text = PROFILE.read_text("utf-8").replace(
         "  stops: 30", "  stops: 10\n  method: designed\n  candidates: 150\n  repeats: 2"
     )
-    path.write_text(text, "utf-8")
-    app = CellApp(Path("profiles"))
+    PROFILE.write_text(text, "utf-8")
+    app = CellApp(PROFILE.parent)
     async with app.run_test(size=SMALL) as pilot:
-        app.open_profile(path)
-        await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
+        app.open_profile(PROFILE)
+        await until(pilot, lambda: app.workspace.profile_path == PROFILE, "the profile")
         await pilot.press("2", "b")
         await fill(pilot, app, NewRunQuestion, "#folder", str(RUN))
         await ended(pilot, app)
@@ -114,7 +120,7 @@ async def test_a_plan_is_designed_and_designed_again_around_what_is_frozen() -> 
 
 
 async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
-    app = CellApp(Path("profiles"))
+    app = CellApp(PROFILE.parent)
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app)
         await pilot.press("e")
@@ -142,11 +148,10 @@ async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
 
 
 async def test_without_a_plan_the_keys_say_what_to_do() -> None:
-    write_profile(Path("profiles"))
     RunFile.create(RUN, small_twin()).close()
-    app = CellApp(Path("profiles"))
+    app = CellApp(PROFILE.parent)
     async with app.run_test(size=SMALL) as pilot:
-        app.open_run(RUN, Path("profiles/twin.yaml"))
+        app.open_run(RUN, PROFILE)
         await until(pilot, lambda: app.workspace.folder == RUN, "the run")
         await pilot.press("2")
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")

@@ -11,6 +11,7 @@ from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.ground.memory import give_back
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.contradiction import is_contradiction
@@ -62,6 +63,7 @@ class SearchState:
         """Free the memory of ``scan``, tens of megabytes."""
         for key in [key for key, kept in self.fit.derived.items() if isinstance(kept, LawScan)]:
             del self.fit.derived[key]
+        give_back()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
+from textual.geometry import Size
 from textual.screen import Screen
 from textual.widgets import Static
 
@@ -57,6 +58,14 @@ class DayScreen(Screen[None]):
         self._state: RunState | None = None
         self._look: tuple[object, ...] = ()
 
+    def fit(self, size: Size) -> None:
+        """Before the screen is made, take the classes of a terminal of this size: its widgets then find their styles
+        once, and not again at the first resize."""
+        breaks = (size.width, self.HORIZONTAL_BREAKPOINTS), (size.height, self.VERTICAL_BREAKPOINTS)
+        for length, breakpoints in breaks:
+            reached = [name for least, name in breakpoints or () if length >= least]
+            self.add_class(*reached[-1:], update=False)
+
     @property
     def cell_app(self) -> Host:
         """The application with its workspace and its job."""
@@ -66,6 +75,10 @@ class DayScreen(Screen[None]):
     def workspace(self) -> Workspace:
         """What is open."""
         return self.cell_app.workspace
+
+    @property
+    def _present_look(self) -> tuple[object, ...]:
+        return self.app.theme, self.app.app_focus, self.app.classes
 
     @property
     def state(self) -> RunState:
@@ -159,9 +172,13 @@ class DayScreen(Screen[None]):
         """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
+    def on_mount(self) -> None:
+        """Note by what its widgets find their styles as they are made."""
+        self._look = self._present_look
+
     def on_screen_resume(self, event: ScreenResume) -> None:
         """Draw what changed while another screen was shown; find styles anew only where they can have changed."""
-        look = (self.app.theme, self.app.app_focus, self.app.classes)
+        look = self._present_look
         event.refresh_styles = look != self._look  # all widgets against all rules: half of a switch
         self._look = look
         self.call_after_refresh(self.cell_app.draw_all)
