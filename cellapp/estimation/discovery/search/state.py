@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, refit
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import corrected_p_value
@@ -172,7 +172,9 @@ class SearchResult:
     def without_terms(self) -> SearchResult:
         """This result with the geometry alone: everything that was added counts as dropped."""
         dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        return replace(self.with_fit(self.data, self.geometry_only, ()), dropped=dropped)
+        # the search, and its fit of the geometry, may have seen a part of the readings
+        bare = fit_terms(self.data, ())
+        return replace(self.with_fit(self.data, bare, ()), geometry_only=bare, dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
