@@ -55,6 +55,8 @@ TITLES = {
     Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
 }
 """Of effects that act in motion only."""
+_AS_IN_MOTION = 1.25
+"""Ratio of errors up to which a model at rest predicts as the model in motion that it was taken from."""
 _SURE = 3.0
 """Standard errors by which an effect beside those of recordings must lower the mean squared held-out error."""
 
@@ -154,10 +156,13 @@ class MotionAtRest:
         return tuple(loop_picture(loop) for loop in self.motion.loops)
 
     def better_than(self, other: ArmModel) -> bool:
-        """Whether there are effects whose model predicts the held-out readings better than another one."""
+        """Whether there are effects whose model at rest predicts the held-out readings better than another one, and as
+        the recordings are predicted in motion: else what moves the arm there is no law of poses at rest."""
         if not self.motion.terms or not len(self.held_out):
             return False
-        return self.held_out.rms_mm(self.model) < self.held_out_of_others.rms_mm(other)
+        error_mm = self.held_out.rms_mm(self.model)
+        as_in_motion = error_mm < _AS_IN_MOTION * self.motion.heldout_after_mm
+        return as_in_motion and error_mm < self.held_out_of_others.rms_mm(other)
 
     def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
         """What the recordings show, as it is stored."""

@@ -338,15 +338,13 @@ class _Search:
         return self._state(replace(state.problem, whitening=None), state.solution.values)
 
     def _unwhitened(self, state: State, plain: State) -> State:
-        """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
-        determine them, where these tell more of them than ``plain`` ones."""
+        """All points as they are, for predictions; lines, which are fast, stay as the whitened residuals determine
+        them, where these tell more of them than ``plain`` ones."""
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
-        slow = {term.joint for term in problem.layout.terms if term.fading}
         for number, term in enumerate(problem.layout.terms, start=size):
-            fast = term.law is Law.LINE or (term.law is Law.PLAY and term.joint not in slow)
-            if fast and own[number] < theirs[number]:
+            if term.law is Law.LINE and own[number] < theirs[number]:
                 mean[number] = solution.values[number]
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):
