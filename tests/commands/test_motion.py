@@ -206,4 +206,5 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
         calibrate_run(run, seen.append)
     assert [(event.done, event.total) for event in seen if event.job == "recordings of motion"][-1] == (1, 1)
     of_discover = events_until("with backlash: step 1", discover_run)
-    assert of_discover[-1].job == "recordings of motion"
+    assert of_discover[-1].job == "discover"
+    assert "arm left: recordings: with backlash: step 1" in of_discover[-1].note

@@ -245,13 +245,13 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
     folder, found = searched
     with RunFile.open(shutil.copytree(folder, tmp_path / "run"), write=True) as run:
         assert all(len(discovery.result.accepted[0].answer_set) == 2 for discovery in found.arms.values())
-        proposal = proposed(run, found, 3 * PROPOSED, EFFORT)
+        proposal = proposed(run, found, 4 * PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
         held_out = {name: run.readings(name).in_split("validate") for name in run.arms()}
         assert collect_run(run, resume=True).notes[:-1] == ()
         for name in run.arms():
             readings = run.readings(name)
-            assert len(readings) == STOPS + 3 * PROPOSED
+            assert len(readings) == STOPS + 4 * PROPOSED
             np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])
             assert readings.step is not None
             assert readings.dwell_s is not None
