@@ -16,6 +16,7 @@ from textual.pilot import Pilot
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.interfaces.tui.app import CellApp
+from drivers.arms import ur_states, ur_worker_process
 from tests.interfaces.tui.pilot import shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import Terminal, cellapp
@@ -24,6 +25,8 @@ from tests.trials.storm_cell import StormCell, emulated_cell
 pytestmark = pytest.mark.waits
 
 STOPS = 8
+BUSY_HOST_S = 2.0
+"""Silence of a link that stops an arm here."""
 PACE = 2.0
 """Seconds of the cell for each real one: enough of a motion is left to strike, on a busy computer, too."""
 UNDISTURBED_PACE = 200.0
@@ -43,8 +46,14 @@ def cell(planned: Path) -> Iterator[StormCell]:
 
 
 @pytest.fixture
-def day(planned: Path, cell: StormCell, tmp_path: Path) -> Path:
-    """A copy of profile and run, with the emulated cell in order; its folder."""
+def day(planned: Path, cell: StormCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of profile and run, with the emulated cell in order; its folder.
+
+    The other tests of a complete run use all processors: links that are silent for 0.3 s then stop the arms, as they
+    should (``tests/drivers/arms`` checks that), and a day with faults of its own never ends.
+    """
+    monkeypatch.setattr(ur_worker_process, "_SILENT_S", BUSY_HOST_S)
+    monkeypatch.setattr(ur_states, "SILENT_S", BUSY_HOST_S)
     cell.control("*", "pace", PACE)
     cell.repair()
     shutil.copytree(planned, tmp_path, dirs_exist_ok=True)
