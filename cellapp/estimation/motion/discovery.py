@@ -45,7 +45,7 @@ from cellapp.estimation.readings.readings import joined
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report, ignore_words
 from cellapp.ground.results import Estimate
-from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel
 
 TITLES = {
@@ -194,7 +194,7 @@ class MotionAtRest:
             held_out.position_mm(one)
             for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
         )
-        its, names = f"arm {self.name}: ", " and ".join(EFFECTS[effect.slug].title for effect in self.effects)
+        its, names = f"arm {self.name}: ", _titles(self.effects)
         steps = [GapStep(what="geometry alone", effect="", heldout_mm=before.rms)]
         steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
         changed = result.model_copy(
@@ -217,6 +217,10 @@ class MotionAtRest:
         )
 
 
+def _titles(named: Sequence[MotionEffect | EffectTerm]) -> str:
+    return " and ".join(EFFECTS[one.slug].title for one in named)
+
+
 def _surely_better(held_out: HeldOut, model: ArmModel, other: ArmModel) -> bool:
     """Whether another model predicts held-out readings better than chance explains, by pairs of squared errors."""
     gain = held_out.errors_m(model) ** 2 - held_out.errors_m(other) ** 2
@@ -229,8 +233,7 @@ def _without_terms(rest: Discovery) -> Discovery:
         return rest
     result = rest.result
     changes = {"accepted": (), "verdict": "nothing missing", "contradictions": (), "steps": result.steps[:1]}
-    titles = " and ".join(EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect for one in result.accepted)
-    sentence = f"{titles} would not predict held-out readings surely better, and is left out"
+    sentence = f"{_titles(rest.terms)} would not predict held-out readings surely better, and is left out"
     return replace(rest, terms=(), result=result.model_copy(update={**changes, "sentence": sentence}))
 
 

@@ -35,7 +35,6 @@ from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
 from cellapp.estimation.motion.shaped import FREQUENCIES, lagging_joints, reshaped, settled, strongest_vibration
 from cellapp.estimation.motion.steps import (
-    AT_REST,
     LOOK_ALIKES,
     SHOWN,
     MotionEffect,
@@ -52,7 +51,6 @@ from cellapp.estimation.motion.steps import (
     tested,
     values_of,
     with_step,
-    with_values,
 )
 from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, of_all_joints
 from cellapp.ground.progress import Told, ignore_words
@@ -130,9 +128,9 @@ class _Search:
         first_mm, steps = state.heldout_mm, list[Step]()
         loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
+        tried: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
         while True:
-            found = self._law(state, laws, steps) or self._lines(state, steps) or self._vibration(state, steps)
+            found = self._law(state, tried, steps) or self._lines(state, steps) or self._vibration(state, steps)
             if found is None:
                 break
             state, step = found
@@ -152,18 +150,21 @@ class _Search:
         fit = motion_fit(final.problem, freed)
         found_effects = effects_of(final, steps)
         effects = tuple(effect for effect, _ in found_effects)
-        at_rest = [term for effect, terms in found_effects if effect.at_rest for term in terms]
-        places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
+        stays, moves = (
+            tuple(
+                pair
+                for effect, terms in found_effects
+                if effect.at_rest is at_rest
+                for pair in zip(terms, effect.values.tolist(), strict=True)
+            )
+            for at_rest in (True, False)
+        )
+        places = [*range(final.problem.layout.geometric), *places_of(final, [term for term, _ in stays])]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
-        entered = dict.fromkeys(step.law for step in steps)
-        stays, moves = (
-            tuple(pair for law in laws if law in entered for pair in with_values(final, shown(final, law, steps)))
-            for laws in (AT_REST, [law for law in entered if law not in AT_REST])
-        )
-        laws_of_joints = JointLaws(stays, moves, final.problem.masses)
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws_of_joints, drawn)
+        laws = JointLaws(stays, moves, final.problem.masses)
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, drawn)
 
     def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Lines at the counts that are best beside all other terms: the first ones entered before these were known.

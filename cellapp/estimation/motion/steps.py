@@ -167,7 +167,7 @@ def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
     return [term for term in terms if not term.part]
 
 
-def with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTerm, float]]:
+def _with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTerm, float]]:
     """Terms of one law, each with its value."""
     if not terms:
         return []
@@ -251,7 +251,7 @@ def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, 
 def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequence[JointTerm]) -> tuple[JointTerm, ...]:
     """Lines of two cycles that are less than a third of one cycle of the same joint."""
     size = dict[tuple[int, int], float]()
-    for term, value in [*with_values(state, one_cycle), *with_values(state, lines)]:
+    for term, value in [*_with_values(state, one_cycle), *_with_values(state, lines)]:
         size[term.joint, term.cycles] = math.hypot(size.get((term.joint, term.cycles), 0.0), value)
     small = {joint for joint, count in size if count == 2 and size[joint, 2] < size.get((joint, 1), 0.0) / 3.0}
     return tuple(term for term in lines if term.cycles == 2 and term.joint in small)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,23 +34,23 @@ class ContradictionForm(BorrowedForm):
     """One that holds with impossible values only."""
 
 
+_Form = TypeVar("_Form", bound=BorrowedForm)
+
+
 def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
     """A form of an effect as a contradiction."""
-    return ContradictionForm(
-        name="|".join((_CONTRADICTION, effect.slug, form.name)),
-        words=f"as {effect.title}, {form.words}, but with impossible values",
-        constants=form.constants,
-        variables=form.variables or effect.variables,
-        effect=effect,
-        lent=form,
-    )
+    return _borrowed(ContradictionForm, _CONTRADICTION, effect, form, ", but with impossible values")
 
 
 def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
     """A form of an effect as a part of what something unknown does."""
-    return BorrowedForm(
-        name="|".join((_IMITATION, effect.slug, form.name)),
-        words=f"as {effect.title}, {form.words}",
+    return _borrowed(BorrowedForm, _IMITATION, effect, form)
+
+
+def _borrowed(kind: type[_Form], prefix: str, effect: Effect, form: LawForm, but: str = "") -> _Form:
+    return kind(
+        name="|".join((prefix, effect.slug, form.name)),
+        words=f"as {effect.title}, {form.words}{but}",
         constants=form.constants,
         variables=form.variables or effect.variables,
         effect=effect,
