@@ -83,15 +83,21 @@ def smooth_path(period_s: float, duration_s: float) -> np.ndarray:
 def begun(arm: UrPathArm, duration_s: float = 3.0) -> UrPathArm:
     """The arm in the middle of a path."""
     arm.start_path(smooth_path(arm.path_period_s, duration_s), arm.path_period_s)
+    wait_until_under_way(arm)
+    return arm
+
+
+def wait_until_under_way(arm: UrPathArm) -> None:
+    """Wait until the arm is far from the beginning of its path; raise what has stopped it: a stall of this computer,
+    perhaps."""
 
     def under_way() -> bool:
         state = arm.state()
         if not state.ready:
-            arm.wait_settled(PATIENT_S)  # raises what has stopped it: a stall of this computer, perhaps
+            arm.wait_settled(PATIENT_S)
         return bool(abs(state.q[0] - HOME[0]) > 0.05)
 
     until(under_way, "the arm follows the path")
-    return arm
 
 
 def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
@@ -102,7 +108,7 @@ def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_path(path, arm.path_period_s)
     with pytest.raises(ArmError, match="still moving"):
         arm.start_path(path, arm.path_period_s)
-    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.05, "it is far from the beginning")
+    wait_until_under_way(arm)
     with pytest.raises(ArmError, match="still moving"):
         arm.start_path(path, arm.path_period_s)
     state = arm.wait_settled(PATIENT_S)
