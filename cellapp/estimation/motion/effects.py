@@ -29,10 +29,10 @@ from cellapp.estimation.motion.fit import Problem, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.loops import Loop, loops
-from cellapp.estimation.motion.lost_motion import ALTERNATIVES, fading_terms
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
+from cellapp.estimation.motion.refinements import REFINED, alternatives, refining_terms
 from cellapp.estimation.motion.shaped import FREQUENCIES, lagging_joints, reshaped, settled, strongest_vibration
 from cellapp.estimation.motion.steps import (
     LOOK_ALIKES,
@@ -138,7 +138,7 @@ class _Search:
             while step.law is Law.LINE and (more := self._lines(state, steps)):  # laws were looked for just before
                 state, step = more
                 steps = with_step(steps, step)
-            state, steps = self._with_best_reach(self._judged_to_its_end(state), steps, step.law)
+            state, steps = self._with_best_constants(self._judged_to_its_end(state), steps, step.law)
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
@@ -193,21 +193,21 @@ class _Search:
             state = self._refitted(state, steps)
         return state, steps
 
-    def _with_best_reach(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
-        """The same with the reaches of a law's lost motion by the noise that is left with it: what the fit left before
-        held it, and passed for noise."""
+    def _with_best_constants(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
+        """The same with the reaches of a law's lost motion, or the knees of its springs, by the noise that is left with
+        it: what the fit left before held it, and passed for noise."""
         known = terms_of(law, steps)
-        fading = [term for term in known if term.fading]
-        if not fading or not isinstance(law, Law):
+        parts = [term for term in known if term.refines]
+        if not parts or not isinstance(law, Law):
             return state, steps
-        rest = tuple(term for term in state.problem.layout.terms if term not in fading)
-        values = np.delete(state.solution.values, places_of(state, fading))
-        self.told(f"reach of {law.value.replace('_', ' ')}")
+        rest = tuple(term for term in state.problem.layout.terms if term not in parts)
+        values = np.delete(state.solution.values, places_of(state, parts))
+        self.told(f"constants of {law.value.replace('_', ' ')}")
         problem = state.problem.without_terms().with_terms(rest)
-        better = fading_terms(problem, replace(state.solution, values=values), law)
-        if set(better) == set(fading):
+        better = refining_terms(problem, replace(state.solution, values=values), law)
+        if set(better) == set(parts):
             return state, steps
-        terms = tuple(term for term in known if not term.fading) + better
+        terms = tuple(term for term in known if not term.refines) + better
         changed = [replace(step, terms=terms) if step.law is law else step for step in steps]
         trial = self._judged_to_its_end(self._refitted(state, changed))
         return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
@@ -282,14 +282,14 @@ class _Search:
         return state, steps
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Without laws, and fading parts of laws, that entered early and that chance explains beside all others."""
+        """Without laws, and parts that refine laws, that entered early and that chance explains beside all others."""
         for entered in list(steps):  # one by one: each vibrating joint has a step of its own
             step = entered
             if step.law is Law.LINE:
                 continue
-            fading = [term for term in step.terms if term.fading]
-            if fading and self._by_chance(state, fading, ALTERNATIVES):
-                step = replace(step, terms=tuple(term for term in step.terms if not term.fading))
+            parts = [term for term in step.terms if term.refines]
+            if parts and isinstance(step.law, Law) and self._by_chance(state, parts, alternatives(step.law)):
+                step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 steps = [step if one is entered else one for one in steps]
                 state = self._refitted(state, steps)
             if self._by_chance(state, step.terms) or not shown(state, step.law, steps):
@@ -298,10 +298,10 @@ class _Search:
         return state, steps
 
     def _simpler(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Lost motion that changes at once, and without a part that grows with load, where that says as much: lines and
-        elastic joints look like either before they are part of the fit."""
-        for law in (Law.WINDUP, Law.PLAY):
-            kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.fading)]
+        """Lost motion that changes at once, without a part that grows with load, and springs of one stiffness, where
+        that says as much: lines and elastic joints look like either before they are part of the fit."""
+        for law in (Law.WINDUP, Law.PLAY, Law.COMPLIANCE):
+            kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.refines)]
             if law is Law.WINDUP and has(steps, Law.PLAY):
                 kept.append(())
             for fewer in kept:
@@ -386,17 +386,17 @@ class _Search:
         """The law of all joints that is least likely to be chance and lowers the held-out error."""
         tried = []
         for law in laws:
-            for terms, alternatives in self._terms_to_try(state, law, steps):
+            for terms, chances in self._terms_to_try(state, law, steps):
                 trials = [self._extended(state, terms)]
                 if law in _OF_POSTURE:
                     trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
                 statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
-                log_p = log_chance(statistic, len(terms), alternatives)
+                log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
                     tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
         for _, trial, step in sorted(tried, key=lambda each: each[0]):
             judged = self._judged(trial)
-            if judged.heldout_mm < state.heldout_mm:
+            if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
                 rivals = [one.log_p for _, _, one in tried if {one.law, step.law} == set(LOOK_ALIKES)]
                 return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
         return None
@@ -404,16 +404,16 @@ class _Search:
     def _terms_to_try(
         self, state: State, law: Law | MotionLaw, steps: Sequence[Step]
     ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
-        """Terms that a law may enter with, and the number of alternatives that chance may choose from: lost motion that
-        changes at once, with a part that fades with the travel, or that part beside what entered before."""
+        """Terms that a law may enter with, and the number of alternatives that chance may choose from: the plain law,
+        with parts that refine it, or those beside what entered before."""
         plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
         if plain:
             yield plain, self.alternatives
-        fades = any(term.fading for term in terms_of(law, steps))
-        if not fades and (law is Law.PLAY or (law is Law.WINDUP and not plain)):
-            self.told(f"reach of {law.value.replace('_', ' ')}")
-            fading = fading_terms(state.problem, state.solution, law)
-            yield (*plain, *fading), self.alternatives * ALTERNATIVES
+        refined = any(term.refines for term in terms_of(law, steps))
+        if isinstance(law, Law) and law in REFINED and not refined and (law is Law.PLAY or not plain):
+            self.told(f"constants of {law.value.replace('_', ' ')}")
+            parts = refining_terms(state.problem, state.solution, law)
+            yield (*plain, *parts), self.alternatives * alternatives(law)
 
     def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:
         """The strongest lines of the residuals, at most one of each joint."""
@@ -447,6 +447,12 @@ class _Search:
         if trial.heldout_mm >= state.heldout_mm:
             return None
         return trial, Step(Law.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
+
+
+def _least_gain(law: Law | MotionLaw) -> float:
+    """Ratio of held-out errors that a law must gain: one that serves no pose at rest is worth its place only where it
+    shows, as it takes up what laws of springs leave."""
+    return _AS_WELL if law in (Law.LAG, Law.INERTIA) else 1.0
 
 
 def _whitened(state: State) -> State:

@@ -27,7 +27,7 @@ _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that describe the same effect at stops, without fading parts; a lag has none."""
+"""Forms of the effects' laws that describe the same effect at stops, without parts that refine them; a lag has none."""
 ONLY_MOTION = {
     Law.LAG: "a delay moves nothing at rest",
     Law.TIME_CONSTANT: "a time constant moves nothing at rest",
@@ -186,23 +186,23 @@ def started(state: State, terms: Sequence[JointTerm]) -> Array:
 
 
 def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
-    """Terms of the joints that show a law; springs that push back are none. A part that fades counts with the other
-    part of its joint. Where a joint shows a law that acts at rest, others have it from half as many standard errors on,
-    with its usual sign: the law is known by then, and commands without them would err by more."""
+    """Terms of the joints that show a law; springs that push back are none. A part that refines a law counts with the
+    plain part of its joint. Where a joint shows a law that acts at rest, others have it from half as many standard
+    errors on, with its usual sign: the law is known by then, and commands without them would err by more."""
     terms = terms_of(law, steps)
     if not terms:
         return ()
     values, covariance = values_of(state, terms)
     size = dict[tuple[int, int], float]()
     for term, own in zip(terms, (values / np.sqrt(np.diag(covariance))).tolist(), strict=True):
-        if not term.part and not term.fading:
+        if not term.part and not term.refines:
             key = (term.joint, term.cycles)
             size[key] = max(size.get(key, 0.0), own if law in _POSITIVE else abs(own))
-    for joint in {term.joint for term in terms if term.fading}:
+    for joint in {term.joint for term in terms if term.refines}:
         own_terms = [term for term in terms if term.joint == joint]
         probability = float(scipy.special.chdtrc(len(own_terms), statistic_of(state, own_terms)))
         size[joint, 0] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
-    usual = {(term.joint, 0) for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.fading}
+    usual = {(term.joint, 0) for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.refines}
     clear = {key for key, own in size.items() if own > SHOWN}
     if clear and law in _OF_GEARS:
         clear |= {key for key, own in size.items() if own > _AS_WELL and key in usual}
@@ -291,19 +291,27 @@ def _effect_of(
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p)
         * _odds(steps, law),
         form=_form(law, terms, others),
-        constants={
-            _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
-            for term in terms
-            if term.fading
-        },
+        constants=_constants(terms),
     )
     return effect, tuple(terms)
+
+
+def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
+    """Constants of the law at rest: reaches of lost motion, knees of springs."""
+    reaches = {
+        _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
+        for term in terms
+        if term.fading
+    }
+    return reaches | {term.knee.constant.key(term.joint): term.knee.torque for term in terms if term.knee}
 
 
 def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law | MotionLaw]) -> str:
     """The form of the effect's law that describes the same at stops; empty where none does."""
     if any(term.fading for term in terms):
         return "gradual"
+    if knees := [term.knee for term in terms if term.knee]:
+        return "three_slope" if any(knee.second for knee in knees) else "two_slope"
     if others:
         return "both" if Law.PLAY in others else "tilted"
     return AT_REST.get(law, "") if isinstance(law, Law) else ""

@@ -8,6 +8,7 @@
     one cycle  the same of one cycle a turn: encoder eccentricity, at all joints together
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
+    knee       dq_j = s_j clip(tau_j, -T_j, T_j)   beside it, where a joint is softer below one or two torques T_j
     inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, which needs no masses
     time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``responses``)
     vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
@@ -29,6 +30,8 @@ import numpy as np
 from cellapp.estimation.motion.joint_path import BEND_S, Fading, JointPath
 from cellapp.robot.effects import MotionLaw
 from cellapp.robot.effects.backlash import left_by_motion
+from cellapp.robot.effects.joint_compliance import KNEE, SECOND_KNEE
+from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -88,6 +91,24 @@ def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
 
 
 @dataclass(frozen=True)
+class Knee:
+    """Torque [Nm] below which a joint is softer; ``second`` where a joint has two, of the larger one."""
+
+    torque: float
+    second: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the parameter, without the number of the joint."""
+        return "middle" if self.second else "soft"
+
+    @property
+    def constant(self) -> Constant:
+        """The constant of the law at rest."""
+        return SECOND_KNEE if self.second else KNEE
+
+
+@dataclass(frozen=True)
 class JointTerm:
     """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines; ``shape`` about
     which a time constant [s], or gain [s^2], frequency [Hz] and damping of a vibration lie, of which it is number
@@ -103,6 +124,13 @@ class JointTerm:
     """Its name in a law of a plug-in."""
     fading: Fading | None = None
     """Of a part of play or wind-up that fades with the travel since the joint turned round."""
+    knee: Knee | None = None
+    """Of a part of a compliance."""
+
+    @property
+    def refines(self) -> bool:
+        """Whether it is a part beside the plain law of its joint."""
+        return self.fading is not None or self.knee is not None
 
     @property
     def name(self) -> str:
@@ -118,7 +146,7 @@ class JointTerm:
             Law.LINE: line,
             Law.ONE_CYCLE: line,
             Law.LAG: f"lag{number}",
-            Law.COMPLIANCE: f"compliance{number}",
+            Law.COMPLIANCE: f"{'compliance' if self.knee is None else self.knee.name}{number}",
             Law.INERTIA: f"inertia{number}",
             Law.TIME_CONSTANT: f"time_constant{number}",
             Law.VIBRATION: f"{_VIBRATION[self.part][0]}{number}",
@@ -171,7 +199,8 @@ class JointTerm:
             return self._of_course(state)
         if self.law in (Law.LINE, Law.ONE_CYCLE):
             return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
-        return np.asarray(state.torque[:, j])
+        torque = state.torque[:, j]
+        return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
 
     def turned(self, state: JointState, value: float) -> Array:
         """Offset of the joint (n,) for a value of the parameter [rad]; of shaped terms, with what the shape gives."""

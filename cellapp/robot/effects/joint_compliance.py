@@ -35,7 +35,11 @@ _LOADED = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVa
 KNEE = Constant("knee", "Nm", SCALED, "knee at {}", "{} Nm for joint {}", per_joint=True)
 LINEAR = LawForm("linear", "in proportion to the torque, a stiffness each")
 FREE_MASSES = LawForm("smooth", "in proportion to the torques of masses that are free", (AMPLITUDE,))
+SECOND_KNEE = Constant("second_knee", "Nm", SCALED, "second knee at {}", "{} Nm for joint {}", per_joint=True)
 TWO_SLOPE = LawForm("two_slope", "softer below a knee torque", (KNEE,))
+THREE_SLOPE = LawForm("three_slope", "softer below each of two knee torques", (KNEE, SECOND_KNEE))
+_SOFTER = {KNEE: "soft", SECOND_KNEE: "middle"}
+"""Names of the parameters below each knee."""
 
 
 class JointCompliance(Effect):
@@ -48,12 +52,14 @@ class JointCompliance(Effect):
     two_slope
         ``dq_j = c_j tau_j + s_j clip(tau_j, -T_j, T_j)``: softer below a knee torque T_j, as catalogues of strain-wave
         gears show (K1 < K2 < K3).
+    three_slope
+        The same with a second knee, above the first, as those catalogues have. Recordings of motion show both.
     smooth
         ``dq_j = sum_i b_ji t_ji``, t_ji being the torque about joint j of 1 kg at the origin of frame i (the SMR for
         the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior. Where nobody stated masses, or a
         load, also ``s_ji t_ji |t_ji| / 4.9 Nm``: drives stiffen, and no knee can be placed at a torque that nobody
         knows; and the torques of 1 kg beside the last axis: a tool's centre is anywhere.
-    In the first two, a correction of the torque of the load, or of one body, may be added at a joint: the load was
+    In all but the last, a correction of the torque of the load, or of one body, may be added at a joint: the load was
     weighed, the arm's own masses were not.
 
     Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
@@ -101,7 +107,7 @@ class JointCompliance(Effect):
         size_check="check masses, direction of gravity and mounting",
     )
     variables = _LOADED
-    forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
+    forms = (LINEAR, TWO_SLOPE, THREE_SLOPE, FREE_MASSES)
     free_drivers = (
         OWN_SIZE,
         FreeDriver(Quantity.JOINT_ANGLE),
@@ -133,22 +139,12 @@ class JointCompliance(Effect):
         loads = context.loads.torques_of(-1)
         for j, stiff in enumerate(_compliances("compliance", context.torques)):
             columns += [stiff, _correction(f"load{j + 1}", j, loads[:, j], f"load {j + 1}")]
-            if law.form == TWO_SLOPE:
-                assert stiff.offset is not None
-                knee = law.constants.get(KNEE.key(j), 0.0)
-                soft = np.clip(stiff.offset, -knee, knee)
-                columns.append(
-                    joint_column(
-                        f"soft{j + 1}",
-                        "rad/Nm",
-                        j,
-                        soft,
-                        -_MOST_COMPLIANCE,
-                        _MOST_COMPLIANCE,
-                        f"knee {j + 1}",
-                        refines=True,
-                    )
-                )
+            assert stiff.offset is not None
+            columns += [
+                _softer(f"{name}{j + 1}", j, stiff.offset, law.constants.get(knee.key(j), 0.0))
+                for knee, name in _SOFTER.items()
+                if knee in law.form.constants
+            ]
         return columns
 
 
@@ -249,6 +245,13 @@ def _compliances(name: str, torques: Array) -> list[EffectColumn]:
         joint_column(f"{name}{j + 1}", "rad/Nm", j, _without_rounding(torques[:, j]), 0.0, _MOST_COMPLIANCE)
         for j in range(torques.shape[1])
     ]
+
+
+def _softer(name: str, joint: int, torque: Array, knee: float) -> EffectColumn:
+    """What a joint turns more below a knee torque."""
+    below = np.clip(torque, -knee, knee)
+    bound = _MOST_COMPLIANCE
+    return joint_column(name, "rad/Nm", joint, below, -bound, bound, f"knee {joint + 1}", refines=True)
 
 
 def _corrections_by_body(context: EffectContext, names: Collection[str] | None) -> list[EffectColumn]:

@@ -10,7 +10,7 @@ import pytest
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path
-from cellapp.estimation.motion.lost_motion import fading_terms
+from cellapp.estimation.motion.refinements import refining_terms
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, Masses, state_at_rest, state_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
@@ -77,7 +77,7 @@ def test_a_fit_shows_the_reach_and_the_kind_of_memory():
     arm = replace(true_arm(rng, half_play=[120e-6] * 6), reach=REACH)
     recording = record(rng, arm, sweep(rng, 6, base_hz=0.02, harmonics=10), seconds=60.0, point_hz=40.0, slow=0.0)
     problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
-    terms = fading_terms(problem, solve(problem, rows, to_its_end=True), Law.PLAY)
+    terms = refining_terms(problem, solve(problem, rows, to_its_end=True), Law.PLAY)
     assert [term.joint for term in terms] == list(range(6))
     assert all(term.fading is not None and term.fading.kept for term in terms)
     for term in terms[:3]:
