@@ -42,6 +42,7 @@ from cellapp.estimation.motion.steps import (
     Step,
     effects_of,
     has,
+    is_improbable,
     log_chance,
     places_of,
     shown,
@@ -142,6 +143,7 @@ class _Search:
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
+        state, steps = self._with_sides(state, steps)
         state, steps = self._simpler(*self._without_chance(state, steps))
         final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
@@ -192,6 +194,33 @@ class _Search:
             steps = [step for step in steps if step.terms]
             state = self._refitted(state, steps)
         return state, steps
+
+    def _with_sides(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """Lines with those of the neighbouring counts where these fit surely better: teeth whose amplitude the run-out
+        of a gear modulates, counts that are not whole."""
+        lines = terms_of(Law.LINE, steps)
+        places = list(dict.fromkeys(term.place for term in lines))
+        beside = {
+            place: [replace(term, side=side) for side in (-1, 1) for term in _pair(place[0], place[1] + side)]
+            for place in places
+            if place[1] > 2
+        }
+        beside = {place: [term for term in its if replace(term, side=0) not in lines] for place, its in beside.items()}
+        terms = tuple(term for its in beside.values() for term in its)
+        if not terms:
+            return state, steps
+        self.told("lines beside lines")
+        trial = self._extended(state, terms)
+        kept = [its for its in beside.values() if its and not self._by_chance(trial, its, len(beside))]
+        terms = tuple(term for its in kept for term in its)
+        if not terms:
+            return state, steps
+        trial = self._judged(self._extended(state, terms))
+        if _AS_WELL * trial.heldout_mm > state.heldout_mm:
+            return state, steps
+        statistic = statistic_of(trial, terms)
+        log_p = log_chance(statistic, len(terms), len(beside))
+        return trial, [*steps, Step(Law.LINE, terms, statistic, log_p, state.heldout_mm, trial.heldout_mm)]
 
     def _with_best_constants(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
         """The same with the reaches of a law's lost motion, or the knees of its springs, by the noise that is left with
@@ -292,7 +321,8 @@ class _Search:
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 steps = [step if one is entered else one for one in steps]
                 state = self._refitted(state, steps)
-            if self._by_chance(state, step.terms) or not shown(state, step.law, steps):
+            by_chance = self._by_chance(state, step.terms) or is_improbable(state, step)
+            if by_chance or not shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
         return state, steps

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 
@@ -25,8 +25,9 @@ REACHES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
 _KINDS = (Fading(1.0, kept=False), Fading(1.0, kept=True), Fading(1.0, kept=False, bell=True))
 _KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Knees that are tried, as shares of the largest torque of the joint in all recordings."""
-_NEARER = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
-"""About those chosen."""
+_NEARER = (0.025, 0.005)
+"""Steps of the shares that are tried then, about those chosen."""
+_STEPS = (-4, -3, -2, -1, 0, 1, 2, 3, 4)
 _MOST_POINTS = 8000
 _OF_ITS_OWN = 9.0
 """Chi-square that a constant of its own, or a second knee, must gain of a joint: three standard deviations."""
@@ -83,15 +84,23 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
 def _knees(problem: Problem, solution: Solution) -> tuple[JointTerm, ...]:
     """Knees of all joints: one of each, two where both gain surely; then nearer to where they are best."""
     largest = _largest_torques(problem)
-    shares = [[(share,) for share in _KNEES] + [*combinations(_KNEES, 2)]] * len(largest)
-    chosen = _best_shares(problem, solution, largest, shares)
-    near = [[tuple(s + d for s, d in zip(own, by)) for by in product(_NEARER, repeat=len(own))] for own in chosen]
-    chosen = _best_shares(problem, solution, largest, near)
+    options = [_one_or_two(_KNEES, _KNEES)] * len(largest)
+    chosen = _best_shares(problem, solution, largest, options)
+    for step in _NEARER:
+        near = [[[share + step * n for n in _STEPS if share + step * n > 0.0] for share in own] for own in chosen]
+        options = [_one_or_two(grids[0], grids[-1]) for grids in near]
+        chosen = _best_shares(problem, solution, largest, options)
     return tuple(
         JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * torque, second=number > 0))
         for joint, (own, torque) in enumerate(zip(chosen, largest.tolist()))
         for number, share in enumerate(own)
     )
+
+
+def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[float, ...]]:
+    """Each share alone, and each of the first with each larger one of the second."""
+    alone = sorted({*first, *second})
+    return [(one,) for one in alone] + [(one, other) for one in first for other in second if one < other]
 
 
 def _best_shares(

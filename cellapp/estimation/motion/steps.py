@@ -25,7 +25,7 @@ LOOK_ALIKES = (Law.PLAY, Law.WINDUP)
 """Laws that move a joint alike where its load hardly changes."""
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
-_POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
+_POSITIVE = (Law.COMPLIANCE, Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
 """Forms of the effects' laws that describe the same effect at stops, without parts that refine them; a lag has none."""
 ONLY_MOTION = {
@@ -196,17 +196,16 @@ def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[Jo
     size = dict[tuple[int, int], float]()
     for term, own in zip(terms, (values / np.sqrt(np.diag(covariance))).tolist(), strict=True):
         if not term.part and not term.refines:
-            key = (term.joint, term.cycles)
-            size[key] = max(size.get(key, 0.0), own if law in _POSITIVE else abs(own))
-    for joint in {term.joint for term in terms if term.refines}:
-        own_terms = [term for term in terms if term.joint == joint]
+            size[term.place] = max(size.get(term.place, 0.0), own if law in _POSITIVE else abs(own))
+    for place in {term.place for term in terms if term.refines and size.get(term.place, 1.0) > 0.0}:
+        own_terms = [term for term in terms if term.place == place]
         probability = float(scipy.special.chdtrc(len(own_terms), statistic_of(state, own_terms)))
-        size[joint, 0] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
-    usual = {(term.joint, 0) for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.refines}
-    clear = {key for key, own in size.items() if own > SHOWN}
+        size[place] = math.sqrt(float(scipy.special.chdtri(1, max(probability, _LEAST))))
+    usual = {term.place for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.refines}
+    clear = {place for place, own in size.items() if own > SHOWN}
     if clear and law in _OF_GEARS:
-        clear |= {key for key, own in size.items() if own > _AS_WELL and key in usual}
-    return tuple(term for term in terms if (term.joint, term.cycles) in clear)
+        clear |= {place for place, own in size.items() if own > _AS_WELL and place in usual}
+    return tuple(term for term in terms if term.place in clear)
 
 
 def places_of(state: State, terms: Sequence[JointTerm]) -> list[int]:
@@ -315,6 +314,11 @@ def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law
     if others:
         return "both" if Law.PLAY in others else "tilted"
     return AT_REST.get(law, "") if isinstance(law, Law) else ""
+
+
+def is_improbable(state: State, step: Step) -> bool:
+    """Whether what entered is rather not there."""
+    return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
 
 
 def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:

@@ -4,7 +4,8 @@
     wind-up    dq_j = -w_j d_j |tau_j|    friction that grows with the load
     fading     dq_j = -f_j e_j, -f_j e_j |tau_j|   beside both, what changes over the travel x since the joint turned
                                           round: e = c exp(-x / reach), c by its history, or a bell (``joint_path``)
-    line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn
+    line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn; lines of c - 1 and c + 1 beside
+                                          it where the amplitude changes with the joint or c is not whole
     one cycle  the same of one cycle a turn: encoder eccentricity, at all joints together
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
@@ -75,6 +76,8 @@ _SD = {
     Law.TIME_CONSTANT: 3e-2,
 }
 """Prior standard deviations, several times what arms of this kind have (handbook, chapter "effects")."""
+_SIDE_SD = 3e-5
+"""The same of what modulates a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
 """Parameters of a vibration with their units: deflection by acceleration, natural frequency, share of the critical
 damping."""
@@ -126,11 +129,18 @@ class JointTerm:
     """Of a part of play or wind-up that fades with the travel since the joint turned round."""
     knee: Knee | None = None
     """Of a part of a compliance."""
+    side: int = 0
+    """-1 or 1 of a line of the count below or above that of another line, whose amplitude changes with the joint."""
 
     @property
     def refines(self) -> bool:
         """Whether it is a part beside the plain law of its joint."""
-        return self.fading is not None or self.knee is not None
+        return self.fading is not None or self.knee is not None or self.side != 0
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Joint, and cycles a turn of the line that it is or belongs to: terms of one place show a law together."""
+        return self.joint, self.cycles - self.side
 
     @property
     def name(self) -> str:
@@ -176,7 +186,7 @@ class JointTerm:
             return self.law.parameters[self.parameter].most
         if self.law is Law.VIBRATION:
             return _SHAPE_SD * self.start if self.part else _GAIN_SD
-        return _SD[self.law]
+        return _SIDE_SD if self.side else _SD[self.law]
 
     @property
     def needs_torques(self) -> bool:

@@ -52,9 +52,11 @@ def centers(arm, q):
 
 @dataclass(frozen=True)
 class Elastic(Arm):
-    """An arm whose joints twist by ``compliance`` (6,) [rad/Nm] under the weight of its masses, up being z."""
+    """An arm whose joints twist by ``compliance`` (6,) [rad/Nm] under the weight of its masses, up being z; by twice as
+    much up to the torque ``knee`` [Nm]."""
 
     compliance: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    knee: float = 0.0
 
     def points(self, q):
         rigid = Arm(self.rows, self.tool, self.base, self.half_play)
@@ -62,7 +64,7 @@ class Elastic(Arm):
         for joint in range(6):
             rise = centers(rigid, q + by[joint])[:, :, 2] - centers(rigid, q - by[joint])[:, :, 2]
             torque[:, joint] = -9.80665 * MASSES @ rise / 2e-5
-        return rigid.points(q + self.compliance * torque)
+        return rigid.points(q + self.compliance * (torque + np.clip(torque, -self.knee, self.knee)))
 
 
 def found_in(*recordings, **options):
@@ -189,16 +191,23 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     assert np.hypot(value["cos2q1"], value["sin2q1"]) == pytest.approx(15e-6, abs=5e-6)
 
 
-def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
-    rng = np.random.default_rng(6)
+def elastic_arm(rng, knee=0.0, base_hz=0.0625):
+    """An arm with springs in joints 2 and 3, and recordings of it in swings of a base frequency: slow ones have hardly
+    any torque of accelerations, which this arm does not know."""
     rigid = true_arm(rng)
     base = np.eye(4)
     base[:3, 3] = rigid.base[:3, 3]
-    arm = Elastic(rigid.rows, rigid.tool, base, rigid.half_play, compliance=np.array([0, 17e-6, 29e-6, 0, 0, 0]))
-    motions = [sweep(rng, 6, base_hz=0.0625, harmonics=3) for _ in range(4)]
-    recordings = [
-        record(rng, arm, motion, seconds=16.0, slow=0.0, name=f"sweep-{n}") for n, motion in enumerate(motions)
+    springs = np.array([0, 17e-6, 29e-6, 0, 0, 0])
+    arm = Elastic(rigid.rows, rigid.tool, base, rigid.half_play, compliance=springs, knee=knee)
+    motions, seconds = [sweep(rng, 6, base_hz=base_hz, harmonics=3) for _ in range(4)], 1.0 / base_hz
+    return [
+        record(rng, arm, motion, seconds=seconds, point_hz=1500.0 / seconds, slow=0.0, name=f"sweep-{n}")
+        for n, motion in enumerate(motions)
     ]
+
+
+def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
+    recordings = elastic_arm(np.random.default_rng(6))
     rigid_fit = identify_from_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True))
     assert sum(one.gross for one in rigid_fit.recordings.values()) < 5
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
@@ -207,6 +216,23 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
         2: pytest.approx(17e-6, rel=0.1),
         3: pytest.approx(29e-6, rel=0.1),
     }
+    assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
+
+
+def test_springs_that_are_softer_below_a_knee_are_named_with_it():
+    knee = 30.0
+    recordings = elastic_arm(np.random.default_rng(9), knee, base_hz=0.02)
+    discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
+    assert set(found) == {"joint_compliance"}
+    spring = found["joint_compliance"]
+    assert spring.form in ("two_slope", "three_slope")
+    value, constants = dict(zip(spring.names, spring.values, strict=True)), spring.constants
+    for joint, stiff in ((2, 17e-6), (3, 29e-6)):
+        for torque in (10.0, 60.0):
+            twist = value[f"compliance{joint}"] * torque
+            for part, where in (("soft", "knee"), ("middle", "second_knee")):
+                twist += value.get(f"{part}{joint}", 0.0) * min(torque, constants.get(f"{where}{joint}", 0.0))
+            assert twist == pytest.approx(stiff * (torque + min(torque, knee)), rel=0.1)
     assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
 
 

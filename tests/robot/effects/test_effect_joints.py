@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cellapp.estimation.motion.terms import JointState, JointTerm, Knee, Law
 from cellapp.robot.effects import EFFECTS, MeasurementConditions, Wave
 from cellapp.robot.effects.periodic import LINES_MAX
 from tests.robot.effects.cell import by_name, chain, context_of, offsets, under
@@ -153,6 +154,21 @@ def test_two_slopes_meet_at_the_knee():
     assert 0 < np.count_nonzero(inside) < len(torque)
     np.testing.assert_allclose(turned[inside], 1.4e-5 * torque[inside])
     np.testing.assert_allclose(turned[~inside], (1e-5 * torque + 4e-6 * knee * np.sign(torque))[~inside])
+
+
+def test_a_second_knee_adds_to_the_first():
+    """As ``JointTerm`` has it in motion; a joint without a second knee has the first alone."""
+    knees = {"knee2": 20.0, "second_knee2": 60.0, "knee3": 10.0}
+    parts = columns("joint_compliance", EFFECTS["joint_compliance"].law("three_slope", knees))
+    for j, low, high in ((1, 20.0, 60.0), (2, 10.0, 0.0)):
+        torque = CONTEXT.torques[:, j]
+        state = JointState(CONTEXT.q, 0.0 * CONTEXT.q, 0.0 * CONTEXT.q, CONTEXT.torques)
+        for name, knee in (("soft", Knee(low)), ("middle", Knee(high, second=True))):
+            column = offsets(parts[f"{name}{j + 1}"])
+            np.testing.assert_allclose(column, np.clip(torque, -knee.torque, knee.torque))
+            term = JointTerm(Law.COMPLIANCE, j, knee=knee)
+            assert (term.name, term.unit) == (f"{name}{j + 1}", "rad/Nm")
+            np.testing.assert_allclose(term.offset(state), column)
 
 
 def test_eccentricity_is_one_cycle_and_ovality_two():
