@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -25,7 +26,7 @@ from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, WAIT_S, ended, log_text, opened, shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
-from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
+from tests.interfaces.tui.terminal import PATIENT, ROOT, Terminal, cellapp
 from tests.trials.polling import comes_about
 from tests.trials.storm_cell import StormCell, emulated_cell
 
@@ -200,13 +201,14 @@ def collecting(planned: Path, cell: StormCell, tmp_path: Path) -> Iterator[subpr
     """``cellapp collect logs/day`` as a process, with the arms on their first ways."""
     folder = tmp_path / "cell"
     shutil.copytree(planned, folder)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    with (tmp_path / "said").open("wb") as said_there:
+        process = subprocess.Popen(
+            [sys.executable, "-m", PATIENT, "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=said_there, stderr=said_there, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
     try:
         moving = lambda: any(one["moving"] for one in cell.status().values())  # noqa: E731
-        assert comes_about(moving, time.monotonic() + WAIT_S)
+        assert comes_about(moving, time.monotonic() + WAIT_S), (tmp_path / "said").read_text("utf-8")
         yield process
     finally:
         process.kill()
@@ -221,7 +223,7 @@ def shows(terminal: Terminal, *texts: str) -> None:
 def test_stop_in_a_second_window_stops_the_arms_of_the_first(
     collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
 ) -> None:
-    with cellapp(tmp_path / "cell") as terminal:
+    with cellapp(tmp_path / "cell", PATIENT) as terminal:
         shows(terminal, "Watch the job that runs now?")
         terminal.send("o")
         shows(terminal, "ATTACHED · EMULATED", "RUNNING")
@@ -244,7 +246,7 @@ def test_stop_in_a_second_window_stops_the_arms_of_the_first(
 def test_leaving_the_second_window_lets_the_first_go_on(
     collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path, way: str
 ) -> None:
-    with cellapp(tmp_path / "cell") as terminal:
+    with cellapp(tmp_path / "cell", PATIENT) as terminal:
         shows(terminal, "Watch the job that runs now?")
         terminal.send("o")
         shows(terminal, "ATTACHED · EMULATED", "RUNNING")
