@@ -9,19 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cellapp.interfaces.cli import main
-from drivers.arms import ur_states, ur_worker_process
+from drivers.arms import ur_worker_process
 
 BUSY_HOST_S = 2.0
 """Silence of a link that stops an arm here."""
 
 
 def be_patient(put: Callable[[object, str, object], object] = setattr) -> None:
-    """Let links be silent for that long; ``put`` may be what a test undoes."""
+    """Let workers and the links that they hold be silent for that long; ``put`` may be what a test undoes."""
     put(ur_worker_process, "_SILENT_S", BUSY_HOST_S)
-    put(ur_states, "SILENT_S", BUSY_HOST_S)
+    put(ur_worker_process, "_WORKER", "tests.interfaces.tui.patient_worker")
 
 
 if __name__ == "__main__":
+    from cellapp.interfaces.cli import main  # not for the worker
+
     be_patient()
     main()
