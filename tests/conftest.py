@@ -8,7 +8,9 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import contextlib
 import gc
+import importlib
 import shutil
 from collections import Counter
 from fnmatch import fnmatch
@@ -30,6 +32,7 @@ from tests.made_once import made_once
 from tests.scheduling import FAST_PROCESSES, PROCESSES, FromBothEnds, leave_the_processor, waiting_last
 from tests.twin import PROFILES, finished_twin
 
+ROOT = Path(__file__).parent
 FEW_TARGETS = 2
 LONG_COMMANDS = "--long-commands"
 LONG_TESTS = "--long-tests"
@@ -56,6 +59,19 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             counts.update({key: n for key, n in getattr(report, "user_properties", ()) if key.startswith(_COUNTED)})
     for key, number in sorted(counts.items()):
         terminalreporter.write_line(f"{key}: {number}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection(session: pytest.Session) -> None:
+    """Of several processes each loads the files from another one on: what one has compiled, the others only read."""
+    given = getattr(session.config, "workerinput", None)
+    if given is None:
+        return
+    files = [path for path in sorted(ROOT.rglob("test_*.py")) if pytest_ignore_collect(path, session.config) is None]
+    first = len(files) * int(given["workerid"].removeprefix("gw")) // given["workercount"]
+    for path in files[first:] + files[:first]:
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting meets it again, and reports it
+            importlib.import_module(".".join(path.relative_to(ROOT.parent).with_suffix("").parts))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -93,18 +93,25 @@ def _syntax_is_forgotten() -> Iterator[None]:
     """Half a million nodes would slow every later collection of garbage."""
     yield
     nodes_of.cache_clear()
+    import_nodes.cache_clear()
+
+
+@functools.cache
+def import_nodes(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """The statements of import among them: one node of a hundred."""
+    return tuple(node for node in nodes_of(path) if isinstance(node, ast.Import | ast.ImportFrom))
 
 
 @functools.cache
 def imported(path: Path) -> tuple[str, ...]:
     """Every module that a file imports, at its top, inside a function or for its types, in full dotted names."""
-    return tuple(name for node in nodes_of(path) for name in _imports(path, node))
+    return tuple(name for node in import_nodes(path) for name in _imports(path, node))
 
 
-def _imports(path: Path, node: ast.AST) -> Iterator[str]:
+def _imports(path: Path, node: ast.Import | ast.ImportFrom) -> Iterator[str]:
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)
-    elif isinstance(node, ast.ImportFrom):
+    else:
         package = path.relative_to(ROOT).with_suffix("").parts[: -node.level] if node.level else ()
         module = ".".join([*package, *([node.module] if node.module else [])])
         yield module
@@ -149,7 +156,7 @@ def imports_between_files() -> dict[str, frozenset[str]]:
     found: dict[str, frozenset[str]] = {}
     for path in MODULES:
         named = set()
-        for node in nodes_of(path):
+        for node in import_nodes(path):
             modules = [module for module in _imports(path, node) if module in ours]
             if isinstance(node, ast.ImportFrom) and len(modules) > 1:
                 modules = modules[1:] if len(modules) > len(node.names) else modules
@@ -222,12 +229,17 @@ def test_late_imports_are_for_start_up() -> None:
     """An import inside a function hides what a module rests on; it is there for a faster start or not at all."""
     found = set()
     for path in MODULES:
-        late = (node for one in nodes_of(path) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
-                for node in ast.walk(one))  # fmt: skip
-        if any(module for node in late for module in _imports(path, node) if is_ours(module)):
+        functions = [one for one in nodes_of(path) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)]
+        late = [one for one in import_nodes(path) if any(_holds(function, one) for function in functions)]
+        if any(is_ours(module) for node in late for module in _imports(path, node)):
             module = module_of(path)
             found.add(next((one for one in LOADED_LATER if f"{module}.".startswith(f"{one}.")), module))
     assert found == set(LOADED_LATER)
+
+
+def _holds(function: ast.FunctionDef | ast.AsyncFunctionDef, node: ast.stmt) -> bool:
+    """Whether a statement stands in a function, by its lines."""
+    return function.lineno <= node.lineno <= (function.end_lineno or 0)
 
 
 def test_drivers_stand_alone() -> None:

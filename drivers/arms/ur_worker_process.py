@@ -25,6 +25,8 @@ from drivers.arms.ur_motion import DECELERATES_WITHIN_S
 from drivers.patience import Patience, patient_get
 
 _BEAT_EVERY_S = 0.05
+_WORKER = "drivers.arms.ur_worker"
+"""What runs as the worker."""
 _SILENT_S = 0.3
 """The arm's state is unknown if its worker sends no heartbeat for this long."""
 _SILENT_LOOKS = 4
@@ -122,7 +124,7 @@ class WorkerProcess:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "drivers.arms.ur_worker"],
+            [sys.executable, "-m", _WORKER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

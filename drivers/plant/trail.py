@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Protocol
 
 import numpy as np
@@ -61,7 +62,9 @@ def note_phase(arm: Trailing, until_s: float) -> None:
 
 def joints_at(arm: Trailing, time_s: Array, now_s: float) -> tuple[Array, list[tuple[Phase, np.ndarray]]]:
     """Joint positions (n, N) [rad] at recent times (n,), and rows by what the arm remembered then."""
-    phases = [*arm.trail, phase_of(arm, now_s)]
+    first_s = float(np.min(time_s, initial=now_s))
+    lasted = takewhile(lambda phase: phase.until_s >= first_s, reversed(arm.trail))  # of a second, some milliseconds
+    phases = [phase_of(arm, now_s), *lasted][::-1]
     number = np.searchsorted([phase.until_s for phase in phases[:-1]], time_s, side="left")
     q = np.empty((len(time_s), len(arm.q)))
     known: list[tuple[Phase, np.ndarray]] = []

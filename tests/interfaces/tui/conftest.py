@@ -9,11 +9,16 @@ from typing import Any
 
 import pytest
 from textual._compositor import Compositor
+from textual.css.model import RuleSet
+from textual.css.stylesheet import Stylesheet
 from textual.screen import Screen
 
 from tests.interfaces.tui.idle import wait_for_idle, wait_for_screen
 
 _painted = Compositor.render_update
+_parsed = Stylesheet._parse_rules
+_RULES: dict[tuple[object, ...], list[RuleSet]] = {}
+"""What was parsed of styles, for all applications of a process: the same words give the same rules."""
 
 
 @pytest.fixture
@@ -26,6 +31,7 @@ def _surroundings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("textual.pilot.wait_for_idle", wait_for_idle)
     monkeypatch.setattr("textual.app.wait_for_idle", wait_for_idle)
     monkeypatch.setattr("textual.constants.TEXTUAL_ANIMATIONS", "none")
+    monkeypatch.setattr(Stylesheet, "_parse_rules", _rules)
     # sets aside for good what is there: right for one application a process, of hundreds it keeps gigabytes
     monkeypatch.setattr("cellapp.interfaces.tui.app.gc", SimpleNamespace(collect=int, freeze=int))
     monkeypatch.chdir(tmp_path)  # runs go to logs in the working directory
@@ -33,6 +39,13 @@ def _surroundings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: p
     if "painted" not in request.fixturenames and request.node.get_closest_marker("waits") is None:
         monkeypatch.setattr("textual.pilot.Pilot._wait_for_screen", wait_for_screen)
         monkeypatch.setattr(Compositor, "render_update", _update)
+
+
+def _rules(sheet: Stylesheet, css: str, *where: Any, **origin: Any) -> list[RuleSet]:
+    key = (css, where, *origin.items(), *sheet._variables.items())
+    if key not in _RULES:
+        _RULES[key] = _parsed(sheet, css, *where, **origin)
+    return _RULES[key]
 
 
 def _update(compositor: Compositor, full: bool = False, screen_stack: list[Screen] | None = None, **how: Any) -> Any:

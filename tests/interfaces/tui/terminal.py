@@ -12,6 +12,8 @@ import pyte
 from tests.trials.pseudo_terminal import PseudoTerminal
 
 ROOT = Path(__file__).resolve().parents[3]
+PATIENT = "tests.interfaces.tui.patient_program"
+"""The application beside emulated arms on a busy computer."""
 
 
 class Terminal(PseudoTerminal):
@@ -34,9 +36,9 @@ class Terminal(PseudoTerminal):
 
 
 @contextlib.contextmanager
-def cellapp(folder: Path, columns: int = 120, rows: int = 40) -> Iterator[Terminal]:
-    """The application in a terminal of a folder."""
-    terminal = Terminal([sys.executable, "-m", "cellapp"], folder, columns, rows)
+def cellapp(folder: Path, program: str = "cellapp") -> Iterator[Terminal]:
+    """The application, or ``PATIENT``, in a terminal of a folder."""
+    terminal = Terminal([sys.executable, "-m", program], folder)
     try:
         yield terminal
     finally:

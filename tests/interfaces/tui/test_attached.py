@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -19,13 +20,15 @@ from textual.widgets import Static
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.ground.asking import JOB_FILE, ask_running_job
+from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
+from tests.commands.emulated_cell import patiently
 from tests.interfaces.tui.pilot import PROFILES, WAIT_S, ended, log_text, opened, shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
-from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
+from tests.interfaces.tui.terminal import PATIENT, ROOT, Terminal, cellapp
 from tests.trials.polling import comes_about
 from tests.trials.storm_cell import StormCell, emulated_cell
 
@@ -198,19 +201,34 @@ def cell(planned: Path) -> Iterator[StormCell]:
 @pytest.fixture
 def collecting(planned: Path, cell: StormCell, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """``cellapp collect logs/day`` as a process, with the arms on their first ways."""
-    folder = tmp_path / "cell"
-    shutil.copytree(planned, folder)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+
+    def begun(attempt: int) -> subprocess.Popen[bytes]:
+        shutil.copytree(planned, tmp_path / "cell")
+        process = collect(tmp_path / "cell", tmp_path / "said")
+        assert comes_about(lambda: moves(cell) or process.poll() is not None, time.monotonic() + WAIT_S)
+        if process.poll() is not None:
+            shutil.rmtree(tmp_path / "cell")
+            raise HardwareError((tmp_path / "said").read_text("utf-8"))
+        return process
+
+    process = patiently(begun)
     try:
-        moving = lambda: any(one["moving"] for one in cell.status().values())  # noqa: E731
-        assert comes_about(moving, time.monotonic() + WAIT_S)
         yield process
     finally:
         process.kill()
         process.wait()
+
+
+def collect(folder: Path, said: Path) -> subprocess.Popen[bytes]:
+    with said.open("wb") as file:
+        return subprocess.Popen(
+            [sys.executable, "-m", PATIENT, "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=file, stderr=file, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+
+
+def moves(cell: StormCell) -> bool:
+    return any(one["moving"] for one in cell.status().values())
 
 
 def shows(terminal: Terminal, *texts: str) -> None:
@@ -221,7 +239,7 @@ def shows(terminal: Terminal, *texts: str) -> None:
 def test_stop_in_a_second_window_stops_the_arms_of_the_first(
     collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
 ) -> None:
-    with cellapp(tmp_path / "cell") as terminal:
+    with cellapp(tmp_path / "cell", PATIENT) as terminal:
         shows(terminal, "Watch the job that runs now?")
         terminal.send("o")
         shows(terminal, "ATTACHED · EMULATED", "RUNNING")
@@ -244,7 +262,7 @@ def test_stop_in_a_second_window_stops_the_arms_of_the_first(
 def test_leaving_the_second_window_lets_the_first_go_on(
     collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path, way: str
 ) -> None:
-    with cellapp(tmp_path / "cell") as terminal:
+    with cellapp(tmp_path / "cell", PATIENT) as terminal:
         shows(terminal, "Watch the job that runs now?")
         terminal.send("o")
         shows(terminal, "ATTACHED · EMULATED", "RUNNING")

@@ -495,7 +495,7 @@ async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None
         await begun(pilot, app, held, last="d accepts the")
         app.jobs.control.hold()
         await pilot.press("d")
-        assert app.jobs.control.request == "none"
+        await until(pilot, lambda: app.jobs.control.request == "none", "the job that goes on")
         await finished(pilot, app, held)
 
 
@@ -632,8 +632,9 @@ async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -
         await pilot.press("comma")
         await until(pilot, lambda: stops.table.cursor_row == 3, "the one before")
         await pilot.press("t", "s", "s")  # sorted by residual, the cursor stays on its stop
+        await until(pilot, lambda: stops_of(app)[0][:2] == ("12", "right"), "the largest residual first")
         assert stops.chosen is not None
-        assert stops_of(app)[stops.table.cursor_row][:2] == ("2", "right")
+        await until(pilot, lambda: stops_of(app)[stops.table.cursor_row][:2] == ("2", "right"), "the stop as before")
 
 
 async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: Path) -> None:
@@ -662,8 +663,10 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
         await show_stops(pilot, app, run)
-        await pilot.press("s", "s", "f", "space")  # the gross error alone
-        assert stops_of(app)[0][0] == "* 12"
+        await pilot.press("s", "s", "f")  # the gross error alone
+        await until(pilot, lambda: [row[0] for row in stops_of(app)] == ["12"], "the suspicious stop")
+        await pilot.press("space")
+        await until(pilot, lambda: stops_of(app)[0][0] == "* 12", "the mark")
         await shows(pilot, "1 stop is marked: r measures again.")
         await pilot.press("r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")

@@ -16,17 +16,15 @@ from textual.pilot import Pilot
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.interfaces.tui.app import CellApp
-from drivers.arms import ur_states, ur_worker_process
+from tests.interfaces.tui.patient_program import be_patient
 from tests.interfaces.tui.pilot import shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
-from tests.interfaces.tui.terminal import Terminal, cellapp
+from tests.interfaces.tui.terminal import PATIENT, Terminal, cellapp
 from tests.trials.storm_cell import StormCell, emulated_cell
 
 pytestmark = pytest.mark.waits
 
 STOPS = 8
-BUSY_HOST_S = 2.0
-"""Silence of a link that stops an arm here."""
 PACE = 2.0
 """Seconds of the cell for each real one: enough of a motion is left to strike, on a busy computer, too."""
 UNDISTURBED_PACE = 200.0
@@ -47,13 +45,8 @@ def cell(planned: Path) -> Iterator[StormCell]:
 
 @pytest.fixture
 def day(planned: Path, cell: StormCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of profile and run, with the emulated cell in order; its folder.
-
-    The other tests of a complete run use all processors: links that are silent for 0.3 s then stop the arms, as they
-    should (``tests/drivers/arms`` checks that), and a day with faults of its own never ends.
-    """
-    monkeypatch.setattr(ur_worker_process, "_SILENT_S", BUSY_HOST_S)
-    monkeypatch.setattr(ur_states, "SILENT_S", BUSY_HOST_S)
+    """A copy of profile and run, with the emulated cell in order; its folder."""
+    be_patient(monkeypatch.setattr)
     cell.control("*", "pace", PACE)
     cell.repair()
     shutil.copytree(planned, tmp_path, dirs_exist_ok=True)
@@ -147,7 +140,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
 
 
 def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
-    with cellapp(day) as terminal:
+    with cellapp(day, PATIENT) as terminal:
         shows(terminal, "EMULATED")
         terminal.send("8")
         shows(terminal, f"stops 0/{STOPS} not begun; no results")  # the tab Today shows 0/n, too
@@ -165,7 +158,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with RunFile.open(day / "logs" / "day") as run:
         done = len(run.stops_done())
         assert 2 <= done < STOPS
-    with cellapp(day) as terminal:
+    with cellapp(day, PATIENT) as terminal:
         shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
         terminal.send("o")
         shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "b measures")

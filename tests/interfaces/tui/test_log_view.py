@@ -152,15 +152,15 @@ async def test_search_as_it_is_typed_and_the_next_matches() -> None:
         found = [number for number, row in enumerate(view.rows.shown) if "event 10" in row.text]
         await shows(pilot, f"match {len(found)} of {len(found)}")
         await pilot.press("enter")
-        assert app.focused is view
+        await until(pilot, lambda: app.focused is view, "the focus")
         await pilot.press(".")  # after the last comes the first
         await pilot.pause()
         await shows(pilot, f"match 1 of {len(found)}")
         assert view.chosen() == [view.rows.shown[found[0]]]
         await pilot.press(".")
-        assert view.chosen() == [view.rows.shown[found[1]]]
+        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[1]]], "the next match")
         await pilot.press(",", ",")
-        assert view.chosen() == [view.rows.shown[found[-1]]]
+        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[-1]]], "the match two before")
         await pilot.press("slash")
         app.screen.query_one("#log-field", Input).value = "nowhere"
         await pilot.pause()
@@ -172,7 +172,8 @@ async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
     async with app.run_test(size=SMALL) as pilot:
         view = await shown(pilot, app, MANY)
         await pilot.press("f", *"RIGHT", "enter")
-        assert view.rows.shown == [row for row in MANY if "right" in row.text and row.level != "debug"]
+        right = [row for row in MANY if "right" in row.text and row.level != "debug"]
+        await until(pilot, lambda: view.rows.shown == right, "the lines with the text")
         await shows(pilot, "filter 'RIGHT'")
         view.add_rows(rows_of("of the left arm", "of the right arm"))
         assert view.rows.shown[-1].text == "of the right arm"
@@ -183,24 +184,31 @@ async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
         assert len(view.rows.shown) == 302
 
 
+async def write_over(pilot: Pilot[None], app: CellApp, file: Path) -> str:
+    """Save into a file that is there, after the question; return what it holds then."""
+    before = file.read_text("utf-8")
+    await pilot.press("w")
+    await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
+    await until(pilot, lambda: app.screen.query_one("#path", Input).value == file.name, "the text of the field")
+    await pilot.press("enter")
+    await shows(pilot, "exists")
+    assert isinstance(app.screen, SaveAs)
+    assert file.read_text("utf-8") == before
+    await pilot.press("enter")
+    await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
+    return file.read_text("utf-8")
+
+
 async def test_marked_lines_are_copied_and_saved_and_nothing_is_replaced_unasked(tmp_path: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         view = await shown(pilot, app, rows_of(*(f"row {number}" for number in range(5))))
         await pilot.press("home", "down", "shift+down", "shift+down", "y")
-        assert app.clipboard == as_text(view.rows.shown[1:4])
+        await until(pilot, lambda: app.clipboard == as_text(view.rows.shown[1:4]), "the copy")
         (tmp_path / "log.txt").write_text("kept", encoding="utf-8")
-        await pilot.press("w")
-        await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
-        await until(pilot, lambda: app.screen.query_one("#path", Input).value == "log.txt", "the text of the field")
-        await pilot.press("enter")
-        await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
-        await shows(pilot, "exists")
-        assert (tmp_path / "log.txt").read_text("utf-8") == "kept"
-        await pilot.press("enter")
-        assert (tmp_path / "log.txt").read_text("utf-8") == as_text(view.rows.shown[1:4])
-        await pilot.press("end", "w", "enter", "enter")  # no line is marked: all that are shown
-        assert (tmp_path / "log.txt").read_text("utf-8") == as_text(view.rows.shown)
+        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown[1:4])
+        await pilot.press("end")  # no line is marked: all that are shown
+        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown)
 
 
 async def test_text_selected_with_the_mouse_is_copied() -> None:

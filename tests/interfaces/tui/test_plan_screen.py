@@ -72,7 +72,7 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         await ended(pilot, app)
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
         await pilot.press("t", "t", "t")
-        assert "j computes" in line(app, "plan-detail")
+        await until(pilot, lambda: "j computes" in line(app, "plan-detail"), "what the key would compute")
         await pilot.press("j")
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")

@@ -98,7 +98,7 @@ async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
         await go_to(pilot, app, "broken")
         assert "is not a run file" in about(app)
         await pilot.press("enter")
-        assert "is not a run file" in app.message
+        await tells(pilot, "is not a run file")
         assert app.workspace.folder is None
         await go_to(pilot, app, "second")
         assert "interrupted, 2 stops left: Enter, then keys 3, b" in about(app)
@@ -241,7 +241,7 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
         await pilot.press("b")
-        assert "was not interrupted" in app.message
+        await tells(pilot, "was not interrupted")
         await go_to(pilot, app, "second")
         await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
@@ -289,7 +289,7 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
         await pilot.press("o")
-        assert "is not calibrated; there is nothing to report yet" in app.message
+        await tells(pilot, "is not calibrated; there is nothing to report yet")
         page.write_text("<html>")
         await pilot.press("o")
         await until(pilot, lambda: app.message == f"The report opens in a browser: {page}", "the browser")

@@ -150,7 +150,7 @@ async def test_requests_are_in_the_footer_only_when_they_are_possible() -> None:
         await started(pilot, app, moving)
         assert possible() == {"stop", "pause", "abort"}
         await pilot.press("escape")
-        assert possible() == {"stop", "pause", "resume", "abort"}
+        await until(pilot, lambda: possible() == {"stop", "pause", "resume", "abort"}, "what a stopped job can do")
         await aborted(pilot, app)
         assert possible() == set()
 

@@ -26,7 +26,7 @@ from cellapp.interfaces.tui.screens.targets import TargetsScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, new_name
 from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
 from tests.twin import small_twin
 
 TWIN = PROFILES / "twin.yaml"
@@ -146,7 +146,7 @@ async def test_a_target_is_edited_in_a_form_that_judges_while_typing() -> None:
         await until(pilot, lambda: "x 250.0" in about(app), "the edit again")
         await fill_form(pilot, app, "enter")
         await pilot.press("escape")
-        assert "NOT SAVED" in heading(app)
+        await until(pilot, lambda: "NOT SAVED" in heading(app), "the edited list")
 
 
 async def test_targets_are_added_removed_brought_back_and_saved(few: Path) -> None:
@@ -186,7 +186,7 @@ async def test_edits_are_not_left_without_a_question(few: Path) -> None:
         await pilot.press("-", "o")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("k")
-        assert app.screen is app.day_screen
+        await until(pilot, lambda: app.screen is app.day_screen, "the end of the question")
         app.open_profile(TWIN)  # another profile or run does not replace them either
         await until(pilot, lambda: app.workspace.profile is not None, "the profile")
         await pilot.pause()
@@ -251,7 +251,7 @@ async def test_an_empty_list_and_an_arm_that_the_run_does_not_have(
         screen._draw_list()
         for key, says in (("b", "No targets"), ("m", "No targets"), ("w", "An empty list cannot be saved")):
             await pilot.press(key)
-            assert app.message.startswith(says)
+            await tells(pilot, says)
         await pilot.press("enter", "-", "ctrl+z")
         assert app.screen is screen
 

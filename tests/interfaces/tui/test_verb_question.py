@@ -57,7 +57,7 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
         await until(pilot, lambda: field.value == str(Path("day") / "urdf.urdf"), "the text of the field")
         field.value = ""
         await pilot.press("ctrl+s")
-        assert app.focused is field, "a file is needed"
+        await until(pilot, lambda: app.focused is field, "the field of the file that is needed")
         field.value = "mine.urdf"
         await pilot.press("enter")
         await until(pilot, lambda: bool(answers), "the answer")
