@@ -48,6 +48,11 @@ class NuisanceProjector:
         """Number of parameters that the data determine: trace of X (X^T X + P)^-1 X^T."""
         return float(np.sum(self.basis**2))
 
+    @cached_property
+    def freedom(self) -> float:
+        """Coordinates less the parameters that the data determine; at least 1."""
+        return max(len(self.basis) - self.effective_parameters, 1.0)
+
     def project(self, rows: Array) -> Array:
         """``rows`` (..., d) times M."""
         coordinates, size = self.basis.shape

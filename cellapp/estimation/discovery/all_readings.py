@@ -27,6 +27,7 @@ from cellapp.estimation.discovery.process.components import Component, component
 from cellapp.estimation.discovery.process.evidence import Hyperparameters, ProcessData
 from cellapp.estimation.discovery.process.structured import StructuredProcess, needed_components, process_terms
 from cellapp.estimation.discovery.search.state import Review, SearchResult
+from cellapp.estimation.discovery.split_columns import SplitColumns
 from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.kinematics.chain import smr_positions
@@ -123,14 +124,15 @@ def _gathered(
         q, R_M_S, white = chunk.readings.q, chunk.conditions.R_M_S, whitening(chunk.sigma)
         of_terms = chunk.term_columns(fit.terms)
         columns = [*of_terms, *_columns(chunk, further)]
-        rows = LinearModel.of(fit.model.geometry, q, white, fit.identification.estimated.columns, columns, R_M_S).rows
+        linear = LinearModel.of(fit.model.geometry, q, white, fit.identification.estimated.columns, R_M_S=R_M_S)
+        split = SplitColumns.of(linear, columns, white)
         moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
         predicted = smr_positions(fit.model.geometry, q + moved.joints, R_M_S) + moved.shift_M
-        left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted).ravel()
+        left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
         if gram is None:
-            products += rows @ rows.T
-        moment += rows @ left
-        square += float(left @ left)
+            products += split.gram()
+        moment += split.moment(left)
+        square += float(np.vdot(left, left))
     of_values = products @ values
     return NormalMatrix(products, moment + of_values, square + float(values @ (2.0 * moment + of_values)))
 

@@ -21,7 +21,7 @@ from cellapp.estimation.calibration.linear import PIVOT, cholesky
 from cellapp.estimation.design.information import SMALLEST
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix, Solver
+from cellapp.estimation.discovery.normal_matrix import Factored, NormalMatrix
 from cellapp.robot.kinematics.transforms import Array
 
 _FOLD_SEED = 0xF01D
@@ -88,7 +88,7 @@ def _left_out(
         learnt = ~one.out
         B = new[:, learnt]
         cross, gram = fit.rows[:, learnt] @ B.T, B @ B.T
-        taken = one.solver.solve(cross)
+        taken = one.learnt.solve(cross)
         factor = cholesky(gram - cross.T @ taken)
         if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
             # the fit determines some of them by others
@@ -98,17 +98,21 @@ def _left_out(
             solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
             yield one.out, one.left, target[one.out] - solution @ rows[:, one.out]
             continue
-        moment = B @ target[learnt] - taken.T @ one.solver.normal.moment
+        moment = B @ target[learnt] - taken.T @ one.moment
         values = scipy.linalg.lapack.dpotrs(factor, moment, lower=1)[0]
         yield one.out, one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
 
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit to all readings but those of one fold, which are left ``out`` (3 n,); what it leaves of these."""
+    """A fit to all readings but those of one fold, which are left ``out`` (3 n,); what it leaves of these.
+
+    ``learnt`` and ``moment`` are its equations: a matrix a fold, not three.
+    """
 
     out: NDArray[np.bool_]
-    solver: Solver
+    learnt: Factored
+    moment: Array
     left: Array
 
 
@@ -121,7 +125,8 @@ def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
         for number in range(int(fold.max()) + 1):
             out = fold == number
             solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)
-            found.append(_Fold(out, solver, target[out] - solver.solution @ rows[:, out]))
+            left = target[out] - solver.solution @ rows[:, out]
+            found.append(_Fold(out, solver.factored, solver.normal.moment, left))
         fit.derived[key] = found
     kept: list[_Fold] = fit.derived[key]
     return kept

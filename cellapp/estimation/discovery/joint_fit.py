@@ -152,7 +152,8 @@ class JointFit:
     def information_criterion(self) -> float:
         """Minus twice the log marginal likelihood, parameters with a smooth prior integrated out.
 
-        The others cost ln N each, N = 3 n coordinates, as in the Bayesian information criterion.
+        The others cost ln f each, as in the Bayesian information criterion; f are the coordinates behind the geometry,
+        which all models share: so many say how large the scatter is (restricted likelihood).
         """
         first = self.layout.geometric
         smooth = np.zeros(len(self.precision), dtype=bool)
@@ -163,8 +164,11 @@ class JointFit:
         flat = int(np.count_nonzero(~smooth))
         order = np.argsort(smooth, kind="stable")
         rest, determined = self.normal.take(order).behind(flat, self.precision[order[:flat]])
-        price = determined * math.log(len(self.residual))
-        return square + log_variance + price + rest.log_occam(1.0 / self.precision[smooth])
+        of_geometry = self.normal.take(np.arange(first)).determined(self.precision[:first])
+        freedom = max(len(self.residual) - of_geometry, 1.0)
+        scatter = log_variance * freedom / len(self.residual)
+        price = determined * math.log(freedom)
+        return square + scatter + price + rest.log_occam(1.0 / self.precision[smooth])
 
     def residual_without(self, term: int) -> ProjectedResidual:
         """Residual of the model without one term, in the complement of that model's parameters."""

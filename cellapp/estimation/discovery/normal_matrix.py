@@ -70,6 +70,10 @@ class NormalMatrix:
         scale = self.scale if scale is None else scale
         return Solver(self, precision, scale)
 
+    def determined(self, precision: Array) -> float:
+        """How many parameters the readings determine beside prior precisions (p,)."""
+        return len(precision) - float(np.sum(precision * np.diag(self.with_priors(precision).covariance)))
+
     def behind(self, flat: int, precision: Array) -> tuple[NormalMatrix, float]:
         """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given.
 
@@ -107,10 +111,14 @@ class Solver:
 
     def solve(self, rhs: Array) -> Array:
         """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
-        scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
-        if self._factor is None:
-            return np.asarray(scale * solve_psd(self._scaled(), scale * rhs))
-        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
+        return self.factored.solve(rhs)
+
+    @cached_property
+    def factored(self) -> Factored:
+        """What solves without X^T X."""
+        scaled = self._scaled()
+        factor = cholesky(scaled)
+        return Factored(scaled if factor is None else factor, self.scale, is_factor=factor is not None)
 
     def _scaled(self) -> Array:
         """X^T X + P with each parameter in its scale; not kept, as it is large."""
@@ -118,6 +126,18 @@ class Solver:
         A.flat[:: len(A) + 1] += self.precision * self.scale**2
         return A
 
-    @cached_property
-    def _factor(self) -> Array | None:
-        return cholesky(self._scaled())
+
+@dataclass(frozen=True, eq=False)
+class Factored:
+    """X^T X + P, each parameter in its ``scale`` (p,): its Cholesky factor (p, p), or itself if that is inaccurate."""
+
+    matrix: Array
+    scale: Array
+    is_factor: bool
+
+    def solve(self, rhs: Array) -> Array:
+        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
+        scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
+        if not self.is_factor:
+            return np.asarray(scale * solve_psd(self.matrix, scale * rhs))
+        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self.matrix, scale * rhs, lower=1)[0])

@@ -44,8 +44,12 @@ A free function that has a name leaves little whatever the cause is, and so does
 is a Fourier series. They are taken where no law of the effect has the shape: of effects that are there one in three is
 so, of others every one, hence ln weight = ln 3 - ln 9.
 
-What stands in for something else finds it the easier, the fewer coordinates f are left beside the fitted parameters:
-these odds are larger by 1 + (280 / f)^2.
+Of readings too few for laws of its own the search names what stands in for something else, as nothing takes its place.
+There such laws have priors on their values, and the best one an evidence G, twice the logarithm less the price of
+choosing it; what beats the score of the effect by the same measure as nothing does, G / 2 instead of 0, is in its place
+with
+
+    ln weight = -ln 9 - (score - threshold - G) / 2.
 
 So no name is surer than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes factors:
 Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
@@ -64,6 +68,7 @@ from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.another_cause import gain_by_another_cause, too_few_to_compete
 from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.free_part import (
@@ -94,9 +99,6 @@ _ODDS_OUTSIDE = 1.0 / 9.0
 _FREE_FORM = 3.0
 """How much more often something else needs a free function than an effect whose name that has: of seven such names, of
 no single joint's angle, five were right (seeds 20261226 to 20261128)."""
-_FEW = 280.0
-"""Coordinates beside the parameters with which stand-ins are twice as frequent as with very many: of 18, 16 and 12
-names from 30, 45 and 60 readings 6, 2 and 2 were wrong (seed 20261129)."""
 _ROW, _SERIES = 8, 4
 """Lines of a joint below so many cycles a turn, and how many of them are a series: a gear has lines at few counts."""
 _LEAVES = 5.0
@@ -118,7 +120,7 @@ def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
     further, reviews = further_scores(found, scan), cautious_reviews(found)
     if found.data.points is not None:
         reviews, further = _at_few_places(reviews, further, found.threshold)
-    return posteriors(reviews, further, found.threshold, len(found.fit.residual), _log_odds_outside(found))
+    return posteriors(reviews, further, found.threshold, found.fit.projector.freedom, _log_odds_outside(found, reviews))
 
 
 def _at_few_places(
@@ -139,14 +141,14 @@ def posteriors(
     reviews: Sequence[Review],
     further: Mapping[str, float],
     threshold: float,
-    coordinates: int,
+    coordinates: float,
     outside: Mapping[str, float] | None = None,
 ) -> Posteriors:
     """Probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside it.
 
-    The scores come from ``coordinates`` measured coordinates. Several terms of one effect count as one, whose score is
-    the sum of theirs; each data-driven term is an effect of its own. ``outside`` are effect -> log odds that a cause
-    which the library lacks is in its place.
+    The scores come from ``coordinates`` behind the parameters of the final set. Several terms of one effect count as
+    one, whose score is the sum of theirs; each data-driven term is an effect of its own. ``outside`` are effect -> log
+    odds that a cause which the library lacks is in its place.
     """
     keys = [_key(review, number) for number, review in enumerate(reviews)]
     sets = [_Set(0.0), *(_Set((score - threshold) / 2.0, has=slug) for slug, score in further.items())]
@@ -172,7 +174,7 @@ def posteriors(
     return Posteriors(terms, {**having, **named})
 
 
-def _penalty(own: Review, slug: str, rival: float, coordinates: int) -> float:
+def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
     """Penalty of a rival in an effect's place, by its score there; negative where the rival scores more."""
     if math.isinf(rival):
         return math.inf
@@ -188,10 +190,11 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: int) -> float:
     return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / left), own.score - rival)
 
 
-def _log_odds_outside(found: SearchResult) -> dict[str, float]:
+def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
     """Named effect -> log odds that its cause is one that the library lacks: by what it removes and what all leave.
 
-    A ball in sockets is judged by what it predicts elsewhere.
+    Of few readings also by the evidence of such a cause beside that of the effect, whose scores are in ``reviews``. A
+    ball in sockets is judged by what it predicts elsewhere.
     """
     if found.data.points is not None:
         return {}
@@ -200,14 +203,28 @@ def _log_odds_outside(found: SearchResult) -> dict[str, float]:
     removed = grouped(
         (term.slug, fit.removed_square(number)) for number, term in enumerate(fit.terms) if term.is_library_effect
     )
-    freedom = max(len(fit.residual) - fit.projector.effective_parameters, 1.0)
-    odds = _ODDS_OUTSIDE * (1.0 + (_FEW / freedom) ** 2)
-    prior = math.log(odds / (_LEAVES + 1.0))
+    prior = math.log(_ODDS_OUTSIDE / (_LEAVES + 1.0))
     free = {term.slug for number, term in enumerate(fit.terms) if is_free_function(fit, number)}
-    return {
+    log_odds = {
         slug: prior + _LEAVES * math.log1p(beyond_noise / max(math.fsum(squares), SMALLEST))
         for slug, squares in removed.items()
-    } | dict.fromkeys(free, math.log(odds * _FREE_FORM))
+    } | dict.fromkeys(free, math.log(_ODDS_OUTSIDE * _FREE_FORM))
+    for slug, evidence in _of_another_cause(found, reviews).items():
+        log_odds[slug] = float(np.logaddexp(log_odds[slug], math.log(_ODDS_OUTSIDE) + evidence / 2.0))
+    return log_odds
+
+
+def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
+    """Named effect -> evidence of a law outside the library over its own, where readings are too few for the search."""
+    data, fit = found.data, found.fit
+    named = [number for number, term in enumerate(fit.terms) if term.is_library_effect]
+    if not named or not too_few_to_compete(data, fit):
+        return {}
+    leads = grouped(
+        (fit.terms[number].slug, gain_by_another_cause(data, fit, number) + found.threshold - reviews[number].score)
+        for number in named
+    )
+    return {slug: min(of_terms) for slug, of_terms in leads.items()}
 
 
 def is_free_function(fit: JointFit, number: int) -> bool:

@@ -3,7 +3,10 @@
 With M as in ``estimation.design.information``, residual y (d,) and columns B (m, d),
 
     explained = (B M y)^T (B M B^T)^-1 (B M y),     R^2 = explained / y^T M y,
-    BIC gain  = -N ln(1 - R^2) - k ln N,            N = d coordinates, k parameters (Schwarz, Ann. Stat. 6 (1978) 461).
+    BIC gain  = -f ln(1 - R^2) - k ln f,            k parameters (Schwarz, Ann. Stat. 6 (1978) 461),
+
+f = d less the parameters of the model that the data determine: behind these a residual of d coordinates has f, and with
+d in place of f a scatter that is estimated from few readings would count as known better than it is.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ MOST_SHARE = 1.0 - 1e-12
 """Cap on R^2: an exact fit of noise-free data has a finite score."""
 
 
-def bic_gain(share: float, coordinates: int, parameters: int) -> float:
+def bic_gain(share: float, coordinates: float, parameters: int) -> float:
     """Gain of the Bayesian information criterion by ``parameters`` that explain ``share`` of the square."""
     return -coordinates * math.log1p(-min(share, MOST_SHARE)) - parameters * math.log(coordinates)
 
@@ -35,6 +38,11 @@ class ProjectedResidual:
 
     def __len__(self) -> int:
         return len(self.residual)
+
+    @cached_property
+    def freedom(self) -> float:
+        """Coordinates less the parameters that they determine, f; at least 1."""
+        return self.projector.freedom
 
     @cached_property
     def projected(self) -> Array:
@@ -57,4 +65,4 @@ class ProjectedResidual:
 
     def bic_gain(self, rows: Array) -> float:
         """Gain of the BIC by rows (m, d), all of them counted as parameters."""
-        return bic_gain(self.explained_share(rows), len(self), len(rows))
+        return bic_gain(self.explained_share(rows), self.freedom, len(rows))

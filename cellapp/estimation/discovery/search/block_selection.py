@@ -93,7 +93,7 @@ class BlockSelection:
             return math.inf
         every = tuple(place for block in self.blocks for place in block)
         share = self._scores([every])[0][1]
-        return bic_gain(share, len(self.residual), 1)
+        return bic_gain(share, self.residual.freedom, 1)
 
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
         """``score`` of several sets of columns; those of equal size are computed together."""
@@ -113,7 +113,7 @@ class BlockSelection:
             explained, ranks[numbers] = visible_squares(of_sets, norms[places], moments[places])
             shares[numbers] = explained / self.residual.square
         found = zip(shares.tolist(), ranks.tolist(), strict=True)
-        return [(bic_gain(share, len(self.residual), rank), share) for share, rank in found]
+        return [(bic_gain(share, self.residual.freedom, rank), share) for share, rank in found]
 
     def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
         """The best score among sets of columns, and its number."""

@@ -13,7 +13,7 @@ The score is that of ``search.scan`` for a law of one block.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,12 @@ from cellapp.robot.kinematics.transforms import Array
 
 _FAMILIES_AT_ONCE = 128
 """Families of equal size that are scored together: bounds the memory (24 functions each, 800 parameters: 20 MB)."""
+_SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
+"""Sizes of a law's functions over the noise (rms, at a coordinate) that are tried for its evidence."""
 MOST_COLUMNS = 72
 """Columns of a law at most: a shift in three directions by 24 functions, an offset of a joint by all."""
+_Judge = Callable[[Array, Array, Array], Array]
+"""What laws are worth (b,), by their information, norms and moments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +63,13 @@ class ChannelScan:
     residual: ProjectedResidual
 
     @classmethod
-    def of(cls, data: ArmData, fit: JointFit) -> ChannelScan:
-        """Of all channels of an arm; a shift in any direction shares those of its parts."""
-        n = len(data)
-        left = fit.projected_residual.projected.reshape(3, n)
+    def of(cls, data: ArmData, fit: JointFit, residual: ProjectedResidual | None = None) -> ChannelScan:
+        """Of all channels of an arm; a shift in any direction shares those of its parts.
+
+        ``residual`` is that of the fit if not given, or that of some of its terms.
+        """
+        n, residual = len(data), residual or fit.projected_residual
+        left = residual.projected.reshape(3, n)
 
         def direction(unit: Array) -> _Direction:
             return _Direction(unit, np.einsum("an,an->n", unit, left))
@@ -79,11 +86,22 @@ class ChannelScan:
                 found[channel] = (direction(np.einsum("acn,nc->an", fit.white, moved)),)
         for channel in several:
             found[channel] = tuple(found[part][0] for part in channel.parts)
-        return cls(found, fit.projected_residual)
+        return cls(found, residual)
 
     def scores(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
         """Score (channels, families) of each law, without the price of choosing it; minus infinity where it is
         invisible or has too many columns."""
+        return self._over(families, chosen, self._gain)
+
+    def evidence(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
+        """Twice the log evidence (channels, families) that each law gains, as ``scores`` otherwise.
+
+        Its values have normal priors of one size, in which each function moves the SMR alike, and of several sizes the
+        most evident one: few readings, that do not determine all values of a law, can show it.
+        """
+        return self._over(families, chosen, self._log_evidence)
+
+    def _over(self, families: Families, chosen: Sequence[DataChannel], judge: _Judge) -> Array:
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
         batches = families.batches()
         kernel = self.residual.projector.kernel
@@ -97,30 +115,49 @@ class ChannelScan:
             for numbers, places in batches:
                 if len(directions) * places.shape[1] <= MOST_COLUMNS:
                     those = [[one[places] for one in row_of] for row_of in projected]
-                    values[row, numbers] = self._scores(families.distinct[places], directions, those)
+                    values[row, numbers] = judge(*_information(families.distinct[places], directions, those))
         return values
 
-    def _scores(
-        self, functions: Array, directions: Sequence[_Direction], projected: Sequence[Sequence[Array]]
-    ) -> Array:
-        """Scores (b,) of the laws of b families of functions f (b, k, n) in one channel; f K_de (b, k, n) is known."""
-        size = functions.shape[1]
-        gram = np.empty((len(functions), len(directions) * size, len(directions) * size))
-        squares = np.empty((len(functions), len(directions) * size))
-        for i, one in enumerate(directions):
-            here = slice(i * size, (i + 1) * size)
-            squares[:, here] = functions**2 @ np.einsum("an,an->n", one.unit, one.unit)
-            for j, of_pair in enumerate(projected[i]):
-                there = slice(j * size, (j + 1) * size)
-                block = of_pair @ functions.swapaxes(1, 2)
-                gram[:, here, there] = block
-                gram[:, there, here] = block.swapaxes(1, 2)
-        moments = np.concatenate([functions @ one.moment for one in directions], axis=1)
-        norms = np.sqrt(squares)
+    def _gain(self, gram: Array, norms: Array, moments: Array) -> Array:
+        """Gain of the BIC (b,)."""
         explained, rank = visible_squares(gram, norms, moments)
         share = np.minimum(explained / self.residual.square, MOST_SHARE)
-        value = -len(self.residual) * np.log1p(-share) - rank * math.log(len(self.residual))
+        freedom = self.residual.freedom
+        value = -freedom * np.log1p(-share) - rank * math.log(freedom)
         return np.where((rank > 0) & (norms.max(axis=1) > NO_DISPLACEMENT), value, -np.inf)
+
+    def _log_evidence(self, gram: Array, norms: Array, moments: Array) -> Array:
+        """Twice the log evidence (b,) at the best of ``_SIZES`` and of noise, less the price of choosing the size."""
+        scale = math.sqrt(len(self.residual)) / np.maximum(norms, NO_DISPLACEMENT)
+        values, vectors = np.linalg.eigh(gram * scale[:, :, None] * scale[:, None, :])
+        values = np.maximum(values, 0.0)[None]
+        along = np.einsum("bkr,bk->br", vectors, scale * moments)[None] ** 2
+        size = np.array(_SIZES)[:, None, None] ** 2
+        share = np.minimum(np.sum(along * size / (1.0 + size * values), axis=2) / self.residual.square, MOST_SHARE)
+        found = -self.residual.freedom * np.log1p(-share) - np.sum(np.log1p(size * values), axis=2)
+        return np.asarray(found.max(axis=0) - 2.0 * math.log(len(_SIZES)))
+
+
+def _information(
+    functions: Array, directions: Sequence[_Direction], projected: Sequence[Sequence[Array]]
+) -> tuple[Array, Array, Array]:
+    """Information (b, m, m), norms and moments (b, m) of b families of functions f (b, k, n) in one channel.
+
+    f K_de (b, k, n) is known.
+    """
+    size = functions.shape[1]
+    gram = np.empty((len(functions), len(directions) * size, len(directions) * size))
+    squares = np.empty((len(functions), len(directions) * size))
+    for i, one in enumerate(directions):
+        here = slice(i * size, (i + 1) * size)
+        squares[:, here] = functions**2 @ np.einsum("an,an->n", one.unit, one.unit)
+        for j, of_pair in enumerate(projected[i]):
+            there = slice(j * size, (j + 1) * size)
+            block = of_pair @ functions.swapaxes(1, 2)
+            gram[:, here, there] = block
+            gram[:, there, here] = block.swapaxes(1, 2)
+    moments = np.concatenate([functions @ one.moment for one in directions], axis=1)
+    return gram, np.sqrt(squares), moments
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.posterior import is_free_function
+from cellapp.estimation.discovery.search.another_cause import COORDINATES_EACH, fitted_parameters
 from cellapp.estimation.discovery.search.channel_scan import ChannelScan, Families
 from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
 from cellapp.estimation.discovery.search.contradiction import MOSTLY, share_of
@@ -31,8 +32,6 @@ from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_an
 
 _MOST_TERMS = 3
 """Data-driven terms at most: a shift has three directions."""
-_COORDINATES_EACH = 4
-"""Measured coordinates that each parameter of a model with a data-driven term needs; with fewer it could fit noise."""
 _LEAST_SHARE = 0.1
 """Least share of the remaining sum of squares beyond the noise that a term must explain: 5 % of the rms error. A check
 on a hundred held-out stops does not show less: its rms is itself uncertain by 4 %, 1 / sqrt(2 x 300 coordinates)."""
@@ -209,9 +208,8 @@ class _Tried:
         possible = np.array(
             [[(channel.subject, family.drivers) not in taken for family in families] for channel in chosen], dtype=bool
         ).reshape(len(chosen), len(families))
-        fitted = int(np.count_nonzero(fit.precision == 0.0)) + fit.layout.geometric
         columns = np.array([max(len(channel.parts), 1) for channel in chosen])[:, None] * evaluated.sizes
-        few = _COORDINATES_EACH * (columns + fitted) <= 3 * len(data)
+        few = COORDINATES_EACH * (columns + fitted_parameters(fit)) <= 3 * len(data)
         values = np.where(possible & few, scan.scores(evaluated, chosen), -np.inf)
         order = np.argsort(-values, axis=None, kind="stable")[:_SELECTED]
         places = [divmod(int(place), len(families)) for place in order if np.isfinite(values.flat[place])]
@@ -240,7 +238,7 @@ def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
 
     Without column j of the rest the explained square falls by w_j^2 / (G^-1)_jj, w the solution and G the information.
     """
-    residual, rows, price = fit.projected_residual, score.rows, math.log(len(fit.residual))
+    residual, rows, price = fit.projected_residual, score.rows, math.log(fit.projector.freedom)
     gram, moments = rows @ fit.projector.project(rows).T, rows @ residual.projected
     kept = np.arange(len(rows))
     left = residual.square * (1.0 - score.explained_share)
@@ -248,7 +246,7 @@ def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
         inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=VISIBLE**2, hermitian=True)
         losses = (inverse @ moments[kept]) ** 2 / np.maximum(np.diag(inverse), SMALLEST)
         least = int(np.argmin(losses))
-        if len(residual) * math.log1p(float(losses[least]) / left) > price:
+        if residual.freedom * math.log1p(float(losses[least]) / left) > price:
             break
         left += float(losses[least])
         kept = np.delete(kept, least)

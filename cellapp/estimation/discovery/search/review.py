@@ -157,8 +157,8 @@ def _in_place_of(
     """The best of some laws as a rival, if it explains ``target`` about as well as the parameters that it replaces."""
     projector = fit.projector_of(~replaced)
     rest = ProjectedResidual(projector, target)
-    gain = math.log(rest.square / fit.projected_residual.square) * len(rest)
-    gain -= (fit.projector.effective_parameters - projector.effective_parameters) * math.log(len(rest))
+    gain = math.log(rest.square / fit.projected_residual.square) * rest.freedom
+    gain -= (fit.projector.effective_parameters - projector.effective_parameters) * math.log(rest.freedom)
     return [
         RunnerUp(effect=one.slug, statistic=one.value, distinguishable=False)
         for one in LawScan.of(laws, projector).ranked(rest)[:1]

@@ -2,7 +2,7 @@
 
 A law is a group of columns in blocks. Its score is
 
-    score = -N ln(1 - R^2) - k ln N - 2 ln T,   N = 3 n coordinates, k visible columns, T laws of its kind tried:
+    score = -f ln(1 - R^2) - k ln f - 2 ln T,   f coordinates behind the model, k visible columns, T laws tried:
 
 the gain of the Bayesian information criterion (see ``estimation.discovery.projected_residual``) less the price of
 choosing among T onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
@@ -67,6 +67,8 @@ class LawScan:
         Share of each column's norm that the model's parameters cannot explain.
     groups : tuple of _BlockGroup
         Blocks of equal size together, without those that only refine others.
+    freedom : float
+        Coordinates less the parameters of the model that they determine, f.
     """
 
     candidates: tuple[CandidateLaw, ...]
@@ -74,6 +76,7 @@ class LawScan:
     first: NDArray[np.intp]
     visible_share: Array
     groups: tuple[_BlockGroup, ...]
+    freedom: float
 
     @classmethod
     def of(cls, candidates: Sequence[CandidateLaw], projector: NuisanceProjector) -> LawScan:
@@ -86,14 +89,16 @@ class LawScan:
         for number, (begin, end) in enumerate(pairwise(first.tolist())):
             rows[begin:end] = own[number].rows
             own[number] = replace(own[number], rows=rows[begin:end])
-        return cls._of_rows(tuple(own), first[:-1], projector.behind(rows))
+        return cls._of_rows(tuple(own), first[:-1], projector.behind(rows), projector.freedom)
 
     def behind_of(self, projector: NuisanceProjector) -> LawScan:
         """The same laws in the complement of another model's parameters; the rows are shared."""
-        return self._of_rows(self.candidates, self.first, projector.behind(self.behind.rows))
+        return self._of_rows(self.candidates, self.first, projector.behind(self.behind.rows), projector.freedom)
 
     @classmethod
-    def _of_rows(cls, candidates: tuple[CandidateLaw, ...], first: NDArray[np.intp], behind: Behind) -> LawScan:
+    def _of_rows(
+        cls, candidates: tuple[CandidateLaw, ...], first: NDArray[np.intp], behind: Behind, freedom: float
+    ) -> LawScan:
         rows = behind.rows
         norms = np.maximum(np.sqrt(np.einsum("md,md->m", rows, rows)), SMALLEST)  # no array of all squares
         by_size = grouped(
@@ -107,7 +112,7 @@ class LawScan:
             owner = np.array([number for number, _ in entries], dtype=np.intp)
             places = np.array([block for _, block in entries], dtype=np.intp)
             groups.append(_block_group(behind, norms, first, owner, places))
-        return cls(candidates, behind, first, np.sqrt(behind.squares) / norms, tuple(groups))
+        return cls(candidates, behind, first, np.sqrt(behind.squares) / norms, tuple(groups), freedom)
 
     def place(self, number: int) -> slice:
         """Where the columns of a candidate are in ``behind`` and ``visible_share``."""
@@ -118,13 +123,13 @@ class LawScan:
         """Score (candidates, s) with the best single block of each, for residuals M y (d, s), y^T M y (s,)."""
         best = np.full((len(self.candidates), projected.shape[1]), -np.inf)
         moments = self.behind.rows @ projected
-        N = len(projected)
         price = np.array([choice_price(one.law) for one in self.candidates])
         for group in self.groups:
             rows = self.first[group.candidate][:, None] + group.places
             u = np.swapaxes(group.root, 1, 2) @ moments[rows]
             share = np.minimum(np.einsum("bks,bks->bs", u, u) / squares, MOST_SHARE)
-            value = -N * np.log1p(-share) - (group.rank * math.log(N) + price[group.candidate])[:, None]
+            paid = group.rank * math.log(self.freedom) + price[group.candidate]
+            value = -self.freedom * np.log1p(-share) - paid[:, None]
             value[group.rank == 0] = -np.inf
             np.maximum.at(best, group.candidate, value)
         return best

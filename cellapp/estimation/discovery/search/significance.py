@@ -64,7 +64,7 @@ def smallest_detectable(scan: LawScan, number: int, threshold: float) -> Mapping
     """Smallest size of each single column of a candidate that would pass ``threshold``; infinite where invisible."""
     one, place = scan.candidates[number], scan.place(number)
     norms = np.sqrt(scan.behind.squares[place])
-    needed = threshold + math.log(scan.behind.rows.shape[1]) + choice_price(one.law)
+    needed = threshold + math.log(scan.freedom) + choice_price(one.law)
     return {
         column.name: detectable_size(norm, needed) if share > VISIBLE else math.inf
         for column, norm, share in zip(one.columns, norms.tolist(), scan.visible_share[place].tolist(), strict=True)

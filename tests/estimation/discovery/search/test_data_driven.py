@@ -13,6 +13,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.process.structured import fit_process, process_terms
+from cellapp.estimation.discovery.search.another_cause import gain_by_another_cause, too_few_to_compete
 from cellapp.estimation.discovery.search.channel_scan import MOST_COLUMNS, ChannelScan, Families
 from cellapp.estimation.discovery.search.comparison import best_state
 from cellapp.estimation.discovery.search.data_driven import (
@@ -20,6 +21,7 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
+from cellapp.estimation.discovery.search.review import term_score
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.smooth_terms import with_one_drift
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
@@ -92,6 +94,34 @@ def test_families_score_as_their_laws_do_one_by_one():
     assert seen.sum() > 200
     assert (np.isfinite(values.ravel()) == seen).all()
     np.testing.assert_allclose(values.ravel()[seen], wanted.ravel()[seen], rtol=1e-6, atol=1e-4)
+
+
+def test_the_evidence_of_a_law_is_that_of_its_values_with_normal_priors():
+    data, fit = readings_with(crosstalk, np.zeros_like, N=30)
+    family = next(one for one in curve_families(data.context) if one.drivers[0].name == "q5")
+    channel = next(one for one in channels(6) if one.name == "joint 4")
+    (value,) = ChannelScan.of(data, fit).evidence(Families.of(data, [family]), [channel]).ravel()
+    rows, y = fit.candidate(data, UNKNOWN, family.law(channel)).rows, fit.projected_residual
+    rows *= np.sqrt(rows.shape[1] / np.sum(rows**2, axis=1))[:, None]
+    gram = rows @ y.projector.project(rows).T
+    found = []
+    for size in (0.3, 1.0, 3.0, 10.0, 30.0):
+        information = np.eye(len(rows)) + size**2 * gram
+        explained = size**2 * (rows @ y.projected) @ np.linalg.solve(information, rows @ y.projected)
+        found.append(-y.freedom * np.log1p(-explained / y.square) - np.linalg.slogdet(information)[1])
+    assert value == pytest.approx(max(found) - 2.0 * np.log(5.0), rel=1e-6)
+
+
+def test_of_few_readings_a_law_outside_the_library_competes_with_what_stands_in_for_it():
+    data, start = readings_with(crosstalk, np.zeros_like, N=45)
+    wobble = EFFECTS["joint_axis_wobble"].laws(data.context)[0]
+    best = LawScan.of([start.candidate(data, "joint_axis_wobble", wobble)], start.projector)
+    (score,) = best.ranked(start.projected_residual)
+    data, fit = refit(data, (ModelTerm("joint_axis_wobble", wobble, score.names),))
+    assert too_few_to_compete(data, fit)
+    assert gain_by_another_cause(data, fit, 0) > term_score(fit, 0)
+    many, _ = readings_with(crosstalk, np.zeros_like, N=200)
+    assert not too_few_to_compete(many, fit_terms(many, ()))
 
 
 def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():

@@ -48,8 +48,19 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
     assert (best.slug, best.names) == ("first", ("c",))
     projected = one.projector.project(one.first.rows[[2]])
     left = y - projected.T @ np.linalg.lstsq(projected.T, y, rcond=None)[0]
-    assert best.value == pytest.approx(-N * np.log(left @ left / (y @ y)) - np.log(N), rel=1e-9)
+    f = N - one.design.shape[1]  # what is left of the coordinates behind the nuisance parameters
+    assert best.value == pytest.approx(-f * np.log(left @ left / (y @ y)) - np.log(f), rel=1e-9)
     assert one.residual(y).bic_gain(one.first.rows[[2]]) == pytest.approx(best.value, rel=1e-9)
+
+
+def test_nuisance_parameters_cost_their_coordinates() -> None:
+    """A residual behind ten parameters scores as the numbers that it then has, without any."""
+    one = problem(2)
+    y = one.visible(one.first.rows[0] + one.noise())
+    rest = np.linalg.svd(one.design)[0][:, one.design.shape[1] :]
+    bare = NuisanceProjector.of(np.zeros((0, rest.shape[1])))
+    alone = ProjectedResidual(bare, rest.T @ y)
+    assert one.residual(y).bic_gain(one.first.rows[:2]) == pytest.approx(alone.bic_gain(one.first.rows[:2] @ rest))
 
 
 def test_the_best_law_of_each_effect_is_its_first_of_all() -> None:
