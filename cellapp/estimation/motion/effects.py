@@ -68,6 +68,8 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
+_AS_LIKELY = 4.5
+"""Difference of log likelihoods within which the more usual of two counts is taken: three standard deviations."""
 _SHAPED_ROUNDS = 8
 _AS_WELL = 1.01
 """Ratio of held-out errors up to which the simpler of two models says as much."""
@@ -185,7 +187,10 @@ class _Search:
                 values[places_of(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
                 ((power,), _) = line_powers(state.problem, replace(state.solution, values=values), [term.joint])
                 reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
-                count = int(np.argmax(np.where(reach & (np.arange(len(power)) > 1), power, 0.0)))
+                power = np.where(reach & (np.arange(len(power)) > 1), power, 0.0)
+                count = int(np.argmax(power))
+                if has(steps, Law.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY:
+                    count = 2  # of the disc that has one
                 better.update({(line.joint, line.cycles): None for line in near})
                 better[term.joint, term.cycles] = count
             if all(cycles == count for (_, cycles), count in better.items()):

@@ -135,7 +135,7 @@ def test_of_two_vibrations_the_one_that_chance_explains_goes_and_the_other_stays
     problem = problem.without_terms().with_terms((*by_chance, *true))
     solution = solve(problem, rows)
     search = _Search(problem, rows, lambda words: None)
-    steps = [Step(Law.VIBRATION, terms, 0.0, 0.0, 1.0, 1.0) for terms in (by_chance, true)]
+    steps = [Step(Law.VIBRATION, terms, 500.0, -200.0, 1.0, 1.0) for terms in (by_chance, true)]
     _, kept = search._without_chance(State(problem, solution, 1.0), steps)
     assert kept == steps[1:]
 
@@ -199,9 +199,9 @@ def elastic_arm(rng, knee=0.0, base_hz=0.0625):
     base[:3, 3] = rigid.base[:3, 3]
     springs = np.array([0, 17e-6, 29e-6, 0, 0, 0])
     arm = Elastic(rigid.rows, rigid.tool, base, rigid.half_play, compliance=springs, knee=knee)
-    motions, seconds = [sweep(rng, 6, base_hz=base_hz, harmonics=3) for _ in range(4)], 1.0 / base_hz
+    motions, seconds = [sweep(rng, 6, base_hz=base_hz, harmonics=3) for _ in range(3)], 1.0 / base_hz
     return [
-        record(rng, arm, motion, seconds=seconds, point_hz=1500.0 / seconds, slow=0.0, name=f"sweep-{n}")
+        record(rng, arm, motion, seconds=seconds, point_hz=1000.0 / seconds, slow=0.0, name=f"sweep-{n}")
         for n, motion in enumerate(motions)
     ]
 
