@@ -25,6 +25,7 @@ _STALLED = (
     "this program was silent",
     "this computer was",
     "its driver process was silent",
+    "its driver process did not answer",
     "no answer from the tracker within",
 )
 """What stops the arms where other programs take the processor for some tenths of a second; the bridge is on it, too."""

@@ -7,11 +7,11 @@ from typing import cast
 
 import pytest
 
-from drivers.arms.protocol import ArmError, HostStalled
+from drivers.arms.protocol import ArmError
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor, delayed_worker
-from tests.drivers.arms.emulated_ur_cell import pause, repair
+from tests.drivers.arms.emulated_ur_cell import is_stall, pause, repair
 from tests.latency import PAUSES_S
 
 
@@ -32,11 +32,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
             repair(cast(EmulatorProcess, pyfuncitem.funcargs["emulator"]), arm.name)
             arm.connect()
     return True
-
-
-def is_stall(error: ArmError) -> bool:
-    """Return whether this computer kept a worker from its arm or from its heartbeats; no test ends with these."""
-    return isinstance(error, HostStalled) or "its driver process was silent for" in str(error)
 
 
 def connected_arms(fixtures: Mapping[str, object]) -> list[UrArm]:

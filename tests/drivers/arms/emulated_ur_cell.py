@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arms.protocol import JointLimits
+from drivers.arms.protocol import ArmError, HostStalled, JointLimits
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, Series, personality, start_in_process
 from tests.at_once import in_parallel
+from tests.latency import PAUSES_S
 from tests.loopback import own_address, own_arms
 
 PATIENT_S = 20.0
@@ -96,14 +98,27 @@ def of_each_arm(
     episodes: Mapping[str, Sequence[Episode]],
     make_ready: Callable[[EmulatorProcess, UrArm], object],
 ) -> None:
-    """Let all arms have their episodes at the same time, each one after the other and from an arm that is ready."""
+    """Let all arms have their episodes at the same time, each one after the other and from an arm that is ready; one
+    that ends with a stall of this computer again."""
 
     def one_after_the_other(arm: UrArm, its: Sequence[Episode]) -> None:
         for episode in its:
-            make_ready(emulator, arm)
-            episode(emulator, arm)
+            for pause_s in (*PAUSES_S, math.inf):
+                try:
+                    make_ready(emulator, arm)
+                    episode(emulator, arm)
+                    break
+                except ArmError as error:
+                    if math.isinf(pause_s) or not is_stall(error):
+                        raise
+                pause(pause_s)
 
     in_parallel(one_after_the_other, [(arms[name], its) for name, its in episodes.items()])
+
+
+def is_stall(error: ArmError) -> bool:
+    """Return whether this computer kept a worker from its arm or from its heartbeats; no test ends with these."""
+    return isinstance(error, HostStalled) or "its driver process was silent for" in str(error)
 
 
 def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:

@@ -79,7 +79,7 @@ def test_a_run_says_how_a_person_left_it(
 ) -> None:
     with press_bench(profile, tmp_path) as bench:
         bench.begin()
-        assert bench.moves()
+        bench.go_while_moving(PLACES["Collect"], how)
         leave(bench.terminal)
         assert bench.terminal.process.wait(WAIT_S) == 4
         assert all(bench.cell.control(name, "stops") for name in bench.cell.arms)
