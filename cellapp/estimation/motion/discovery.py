@@ -56,7 +56,7 @@ TITLES = {
 }
 """Of effects that act in motion only."""
 _AS_IN_MOTION = 1.25
-"""Ratio of errors up to which a model at rest predicts as the model in motion that it was taken from."""
+"""Ratio of errors up to which a model at rest predicts as that in motion: no search of readings need be asked."""
 _SURE = 3.0
 """Standard errors by which an effect beside those of recordings must lower the mean squared held-out error."""
 
@@ -98,9 +98,12 @@ class SearchWithRecordings:
         arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
         at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
         seconds = time.perf_counter() - started
-        if at_rest.better_than(self.calibrated[name]):
+        serves = at_rest.better_than(self.calibrated[name])
+        if serves and at_rest.as_in_motion:
             return at_rest.discovery(profile, seconds, known, report)
         found = self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+        if serves and at_rest.better_than(found.model):
+            return at_rest.discovery(profile, seconds, known, report)
         kept = (*found.result.pictures, *at_rest.pictures)
         shown = at_rest.result(seconds, used=False)
         return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
@@ -155,14 +158,17 @@ class MotionAtRest:
         """Loops of the joints that show lost motion."""
         return tuple(loop_picture(loop) for loop in self.motion.loops)
 
+    @property
+    def as_in_motion(self) -> bool:
+        """Whether held-out readings are predicted as the recordings are in motion: else some of what moves the arm
+        there may be no law of poses at rest."""
+        return self.held_out.rms_mm(self.model) < _AS_IN_MOTION * self.motion.heldout_after_mm
+
     def better_than(self, other: ArmModel) -> bool:
-        """Whether there are effects whose model at rest predicts the held-out readings better than another one, and as
-        the recordings are predicted in motion: else what moves the arm there is no law of poses at rest."""
+        """Whether there are effects whose model at rest predicts the held-out readings better than another one."""
         if not self.motion.terms or not len(self.held_out):
             return False
-        error_mm = self.held_out.rms_mm(self.model)
-        as_in_motion = error_mm < _AS_IN_MOTION * self.motion.heldout_after_mm
-        return as_in_motion and error_mm < self.held_out_of_others.rms_mm(other)
+        return self.held_out.rms_mm(self.model) < self.held_out_of_others.rms_mm(other)
 
     def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
         """What the recordings show, as it is stored."""
