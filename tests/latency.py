@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 PAUSES_S = (0.1, 0.3, 1.0, 3.0)
 """Before each further attempt: what keeps a computer busy lasts, and five attempts within it would be one."""
 ATTEMPTS = 1 + len(PAUSES_S)
+T = TypeVar("T")
+E = TypeVar("E", bound=Exception)
+
+
+def patiently(act: Callable[[int], T], error: type[E], is_stall: Callable[[E], bool]) -> T:
+    """Do something, which is told how often it was tried before; again while it ends with an error that is a stall of
+    this computer, which proves nothing, with the last of them in the end."""
+    for attempt, pause_s in enumerate(PAUSES_S):
+        try:
+            return act(attempt)
+        except error as one:
+            if not is_stall(one):
+                raise
+        threading.Event().wait(pause_s)
+    return act(len(PAUSES_S))
 
 
 def attempts(**bounds_s: float) -> Iterator[dict[str, float]]:

@@ -18,7 +18,7 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from drivers.trackers.bridge_settings import BridgeSettings
-from tests.latency import PAUSES_S
+from tests import latency
 
 PATIENT_S = 60.0
 _STALLED = (
@@ -35,14 +35,7 @@ T = TypeVar("T")
 def patiently(act: Callable[[int], T]) -> T:
     """Do something, which is told how often it was tried before; a computer that stalls stops the arms, and a person
     begins again."""
-    for attempt, pause_s in enumerate((*PAUSES_S, 0.0)):
-        try:
-            return act(attempt)
-        except HardwareError as error:
-            if not stalled(str(error)):
-                raise
-        threading.Event().wait(pause_s)
-    pytest.fail("this computer stalls too often")
+    return latency.patiently(act, HardwareError, lambda error: stalled(str(error)))
 
 
 def stalled(text: str) -> bool:

@@ -68,7 +68,7 @@ from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.search.another_cause import gain_by_another_cause, too_few_to_compete
+from cellapp.estimation.discovery.search.another_cause import gains_by_another_cause, too_few_to_compete
 from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.free_part import (
@@ -221,8 +221,8 @@ def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[st
     if not named or not too_few_to_compete(data, fit):
         return {}
     leads = grouped(
-        (fit.terms[number].slug, gain_by_another_cause(data, fit, number) + found.threshold - reviews[number].score)
-        for number in named
+        (fit.terms[number].slug, gain + found.threshold - reviews[number].score)
+        for number, gain in zip(named, gains_by_another_cause(data, fit, named), strict=True)
     )
     return {slug: min(of_terms) for slug, of_terms in leads.items()}
 

@@ -9,9 +9,9 @@ joint positions that these effects give them; else as they are.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
@@ -98,12 +98,14 @@ class SearchWithRecordings:
         arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
         at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
         seconds = time.perf_counter() - started
-        serves = at_rest.better_than(self.calibrated[name])
-        if serves and at_rest.as_in_motion:
+
+        @cache
+        def searched() -> Discovery:
+            return self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+
+        if at_rest.stands_beside(lambda: searched().model):
             return at_rest.discovery(profile, seconds, known, report)
-        found = self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
-        if serves and at_rest.better_than(found.model):
-            return at_rest.discovery(profile, seconds, known, report)
+        found = searched()
         kept = (*found.result.pictures, *at_rest.pictures)
         shown = at_rest.result(seconds, used=False)
         return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
@@ -158,17 +160,19 @@ class MotionAtRest:
         """Loops of the joints that show lost motion."""
         return tuple(loop_picture(loop) for loop in self.motion.loops)
 
-    @property
-    def as_in_motion(self) -> bool:
-        """Whether held-out readings are predicted as the recordings are in motion: else some of what moves the arm
-        there may be no law of poses at rest."""
-        return self.held_out.rms_mm(self.model) < _AS_IN_MOTION * self.motion.heldout_after_mm
+    def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
+        """Whether there are effects whose model at rest predicts the held-out readings better than the calibrated one
+        and than that of a search of readings.
 
-    def better_than(self, other: ArmModel) -> bool:
-        """Whether there are effects whose model at rest predicts the held-out readings better than another one."""
+        The search is asked only where held-out readings are not predicted as the recordings are in motion: some of what
+        moves the arm there may then be no law of poses at rest.
+        """
         if not self.motion.terms or not len(self.held_out):
             return False
-        return self.held_out.rms_mm(self.model) < self.held_out_of_others.rms_mm(other)
+        error_mm, others = self.held_out.rms_mm(self.model), self.held_out_of_others
+        if error_mm >= others.rms_mm(self.calibrated):
+            return False
+        return error_mm < _AS_IN_MOTION * self.motion.heldout_after_mm or error_mm < others.rms_mm(searched())
 
     def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
         """What the recordings show, as it is stored."""

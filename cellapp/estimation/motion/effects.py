@@ -204,23 +204,19 @@ class _Search:
         """Lines with those of the neighbouring counts where these fit surely better: teeth whose amplitude the run-out
         of a gear modulates, counts that are not whole."""
         lines = terms_of(Law.LINE, steps)
-        places = list(dict.fromkeys(term.place for term in lines))
-        beside = {
-            place: [replace(term, side=side) for side in (-1, 1) for term in _pair(place[0], place[1] + side)]
-            for place in places
-            if place[1] > 2
-        }
-        beside = {place: [term for term in its if replace(term, side=0) not in lines] for place, its in beside.items()}
-        terms = tuple(term for its in beside.values() for term in its)
+        beside = [_sides(*place, lines) for place in dict.fromkeys(term.place for term in lines) if place[1] > 2]
+        terms = tuple(term for its in beside for term in its)
         if not terms:
             return state, steps
         self.told("lines beside lines")
         trial = self._extended(state, terms)
-        kept = [its for its in beside.values() if its and not self._by_chance(trial, its, len(beside))]
-        terms = tuple(term for its in kept for term in its)
-        if not terms:
+        kept = [its for its in beside if its and not self._by_chance(trial, its, len(beside))]
+        if not kept:
             return state, steps
-        trial = self._judged(self._extended(state, terms))
+        if len(kept) < sum(map(bool, beside)):
+            terms = tuple(term for its in kept for term in its)
+            trial = self._extended(state, terms)
+        trial = self._judged(trial)
         if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return state, steps
         statistic = statistic_of(trial, terms)
@@ -502,6 +498,12 @@ def _whitened(state: State) -> State:
 
 def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
     return JointTerm(Law.LINE, joint, cycles, False), JointTerm(Law.LINE, joint, cycles, True)
+
+
+def _sides(joint: int, cycles: int, lines: Sequence[JointTerm]) -> list[JointTerm]:
+    """Lines of the counts beside that of a line, but for those that are ``lines`` themselves."""
+    beside = ((side, term) for side in (-1, 1) for term in _pair(joint, cycles + side))
+    return [replace(term, side=side) for side, term in beside if term not in lines]
 
 
 def _reach(state: State, term: JointTerm) -> float:

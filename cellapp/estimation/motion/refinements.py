@@ -18,6 +18,7 @@ from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution, Source, normal_equations
 from cellapp.estimation.motion.joint_path import Fading
 from cellapp.estimation.motion.terms import JointTerm, Knee, Law, of_all_joints, state_in_motion
+from cellapp.robot.effects.joint_compliance import SOFTER
 from cellapp.robot.kinematics.transforms import Array
 
 REACHES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -91,9 +92,9 @@ def _knees(problem: Problem, solution: Solution) -> tuple[JointTerm, ...]:
         options = [_one_or_two(grids[0], grids[-1]) for grids in near]
         chosen = _best_shares(problem, solution, largest, options)
     return tuple(
-        JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * torque, second=number > 0))
+        JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * torque, constant))
         for joint, (own, torque) in enumerate(zip(chosen, largest.tolist()))
-        for number, share in enumerate(own)
+        for constant, share in zip(SOFTER, own)
     )
 
 

@@ -13,6 +13,7 @@ from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
+from cellapp.robot.effects.joint_compliance import SECOND_KNEE
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -310,7 +311,7 @@ def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law
     if any(term.fading for term in terms):
         return "gradual"
     if knees := [term.knee for term in terms if term.knee]:
-        return "three_slope" if any(knee.second for knee in knees) else "two_slope"
+        return "three_slope" if any(knee.constant is SECOND_KNEE for knee in knees) else "two_slope"
     if others:
         return "both" if Law.PLAY in others else "tilted"
     return AT_REST.get(law, "") if isinstance(law, Law) else ""

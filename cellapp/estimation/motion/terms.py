@@ -31,7 +31,7 @@ import numpy as np
 from cellapp.estimation.motion.joint_path import BEND_S, Fading, JointPath
 from cellapp.robot.effects import MotionLaw
 from cellapp.robot.effects.backlash import left_by_motion
-from cellapp.robot.effects.joint_compliance import KNEE, SECOND_KNEE
+from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
@@ -95,20 +95,10 @@ def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
 
 @dataclass(frozen=True)
 class Knee:
-    """Torque [Nm] below which a joint is softer; ``second`` where a joint has two, of the larger one."""
+    """Torque [Nm] below which a joint is softer, and the constant of the law at rest that it is: one of ``SOFTER``."""
 
     torque: float
-    second: bool = False
-
-    @property
-    def name(self) -> str:
-        """Name of the parameter, without the number of the joint."""
-        return "middle" if self.second else "soft"
-
-    @property
-    def constant(self) -> Constant:
-        """The constant of the law at rest."""
-        return SECOND_KNEE if self.second else KNEE
+    constant: Constant = KNEE
 
 
 @dataclass(frozen=True)
@@ -156,7 +146,7 @@ class JointTerm:
             Law.LINE: line,
             Law.ONE_CYCLE: line,
             Law.LAG: f"lag{number}",
-            Law.COMPLIANCE: f"{'compliance' if self.knee is None else self.knee.name}{number}",
+            Law.COMPLIANCE: f"{'compliance' if self.knee is None else SOFTER[self.knee.constant]}{number}",
             Law.INERTIA: f"inertia{number}",
             Law.TIME_CONSTANT: f"time_constant{number}",
             Law.VIBRATION: f"{_VIBRATION[self.part][0]}{number}",

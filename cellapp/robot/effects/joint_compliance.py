@@ -38,8 +38,8 @@ FREE_MASSES = LawForm("smooth", "in proportion to the torques of masses that are
 SECOND_KNEE = Constant("second_knee", "Nm", SCALED, "second knee at {}", "{} Nm for joint {}", per_joint=True)
 TWO_SLOPE = LawForm("two_slope", "softer below a knee torque", (KNEE,))
 THREE_SLOPE = LawForm("three_slope", "softer below each of two knee torques", (KNEE, SECOND_KNEE))
-_SOFTER = {KNEE: "soft", SECOND_KNEE: "middle"}
-"""Names of the parameters below each knee."""
+SOFTER = {KNEE: "soft", SECOND_KNEE: "middle"}
+"""Names of the parameters below each knee, without the number of the joint."""
 
 
 class JointCompliance(Effect):
@@ -142,7 +142,7 @@ class JointCompliance(Effect):
             assert stiff.offset is not None
             columns += [
                 _softer(f"{name}{j + 1}", j, stiff.offset, law.constants.get(knee.key(j), 0.0))
-                for knee, name in _SOFTER.items()
+                for knee, name in SOFTER.items()
                 if knee in law.form.constants
             ]
         return columns

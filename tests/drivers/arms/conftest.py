@@ -11,8 +11,8 @@ from drivers.arms.protocol import ArmError
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor, delayed_worker
-from tests.drivers.arms.emulated_ur_cell import is_stall, pause, repair
-from tests.latency import PAUSES_S
+from tests.drivers.arms.emulated_ur_cell import is_stall, repair
+from tests.latency import patiently
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -20,17 +20,14 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
     """Call a test again, with its arms repaired and connected, while it ends with a stall of this computer."""
     given = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
     arms = connected_arms(pyfuncitem.funcargs)
-    for pause_s in (*PAUSES_S, None):
-        try:
-            pyfuncitem.obj(**given)
-            break
-        except ArmError as error:
-            if pause_s is None or not is_stall(error):
-                raise
-            pause(pause_s)
-        for arm in arms:
+
+    def act(attempt: int) -> None:
+        for arm in arms if attempt else []:
             repair(cast(EmulatorProcess, pyfuncitem.funcargs["emulator"]), arm.name)
             arm.connect()
+        pyfuncitem.obj(**given)
+
+    patiently(act, ArmError, is_stall)
     return True
 
 

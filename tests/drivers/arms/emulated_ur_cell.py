@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, Series, personality, start_in_process
 from tests.at_once import in_parallel
-from tests.latency import PAUSES_S
+from tests.latency import patiently
 from tests.loopback import own_address, own_arms
 
 PATIENT_S = 20.0
@@ -103,15 +102,12 @@ def of_each_arm(
 
     def one_after_the_other(arm: UrArm, its: Sequence[Episode]) -> None:
         for episode in its:
-            for pause_s in (*PAUSES_S, math.inf):
-                try:
-                    make_ready(emulator, arm)
-                    episode(emulator, arm)
-                    break
-                except ArmError as error:
-                    if math.isinf(pause_s) or not is_stall(error):
-                        raise
-                pause(pause_s)
+
+            def act(attempt: int, episode: Episode = episode) -> None:
+                make_ready(emulator, arm)
+                episode(emulator, arm)
+
+            patiently(act, ArmError, is_stall)
 
     in_parallel(one_after_the_other, [(arms[name], its) for name, its in episodes.items()])
 

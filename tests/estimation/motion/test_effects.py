@@ -191,23 +191,23 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     assert np.hypot(value["cos2q1"], value["sin2q1"]) == pytest.approx(15e-6, abs=5e-6)
 
 
-def elastic_arm(rng, knee=0.0, base_hz=0.0625):
-    """An arm with springs in joints 2 and 3, and recordings of it in swings of a base frequency: slow ones have hardly
-    any torque of accelerations, which this arm does not know."""
+def recordings_of_springs(rng, *, count=4, base_hz=0.0625, point_hz=100.0, knee=0.0):
+    """Recordings of an arm with springs in joints 2 and 3, a period of a base frequency each: slow ones have hardly any
+    torque of accelerations, which this arm does not know."""
     rigid = true_arm(rng)
     base = np.eye(4)
     base[:3, 3] = rigid.base[:3, 3]
     springs = np.array([0, 17e-6, 29e-6, 0, 0, 0])
     arm = Elastic(rigid.rows, rigid.tool, base, rigid.half_play, compliance=springs, knee=knee)
-    motions, seconds = [sweep(rng, 6, base_hz=base_hz, harmonics=3) for _ in range(3)], 1.0 / base_hz
+    motions = [sweep(rng, 6, base_hz=base_hz, harmonics=3) for _ in range(count)]
     return [
-        record(rng, arm, motion, seconds=seconds, point_hz=1000.0 / seconds, slow=0.0, name=f"sweep-{n}")
+        record(rng, arm, motion, seconds=1.0 / base_hz, point_hz=point_hz, slow=0.0, name=f"sweep-{n}")
         for n, motion in enumerate(motions)
     ]
 
 
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
-    recordings = elastic_arm(np.random.default_rng(6))
+    recordings = recordings_of_springs(np.random.default_rng(6))
     rigid_fit = identify_from_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True))
     assert sum(one.gross for one in rigid_fit.recordings.values()) < 5
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
@@ -221,7 +221,7 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
 
 def test_springs_that_are_softer_below_a_knee_are_named_with_it():
     knee = 30.0
-    recordings = elastic_arm(np.random.default_rng(9), knee, base_hz=0.02)
+    recordings = recordings_of_springs(np.random.default_rng(9), count=3, base_hz=0.02, point_hz=20.0, knee=knee)
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert set(found) == {"joint_compliance"}
     spring = found["joint_compliance"]

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from cellapp.estimation.motion.terms import JointState, JointTerm, Knee, Law
 from cellapp.robot.effects import EFFECTS, MeasurementConditions, Wave
+from cellapp.robot.effects.joint_compliance import SECOND_KNEE
 from cellapp.robot.effects.periodic import LINES_MAX
 from tests.robot.effects.cell import by_name, chain, context_of, offsets, under
 
@@ -163,7 +164,7 @@ def test_a_second_knee_adds_to_the_first():
     for j, low, high in ((1, 20.0, 60.0), (2, 10.0, 0.0)):
         torque = CONTEXT.torques[:, j]
         state = JointState(CONTEXT.q, 0.0 * CONTEXT.q, 0.0 * CONTEXT.q, CONTEXT.torques)
-        for name, knee in (("soft", Knee(low)), ("middle", Knee(high, second=True))):
+        for name, knee in (("soft", Knee(low)), ("middle", Knee(high, SECOND_KNEE))):
             column = offsets(parts[f"{name}{j + 1}"])
             np.testing.assert_allclose(column, np.clip(torque, -knee.torque, knee.torque))
             term = JointTerm(Law.COMPLIANCE, j, knee=knee)

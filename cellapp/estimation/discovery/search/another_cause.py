@@ -8,6 +8,7 @@ channels have normal priors: their evidence needs no value to be determined.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,20 +36,22 @@ def too_few_to_compete(data: ArmData, fit: JointFit) -> bool:
     return COORDINATES_EACH * (int(most) + fitted_parameters(fit)) > 3 * len(data)
 
 
-def gain_by_another_cause(data: ArmData, fit: JointFit, number: int) -> float:
-    """Twice the log evidence of the best law outside the library in a term's place, less the price of choosing it.
+def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int]) -> list[float]:
+    """Twice the log evidence of the best law outside the library in the place of some terms, one by one, less the price
+    of choosing it.
 
     What has the term's own cause is none: functions of what only the effect depends on, and of the angle of a joint
     that it moves in the way that it moves it.
     """
     context, every = data.context, channels(data.context.joints)
     families = [*curve_families(context), *pair_families(context, own_angles(context))]
-    scan = ChannelScan.of(data, fit, fit.residual_without(number))
-    values = scan.evidence(Families.of(data, families), every)
-    possible = np.isfinite(values)
-    tried = int(np.count_nonzero(possible))
-    values[_of_same_cause(fit.terms[number], fit.term_columns(number), every, families)] = -math.inf
-    return float(values.max(initial=-math.inf)) - 2.0 * math.log(max(tried, 1))
+    evaluated, gains = Families.of(data, families), list[float]()
+    for number in numbers:
+        values = ChannelScan.of(data, fit, fit.residual_without(number)).evidence(evaluated, every)
+        tried = int(np.count_nonzero(np.isfinite(values)))
+        values[_of_same_cause(fit.terms[number], fit.term_columns(number), every, families)] = -math.inf
+        gains.append(float(values.max(initial=-math.inf)) - 2.0 * math.log(max(tried, 1)))
+    return gains
 
 
 def _of_same_cause(

@@ -68,7 +68,7 @@ class ChannelScan:
 
         ``residual`` is that of the fit if not given, or that of some of its terms.
         """
-        n, residual = len(data), residual or fit.projected_residual
+        n, residual = len(data), fit.projected_residual if residual is None else residual
         left = residual.projected.reshape(3, n)
 
         def direction(unit: Array) -> _Direction:

@@ -13,7 +13,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.process.structured import fit_process, process_terms
-from cellapp.estimation.discovery.search.another_cause import gain_by_another_cause, too_few_to_compete
+from cellapp.estimation.discovery.search.another_cause import gains_by_another_cause, too_few_to_compete
 from cellapp.estimation.discovery.search.channel_scan import MOST_COLUMNS, ChannelScan, Families
 from cellapp.estimation.discovery.search.comparison import best_state
 from cellapp.estimation.discovery.search.data_driven import (
@@ -119,7 +119,7 @@ def test_of_few_readings_a_law_outside_the_library_competes_with_what_stands_in_
     (score,) = best.ranked(start.projected_residual)
     data, fit = refit(data, (ModelTerm("joint_axis_wobble", wobble, score.names),))
     assert too_few_to_compete(data, fit)
-    assert gain_by_another_cause(data, fit, 0) > term_score(fit, 0)
+    assert gains_by_another_cause(data, fit, [0])[0] > term_score(fit, 0)
     many, _ = readings_with(crosstalk, np.zeros_like, N=200)
     assert not too_few_to_compete(many, fit_terms(many, ()))
 

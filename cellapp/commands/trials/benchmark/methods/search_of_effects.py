@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 from cellapp.commands.trials.benchmark.problem import Answer, Motion, Problem
-from cellapp.estimation.discovery.discover import search_rows
+from cellapp.estimation.discovery.discover import Searched, search_rows
 from cellapp.estimation.motion.calibrate import recorded_arm
 from cellapp.estimation.motion.discovery import MotionAtRest
 from cellapp.ground.progress import CancelToken
@@ -13,24 +14,22 @@ from cellapp.ground.progress import CancelToken
 
 def search_of_effects(problem: Problem) -> Answer:
     """Name what the search accepts, with its posterior probabilities."""
-    found = None if problem.motion is None else _shown_by_recordings(problem, problem.motion)
-    serves = found is not None and found.better_than(problem.geometry_fit.model)
-    if found is not None and serves and found.as_in_motion:
-        return _answer(problem, found)
-    searched = search_rows(problem.profile, problem.data.model, problem.learn, problem.learn_conditions, CancelToken())
-    if found is not None and serves and found.better_than(searched.model):
-        return _answer(problem, found)
-    assert searched.judged.posteriors is not None
-    slugs = [term.slug for term in searched.judged.fit.terms]
-    named = list(zip(slugs, searched.judged.posteriors.terms, strict=True))
-    return Answer(problem.predicted(searched.model), _most_probable(named))
 
+    @cache
+    def searched() -> Searched:
+        return search_rows(problem.profile, problem.data.model, problem.learn, problem.learn_conditions, CancelToken())
 
-def _answer(problem: Problem, shown: MotionAtRest) -> Answer:
-    """By what recordings show, and what is found in what they leave."""
-    found = shown.discovery(problem.profile, 0.0)
-    named = [(one.effect, one.posterior) for one in found.result.accepted if one.posterior is not None]
-    return Answer(problem.predicted(found.model), _most_probable(named))
+    shown = None if problem.motion is None else _shown_by_recordings(problem, problem.motion)
+    if shown is not None and shown.stands_beside(lambda: searched().model):
+        found = shown.discovery(problem.profile, 0.0)
+        named = [(one.effect, one.posterior) for one in found.result.accepted if one.posterior is not None]
+        return Answer(problem.predicted(found.model), _most_probable(named))
+    judged = searched().judged
+    assert judged.posteriors is not None
+    slugs = [term.slug for term in judged.fit.terms]
+    return Answer(
+        problem.predicted(searched().model), _most_probable(list(zip(slugs, judged.posteriors.terms, strict=True)))
+    )
 
 
 def _most_probable(named: Sequence[tuple[str, float]]) -> dict[str, float]:
