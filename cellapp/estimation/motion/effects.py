@@ -40,6 +40,7 @@ from cellapp.estimation.motion.steps import (
     MotionEffect,
     State,
     Step,
+    beside_others,
     effects_of,
     has,
     is_improbable,
@@ -68,6 +69,8 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
+_OF_MOTION = (Law.LAG, Law.INERTIA)
+"""Laws that only motion has. They are tried after all others, as they take up what lost motion and springs leave."""
 _AS_LIKELY = 4.5
 """Difference of log likelihoods within which the more usual of two counts is taken: three standard deviations."""
 _SHAPED_ROUNDS = 8
@@ -147,6 +150,7 @@ class _Search:
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
         state, steps = self._with_sides(state, steps)
         state, steps = self._simpler(*self._without_chance(state, steps))
+        steps = [step if step.law is Law.LINE else beside_others(state, step) for step in steps]
         final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
@@ -322,7 +326,7 @@ class _Search:
                 step = replace(step, terms=tuple(term for term in step.terms if not term.refines))
                 steps = [step if one is entered else one for one in steps]
                 state = self._refitted(state, steps)
-            by_chance = self._by_chance(state, step.terms) or is_improbable(state, step)
+            by_chance = self._by_chance(state, step.terms) or is_improbable(state, beside_others(state, step))
             if by_chance or not shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -425,7 +429,7 @@ class _Search:
                 log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
                     tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
-        for _, trial, step in sorted(tried, key=lambda each: each[0]):
+        for _, trial, step in sorted(tried, key=lambda each: (each[2].law in _OF_MOTION, each[0])):
             judged = self._judged(trial)
             if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
                 rivals = [one.log_p for _, _, one in tried if {one.law, step.law} == set(LOOK_ALIKES)]
@@ -481,9 +485,8 @@ class _Search:
 
 
 def _least_gain(law: Law | MotionLaw) -> float:
-    """Ratio of held-out errors that a law must gain: one that serves no pose at rest is worth its place only where it
-    shows, as it takes up what laws of springs leave."""
-    return _AS_WELL if law in (Law.LAG, Law.INERTIA) else 1.0
+    """Ratio of held-out errors that a law must gain: one that only motion has is worth its place only where it shows."""
+    return _AS_WELL if law in _OF_MOTION else 1.0
 
 
 def _whitened(state: State) -> State:

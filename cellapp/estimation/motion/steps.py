@@ -317,6 +317,15 @@ def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law
     return AT_REST.get(law, "") if isinstance(law, Law) else ""
 
 
+def beside_others(state: State, step: Step) -> Step:
+    """The step with the evidence that its terms have beside all others, which may be more than when it entered: until
+    then what others explain passed for noise."""
+    parameters = len(tested(step.terms))
+    statistic = statistic_of(state, step.terms)
+    more = log_chance(statistic, parameters, 1) - log_chance(step.statistic, parameters, 1)
+    return replace(step, statistic=statistic, log_p=min(step.log_p + more, 0.0), rival=step.rival + more)
+
+
 def is_improbable(state: State, step: Step) -> bool:
     """Whether what entered is rather not there."""
     return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
