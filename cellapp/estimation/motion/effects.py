@@ -485,7 +485,7 @@ class _Search:
 
 
 def _least_gain(law: Law | MotionLaw) -> float:
-    """Ratio of held-out errors that a law must gain: one that only motion has is worth its place only where it shows."""
+    """Ratio of held-out errors that a law must gain: those that only motion has are worth a place where they show."""
     return _AS_WELL if law in _OF_MOTION else 1.0
 
 

@@ -53,6 +53,10 @@ class Arm:
     time_constant: np.ndarray = field(default_factory=lambda: np.zeros(7))
     springs: dict[int, tuple[float, float]] = field(default_factory=dict)  # joint: natural frequency [Hz], damping
 
+    def twist(self, motion, when):
+        """What the load of a motion turns the joints by (m, N) at times (m,): nothing in a rigid arm."""
+        return np.zeros_like(motion.at(when))
+
     def points(self, q):
         """SMR (n, 3) of the output angles ``q`` (n, N)."""
         T = np.broadcast_to(self.base, (len(q), 4, 4))
@@ -249,7 +253,7 @@ def record(
     if arm.cycles:
         q_when = motion.at(when)
         out = out + arm.amplitude[:n] * np.sin(arm.cycles * q_when + arm.phase[:n])
-    p = arm.points(out) + rng.normal(0.0, white, (len(when), 3)) + correlated(rng, when, slow, slow_s)
+    p = arm.points(out + arm.twist(motion, when)) + rng.normal(0.0, white, (len(when), 3)) + correlated(rng, when, slow, slow_s)
     middle = (when[0] + when[-1]) / 2.0
     stamps = when + offset + 1e-6 * rate_ppm * (when - middle)
     joints = JointStream(time_s=u + joint_epoch, q=q, qd=qd if with_speeds else None)

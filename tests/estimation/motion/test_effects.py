@@ -50,21 +50,27 @@ def centers(arm, q):
     return np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
 
 
+def torques_of(arm, motion, t, up_M):
+    """Torques (n, 6) [Nm] of the weight and of the accelerations of all masses, by virtual work."""
+    h = 1e-3
+    before, now, after = (centers(arm, motion.at(t + step)) for step in (-h, 0.0, h))
+    force = MASSES[:, None, None] * (-9.80665 * up_M - (after - 2 * now + before) / h**2)
+    q, by = motion.at(t), 1e-5 * np.eye(6)
+    moved = ((centers(arm, q + one) - centers(arm, q - one)) / 2e-5 for one in by)
+    return np.column_stack([np.sum(force * its, axis=(0, 2)) for its in moved])
+
+
 @dataclass(frozen=True)
 class Elastic(Arm):
-    """An arm whose joints twist by ``compliance`` (6,) [rad/Nm] under the weight of its masses, up being z; by twice as
+    """An arm whose joints twist by ``compliance`` (6,) [rad/Nm] under the load of its masses, up being z; by twice as
     much up to the torque ``knee`` [Nm]."""
 
     compliance: np.ndarray = field(default_factory=lambda: np.zeros(6))
     knee: float = 0.0
 
-    def points(self, q):
-        rigid = Arm(self.rows, self.tool, self.base, self.half_play)
-        torque, by = np.zeros_like(q), 1e-5 * np.eye(6)
-        for joint in range(6):
-            rise = centers(rigid, q + by[joint])[:, :, 2] - centers(rigid, q - by[joint])[:, :, 2]
-            torque[:, joint] = -9.80665 * MASSES @ rise / 2e-5
-        return rigid.points(q + self.compliance * (torque + np.clip(torque, -self.knee, self.knee)))
+    def twist(self, motion, when):
+        torque = torques_of(self, motion, when, np.array([0.0, 0.0, 1.0]))
+        return self.compliance * (torque + np.clip(torque, -self.knee, self.knee))
 
 
 def found_in(*recordings, **options):
@@ -192,8 +198,7 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
 
 
 def recordings_of_springs(rng, *, count=4, base_hz=0.0625, point_hz=100.0, knee=0.0):
-    """Recordings of an arm with springs in joints 2 and 3, a period of a base frequency each: slow ones have hardly any
-    torque of accelerations, which this arm does not know."""
+    """Recordings of an arm with springs in joints 2 and 3, a period of a base frequency each."""
     rigid = true_arm(rng)
     base = np.eye(4)
     base[:3, 3] = rigid.base[:3, 3]
@@ -212,11 +217,12 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
     assert sum(one.gross for one in rigid_fit.recordings.values()) < 5
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert set(found) == {"joint_compliance"}
-    assert dict(zip(found["joint_compliance"].joints, found["joint_compliance"].values, strict=True)) == {
-        2: pytest.approx(17e-6, rel=0.1),
-        3: pytest.approx(29e-6, rel=0.1),
-    }
-    assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
+    spring = found["joint_compliance"]
+    size = dict(zip(spring.joints, zip(spring.values, spring.standard_errors), strict=True))
+    assert size.pop(2)[0] == pytest.approx(17e-6, rel=0.02)
+    assert size.pop(3)[0] == pytest.approx(29e-6, rel=0.02)
+    assert all(value < 4.0 * error for value, error in size.values())  # other joints have what predicts best: little
+    assert discovery.heldout_after_mm < 0.05 * discovery.heldout_before_mm
 
 
 def test_springs_that_are_softer_below_a_knee_are_named_with_it():
@@ -259,13 +265,4 @@ def test_torques_in_motion_are_those_of_virtual_work():
     geometry, up_M = NOMINAL.with_T_M_B(arm.base), np.array([0.3, -0.2, np.sqrt(1 - 0.13)])
     t = np.linspace(1.0, 9.0, 15)
     computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
-
-    h = 1e-3
-    before, now, after = (centers(arm, motion.at(t + step)) for step in (-h, 0.0, h))
-    acceleration = (after - 2 * now + before) / h**2
-    force = MASSES[:, None, None] * (-9.80665 * up_M - acceleration)
-    for joint in range(6):
-        by = np.zeros(6)
-        by[joint] = 1e-5
-        moved = (centers(arm, motion.at(t) + by) - centers(arm, motion.at(t) - by)) / 2e-5
-        np.testing.assert_allclose(computed[:, joint], np.sum(force * moved, axis=(0, 2)), atol=0.1)
+    np.testing.assert_allclose(computed, torques_of(arm, motion, t, up_M), atol=0.1)
