@@ -253,7 +253,8 @@ def record(
     if arm.cycles:
         q_when = motion.at(when)
         out = out + arm.amplitude[:n] * np.sin(arm.cycles * q_when + arm.phase[:n])
-    p = arm.points(out + arm.twist(motion, when)) + rng.normal(0.0, white, (len(when), 3)) + correlated(rng, when, slow, slow_s)
+    out = out + arm.twist(motion, when)
+    p = arm.points(out) + rng.normal(0.0, white, (len(when), 3)) + correlated(rng, when, slow, slow_s)
     middle = (when[0] + when[-1]) / 2.0
     stamps = when + offset + 1e-6 * rate_ppm * (when - middle)
     joints = JointStream(time_s=u + joint_epoch, q=q, qd=qd if with_speeds else None)
