@@ -125,11 +125,11 @@ class JointPath:
         """The same on even grids between gaps."""
         t = self.stamps.time_s
         runs = [(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)]
-        time_s, middle_s, first = even_grid(runs, BEND_S)
-        q, bent = self.at(time_s)[0], [self.at(middle_s + step)[0] for step in (-BEND_S, 0.0, BEND_S)]
+        time_s, inside_s, first = even_grid(runs, BEND_S)
+        q, bent = self.at(time_s)[0], [self.at(inside_s + step)[0] for step in (-BEND_S, 0.0, BEND_S)]
         qdd = (bent[0] - 2.0 * bent[1] + bent[2]) / BEND_S**2
         inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
-        return EvenPath(time_s, q, qdd, first, inertia)
+        return EvenPath(time_s, inside_s, q, qdd, first, inertia)
 
     def beside_at(self, time_s: Array) -> Array | None:
         """Joint positions (n, K) [rad] of the other arm at times (n,) [s]; None where they were not recorded."""

@@ -40,10 +40,12 @@ _MOST_KEPT = 60
 @dataclass(frozen=True, eq=False)
 class EvenPath:
     """Joint positions and accelerations on even grids, each run after the other: times (G,) [s], (G, N) [rad],
-    (G, N) [rad/s^2]; ``runs`` are the first row of each, and G. ``inertia`` (R, N, N) [kg m^2] are the mass matrices
-    of the runs, where masses are known."""
+    (G, N) [rad/s^2]; ``runs`` are the first row of each, and G. ``inside_s`` (G,) [s] are the nearest times at which
+    second differences are known. ``inertia`` (R, N, N) [kg m^2] are the mass matrices of the runs, where masses are
+    known."""
 
     time_s: Array
+    inside_s: Array
     q: Array
     qdd: Array
     runs: NDArray[np.intp]
@@ -58,7 +60,7 @@ class EvenPath:
             parts = pairwise(self.runs.tolist())
             return np.concatenate([_filtered(self.q[a:b, joint], above, below, ramp=ramp) for a, b in parts])
 
-        late, by_T = (self._kept((n, joint, T), partial(answer, *one)) for n, one in enumerate(answers))
+        late, by_T = (self.kept((n, joint, T), partial(answer, *one)) for n, one in enumerate(answers))
         return late, by_T
 
     def vibrating(self, joint: int, frequency: float, damping: float) -> Array:
@@ -86,8 +88,7 @@ class EvenPath:
         return self.inertia[run, joint] / own[run], float(own[run] / np.median(own))
 
     def of_shape(self, joint: int, frequency: float, damping: float, part: int) -> Array:
-        """``vibrating`` (``part`` 0), or its derivative by frequency (1) or damping (2); kept, as fits ask for it again
-        and again."""
+        """``vibrating`` (``part`` 0), or its derivative by frequency (1) or damping (2)."""
 
         def answer() -> Array:
             if not part:
@@ -99,18 +100,20 @@ class EvenPath:
             )
             return np.asarray((more - less) / (2.0 * step))
 
-        return self._kept(("vibration", joint, frequency, damping, part), answer)
+        return self.kept(("vibration", joint, frequency, damping, part), answer)
 
     def at(self, values: Array, time_s: Array) -> Array:
         """Values (G,) at times (n,) [s]."""
         return np.asarray(np.interp(time_s, self.time_s, values))
 
-    def _kept(self, key: tuple[object, ...], answer: Callable[[], Array]) -> Array:
-        found = self._known.get(key)
+    def kept(self, key: tuple[object, ...], answer: Callable[[], Array]) -> Array:
+        """The answer of this key, computed once: fits ask for the same again and again."""
+        found = self._known.pop(key, None)
         if found is None:
-            if len(self._known) >= _MOST_KEPT:
-                self._known.clear()
-            found = self._known[key] = answer()
+            found = answer()
+        if len(self._known) >= _MOST_KEPT:
+            del self._known[next(iter(self._known))]  # the one that was asked for longest ago
+        self._known[key] = found
         return found
 
 

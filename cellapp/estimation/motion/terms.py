@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -34,9 +34,11 @@ from cellapp.robot.effects.backlash import left_by_motion
 from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
+from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
+_CHUNK = 2048
 _OWN_INERTIA = 0.02
 """Of a joint's own link about its axis [kg m^2], which point masses on the axis do not have."""
 
@@ -294,8 +296,16 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
     q, qd = path.at(time_s)
     torque = np.zeros_like(q)
     if torques and masses is not None:
-        torque = torques_in_motion(path, time_s, masses)
+        even = path.even
+        on_grid = even.kept((torques_in_motion, masses), partial(_in_chunks, path, even.inside_s, masses))
+        torque = rows_at(time_s, even.time_s, on_grid)
     return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
+
+
+def _in_chunks(path: JointPath, time_s: Array, masses: Masses) -> Array:
+    """``torques_in_motion`` at many times: memory does not grow with their number."""
+    parts = np.array_split(time_s, -(-len(time_s) // _CHUNK))
+    return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array | None = None) -> JointState:
