@@ -31,8 +31,9 @@ BODIES = Bodies(
 MASSES = np.array([*BODIES.masses, BODIES.payload_mass])
 
 
-def centers(arm, q):
-    """Centres of all masses (7, n, 3) of the nominal chain on the base of ``arm``."""
+def axes_and_centers(arm, q):
+    """Direction and a point (n, 3) of each joint's axis, and centres of all masses (7, n, 3), of the nominal chain on
+    the base of ``arm``."""
 
     def pose(own, q):
         origin = own.points(q)
@@ -42,12 +43,27 @@ def centers(arm, q):
         return T
 
     T = np.broadcast_to(arm.base, (len(q), 4, 4))
-    found = []
+    axes, found = [], []
     for joint, (theta, d, a, alpha) in enumerate(UR10):
         own = replace(arm, rows=np.array([[theta, d, a, alpha, 0.0]]), base=np.eye(4), tool=np.zeros(3))
+        axes.append((T[:, :3, 2], T[:, :3, 3]))
         T = T @ pose(own, q[:, joint : joint + 1])
         found.append(T[:, :3, :3] @ BODIES.centers[joint] + T[:, :3, 3])
-    return np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
+    return axes, np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
+
+
+def centers(arm, q):
+    """Centres of all masses (7, n, 3) of the nominal chain on the base of ``arm``."""
+    return axes_and_centers(arm, q)[1]
+
+
+def weight_about_joints(arm, q):
+    """Torque (n, 6) [Nm] of the weight of all masses about each joint, up being z."""
+    axes, carried = axes_and_centers(arm, q)
+    torque = np.zeros_like(q)
+    for joint, (axis, origin) in enumerate(axes):  # a joint carries its own link and all after it
+        torque[:, joint] = -9.80665 * MASSES[joint:] @ np.cross(axis, carried[joint:] - origin)[:, :, 2]
+    return torque
 
 
 @dataclass(frozen=True)
@@ -60,10 +76,7 @@ class Elastic(Arm):
 
     def points(self, q):
         rigid = Arm(self.rows, self.tool, self.base, self.half_play)
-        torque, by = np.zeros_like(q), 1e-5 * np.eye(6)
-        for joint in range(6):
-            rise = centers(rigid, q + by[joint])[:, :, 2] - centers(rigid, q - by[joint])[:, :, 2]
-            torque[:, joint] = -9.80665 * MASSES @ rise / 2e-5
+        torque = weight_about_joints(rigid, q)
         return rigid.points(q + self.compliance * (torque + np.clip(torque, -self.knee, self.knee)))
 
 
