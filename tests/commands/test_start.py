@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 LOADED = """
 import sys
 import cellapp.interfaces.cli.app, cellapp.commands.doctor.run
@@ -20,7 +18,6 @@ for verb in ("plan", "calibrate", "report", "show", "check"):
 """
 
 
-@pytest.mark.fast
 def test_verbs_start_without_scipy_and_doctor_without_the_search() -> None:
     done = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr

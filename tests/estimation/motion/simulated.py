@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 
@@ -166,19 +167,16 @@ def answered(arm, motion, when):
     t = np.arange(when[0] - 2.0, when[-1] + 2 * dt, dt)
     q = motion.at(t)
     found = np.zeros_like(q)
+    middle = 0.5 * (q[1:] + q[:-1])
     for joint, T in enumerate(arm.time_constant[: q.shape[1]]):
-        if T:
-            x = q[0, joint] - T * motion.speed(t[:1])[0, joint]
-            for i in range(1, len(t)):
-                x += (0.5 * (q[i, joint] + q[i - 1, joint]) - x) * -np.expm1(-dt / T)
-                found[i, joint] += x - q[i, joint]
+        if T:  # x += (middle - x) (1 - exp(-dt / T))
+            stays, x = np.exp(-dt / T), q[0, joint] - T * motion.speed(t[:1])[0, joint]
+            late, _ = lfilter([1.0 - stays], [1.0, -stays], middle[:, joint], zi=[stays * x])
+            found[1:, joint] += late - q[1:, joint]
     for joint, (hz, damping) in arm.springs.items():
-        w, y, v = 2 * np.pi * hz, 0.0, 0.0
-        qdd = np.gradient(motion.speed(t)[:, joint], dt)
-        for i in range(1, len(t)):
-            v += dt * (-qdd[i] - 2 * damping * w * v - w * w * y)
-            y += dt * v
-            found[i, joint] += y
+        w, qdd = 2 * np.pi * hz, np.gradient(motion.speed(t)[:, joint], dt)
+        slows = 1.0 - 2 * damping * w * dt  # v += dt (-qdd - 2 damping w v - w^2 y), then y += dt v
+        found[1:, joint] += lfilter([-(dt**2)], [1.0, (w * dt) ** 2 - 1.0 - slows, slows], qdd[1:])
     return np.column_stack([np.interp(when, t, column) for column in found.T])
 
 
