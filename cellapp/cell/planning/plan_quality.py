@@ -9,7 +9,7 @@ not see.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -126,19 +126,20 @@ class Judge:
         points = np.sqrt(squares.reshape(-1, 3).sum(axis=1))
         return Errors(np.sqrt(np.diag(covariance)), float(points.mean()), float(points.max()))
 
-    def random_plans(self, sizes: Collection[int]) -> Iterator[tuple[int, Errors, Array]]:
-        """Some sizes in ascending order, mean errors of random plans of each, and their mean information (p, p).
-
-        A larger plan has the stops of the smaller ones. Sizes that are not asked for cost nothing.
-        """
+    def random_plans(self, sizes: Sequence[int]) -> dict[int, tuple[Errors, Array]]:
+        """Mean errors of random plans of some sizes, and their mean information (p, p)."""
         p = self.random.shape[2]
-        orders = [self.rng.permutation(len(self.random)) for _ in range(_DRAWS)]
-        information, before = [np.zeros((p, p)) for _ in orders], 0
-        for size in sorted(sizes):
-            for own, order in zip(information, orders, strict=True):
-                own += information_of(self.random[order[before:size]])
-            before = size
-            yield size, _mean([self.errors(own) for own in information]), np.mean(information, axis=0)
+        found = {size: list[Errors]() for size in sizes}
+        total = {size: np.zeros((p, p)) for size in sizes}
+        for _ in range(_DRAWS):
+            order = self.rng.permutation(len(self.random))
+            information, before = np.zeros((p, p)), 0
+            for size in sorted(sizes):
+                information = information + information_of(self.random[order[before:size]])
+                before = size
+                found[size].append(self.errors(information))
+                total[size] += information / _DRAWS
+        return {size: (_mean(errors), total[size]) for size, errors in found.items()}
 
     def determined(self, information: Array) -> tuple[int, ...]:
         """Places of the geometric parameters that readings with some information determine.
@@ -220,14 +221,14 @@ def arm_design(
         judge = Judge.of(profile, name, others, n, rng, cancel or CancelToken())
         rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]
-        designed = judge.errors(information_of(rows))
-        random = random_until_equal(judge, {*parts, *judge.sizes(n)}, designed, n)
+        random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
         geometry = judge.determined(random[n][1])
         by_stops = []
         for part in parts:
             information = information_of(rows[:part])
             indices = observability(information, geometry, part)
             by_stops.append(_quality(part, judge.errors(information), random[part][0], indices))
+        designed = judge.errors(information_of(rows))
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
@@ -235,34 +236,10 @@ def arm_design(
         rejected=pool.rejected,
         designed=by_stops[-1],
         random=_quality(n, equal, equal, observability(of_random, geometry, n)),
-        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in random if size >= n}, n),
+        equal_to_random=equal_to_random(designed, {size: random[size][0] for size in judge.sizes(n)}, n),
         by_stops=tuple(by_stops),
         largest_gap=tuple(largest_gaps(without_turns(q, pool.q)).tolist()),
     )
-
-
-def random_until_equal(
-    judge: Judge, sizes: Collection[int], designed: Errors, stops: int
-) -> dict[int, tuple[Errors, Array]]:
-    """Random plans of ascending ``sizes`` up to the first that is nowhere worse than a design of ``stops`` stops.
-
-    Their equal lies among these: ``equal_to_random`` looks between the sizes where errors fall below the design's.
-    """
-    found = dict[int, tuple[Errors, Array]]()
-    least = np.full(3, np.inf)
-    for size, errors, information in judge.random_plans(sizes):
-        found[size] = errors, information
-        if size >= stops:
-            unit = found[stops][0].parameters
-            least = np.minimum(least, _three(errors, unit))
-            if np.all(least < _three(designed, unit)):
-                break
-    return found
-
-
-def _three(errors: Errors, unit: Array) -> Array:
-    """Logarithms (3,) of the three errors, standard errors in units of ``unit`` (k,)."""
-    return np.asarray(np.log([float(np.mean(errors.parameters / unit)), errors.mean, errors.worst]))
 
 
 def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) -> dict[ErrorName, float]:
@@ -271,11 +248,15 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
     ``parameters`` is the mean of the standard errors, each relative to that of ``stops`` random stops.
     """
     unit = random[stops].parameters
+
+    def three(one: Errors) -> Array:
+        return np.asarray(np.log([float(np.mean(one.parameters / unit)), one.mean, one.worst]))
+
     sizes = sorted(random)
-    curve = np.array([_three(random[size], unit) for size in sizes])
+    curve = np.array([three(random[size]) for size in sizes])
     curve = np.minimum.accumulate(curve, axis=0)  # a mean of few draws may rise again
     equal = [
         float(np.exp(np.interp(-wanted, -curve[:, k], np.log(sizes))))
-        for k, wanted in enumerate(_three(errors, unit).tolist())
+        for k, wanted in enumerate(three(errors).tolist())
     ]
     return dict(zip(ERROR_NAMES, equal, strict=True))

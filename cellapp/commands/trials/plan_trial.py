@@ -168,7 +168,7 @@ def _bound(
     others = {other: pool.q for other, pool in pools.items() if other != name}
     with threadpool_limits(limits=1, user_api="blas"):
         judge = Judge.of(profile, name, others, stops, rng, cancel)
-        random = {size: errors for size, errors, _ in judge.random_plans(judge.sizes(stops))}
+        random = {size: errors for size, (errors, _) in judge.random_plans(judge.sizes(stops)).items()}
         rows = judge.rows(pools[name].q)
         candidates = Candidates(rows, np.eye(rows.shape[2]))
         criterion = Criterion(random[stops].parameters, judge.points)

@@ -88,8 +88,7 @@ def close_gaps(
     easy = np.argsort(design.losses(), kind="stable")  # losses change slowly: only the first ones are followed
     easy, later = easy[:_FOLLOWED], easy[_FOLLOWED:]
     design.track(candidates.rows[chosen[easy]])
-    staying, taken, added = np.ones(len(chosen), dtype=bool), np.zeros(len(q), dtype=bool), list[int]()
-    taken[chosen] = True
+    staying, added = np.ones(len(chosen), dtype=bool), list[int]()
     hopeless = set[tuple[int, float]]()
     ends = np.stack([q.min(axis=0), q.max(axis=0)])
     for _ in range(len(chosen)):
@@ -98,21 +97,19 @@ def close_gaps(
         inside = _closing(q, np.concatenate([stops, ends]), limits, hopeless)
         if inside is None:
             break
-        inside = rng.permutation(inside[~taken[inside]])[:_MOST_LOOKED_AT]
+        inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
         inside = inside[design.largest(candidates.rows[inside], _COMPARED)]
         best = int(inside[np.argmax(design.gains_of(candidates.rows[inside]))])
-        ordered = np.sort(np.concatenate([stops, q[[best]]]).T, axis=1)
-        free = staying[easy] & _dispensable(ordered, q[chosen[easy]], limits)
-        while not free.any() and len(later):
+        free = staying & _dispensable(np.concatenate([stops, q[[best]]]), limits, staying)
+        while not free[easy].any() and len(later):
             easy, later = later[:_FOLLOWED], later[_FOLLOWED:]
             design.track(candidates.rows[chosen[easy]])
-            free = staying[easy] & _dispensable(ordered, q[chosen[easy]], limits)
-        if not free.any():
+        if not free[easy].any():
             break
-        leaving = int(easy[np.argmin(np.where(free, design.losses(), np.inf))])
+        leaving = int(easy[np.argmin(np.where(free[easy], design.losses(), np.inf))])
         design.add(candidates.rows[best])
         design.remove(candidates.rows[chosen[leaving]])
-        staying[leaving] = taken[chosen[leaving]] = False
+        staying[leaving] = False
         added.append(best)
     return np.concatenate([chosen[staying], np.array(added, dtype=np.intp)])
 
@@ -139,13 +136,14 @@ def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, flo
     return None
 
 
-def _dispensable(ordered: Array, stops: Array, limits: Array) -> NDArray[np.bool_]:
-    """Mask (k,) of ``stops`` (k, N) without which no gap beyond the limits opens in any joint; all stops are
-    ``ordered`` (N, n), each joint by itself."""
-    found = np.ones(len(stops), dtype=bool)
-    for row, position, limit in zip(ordered, stops.T, limits.tolist(), strict=True):
-        place = np.searchsorted(row, position)
-        before, after = row[np.maximum(place - 1, 0)], row[np.minimum(place + 1, len(row) - 1)]
-        between = (place > 0) & (place < len(row) - 1) & (after - before <= limit)
-        found &= between | ((after == position) & (place < len(row) - 1))  # another stop may have the same position
+def _dispensable(stops: Array, limits: Array, staying: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mask of the first stops (those ``staying``) whose loss opens no gap beyond the limits in any joint."""
+    order = np.argsort(stops, axis=0)
+    ordered = np.take_along_axis(stops, order, axis=0)
+    without = np.zeros_like(ordered, dtype=bool)
+    without[1:-1] = ordered[2:] - ordered[:-2] <= limits[None]
+    spare = np.empty_like(without)
+    np.put_along_axis(spare, order, without, axis=0)
+    found = np.zeros(len(staying), dtype=bool)
+    found[staying] = np.logical_and.reduce(spare, axis=1)[: int(staying.sum())]
     return found

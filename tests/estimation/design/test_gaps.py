@@ -84,15 +84,3 @@ def test_too_strict_a_limit_keeps_the_number_of_stops() -> None:
     _, q, _, _ = clustered()
     found, _ = closed(q, np.array([1e-3, 1e-3]))
     assert len(found) == COUNT
-
-
-@pytest.mark.parametrize("weak", [1, 2])
-def test_of_two_stops_at_one_position_the_one_that_tells_less_goes(weak: int) -> None:
-    q = np.array([[0.0], [5.0], [5.0], [7.0], [6.0]])  # nothing can be reached between 0 and 5
-    rows = np.random.default_rng(0).normal(size=(5, 3, 4))
-    rows[weak] *= 0.1
-    candidates, chosen = Candidates(rows, np.eye(4)), np.arange(4)
-    criterion = Criterion(np.ones(4), rows)
-    limits, rng = np.array([1.2]), np.random.default_rng(1)
-    found = close_gaps(candidates, q, chosen, criterion, limits, np.empty((0, 1)), rng, CancelToken())
-    assert set(found.tolist()) == {0, 1, 2, 3, 4} - {weak}
