@@ -36,6 +36,7 @@ from cellapp.estimation.motion.refinements import REFINED, alternatives, refinin
 from cellapp.estimation.motion.shaped import FREQUENCIES, lagging_joints, reshaped, settled, strongest_vibration
 from cellapp.estimation.motion.steps import (
     LOOK_ALIKES,
+    ONLY_MOTION,
     SHOWN,
     MotionEffect,
     State,
@@ -69,8 +70,6 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
-_OF_MOTION = (Law.LAG, Law.INERTIA)
-"""Laws that only motion has. They are tried after all others, as they take up what lost motion and springs leave."""
 _AS_LIKELY = 4.5
 """Difference of log likelihoods within which the more usual of two counts is taken: three standard deviations."""
 _SHAPED_ROUNDS = 8
@@ -429,7 +428,8 @@ class _Search:
                 log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
                     tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
-        for _, trial, step in sorted(tried, key=lambda each: (each[2].law in _OF_MOTION, each[0])):
+        # laws that only motion has come last: they take up what lost motion and springs leave
+        for _, trial, step in sorted(tried, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
             judged = self._judged(trial)
             if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
                 rivals = [one.log_p for _, _, one in tried if {one.law, step.law} == set(LOOK_ALIKES)]
@@ -486,7 +486,7 @@ class _Search:
 
 def _least_gain(law: Law | MotionLaw) -> float:
     """Ratio of held-out errors that a law must gain: those that only motion has are worth a place where they show."""
-    return _AS_WELL if law in _OF_MOTION else 1.0
+    return _AS_WELL if law in ONLY_MOTION else 1.0
 
 
 def _whitened(state: State) -> State:

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
-from cellapp.estimation.motion.terms import JointState, JointTerm, Masses, state_at_rest, state_in_motion
+from cellapp.estimation.motion.terms import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.kinematics.workspace import Workspace
 
-_CHUNK = 2048
 _BLOCK_RATE = 25.0
 """Averaged residuals a second from which the noise is read: motion and its correlation are slower."""
 _MOST_BLOCKS = 8000
@@ -124,12 +123,12 @@ def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -
     """Measured less computed points (n, 3) [m] of some rows of one recording."""
     left = np.empty((len(rows), 3))
     geometry, (offsets, rate) = model.geometry, model.clock(number)
-    for first in range(0, len(rows), _CHUNK):
-        part = rows[first : first + _CHUNK]
+    for first in range(0, len(rows), CHUNK):
+        part = rows[first : first + CHUNK]
         u = track.controller_times(part, offsets, rate)
         state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
         q = state.q + state.offsets(model.layout.terms, model.of_terms)
-        left[first : first + _CHUNK] = track.p_M[part] - smr_positions(geometry, q)
+        left[first : first + CHUNK] = track.p_M[part] - smr_positions(geometry, q)
     return left
 
 
@@ -184,7 +183,7 @@ def _chunks(
     averages of ``each``."""
     k, arm = len(model.layout.columns_of(number)), model.layout.arm
     geometry, (offsets, rate), work = model.geometry, model.clock(number), Workspace()
-    step = max(1, _CHUNK // each) * each
+    step = max(1, CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
         u = track.controller_times(part, offsets, rate)
@@ -273,4 +272,4 @@ def _arm_columns(
 
 def _block_length(track: Track, count: int, most: int) -> int:
     """Neighbours that are averaged before the noise is read, in ``most`` blocks."""
-    return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), _CHUNK)
+    return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), CHUNK)

@@ -38,7 +38,8 @@ from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
-_CHUNK = 2048
+CHUNK = 2048
+"""Times of a recording that are computed at once: memory does not grow with their number."""
 _OWN_INERTIA = 0.02
 """Of a joint's own link about its axis [kg m^2], which point masses on the axis do not have."""
 
@@ -256,7 +257,7 @@ class JointState:
         if self.course is None:
             return np.zeros_like(self.q)
         path, time_s = self.course
-        return np.stack([path.even.at(row, time_s) for row in path.even.qdd.T], axis=1)
+        return rows_at(time_s, path.even.time_s, path.even.qdd)
 
     def quantity(self, name: str) -> Array:
         """What laws of plug-ins take, (n, N), by their name for it."""
@@ -303,8 +304,8 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
 
 
 def _in_chunks(path: JointPath, time_s: Array, masses: Masses) -> Array:
-    """``torques_in_motion`` at many times: memory does not grow with their number."""
-    parts = np.array_split(time_s, -(-len(time_s) // _CHUNK))
+    """``torques_in_motion`` at many times."""
+    parts = np.array_split(time_s, -(-len(time_s) // CHUNK))
     return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
 
 
