@@ -1,4 +1,4 @@
-"""A table of texts whose columns are always as wide as their longest text."""
+"""A table of texts whose rows are always measured and whose columns are as wide as their longest text."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from textual.widgets import DataTable
 
 
 class TextTable(DataTable[Text]):
-    """A ``DataTable`` that forgets drawn cells when its size changes.
+    """A ``DataTable`` that measures its rows when it is mounted and forgets drawn cells when its size changes.
 
-    Textual measures new rows when the table is idle. A busy computer may draw them before that, in columns as narrow as
-    their headings, and Textual 8 keeps what it drew then.
+    Textual measures new rows when the table has handled a message and is idle. On a busy computer two things go wrong
+    in Textual 8. A table whose place is asked for before the screen is laid out is taken for shown already: it gets no
+    message and stays empty. One that is drawn before it is measured keeps columns as narrow as their headings.
     """
+
+    def on_mount(self) -> None:
+        """Measure rows that were added before, without waiting for a message of the layout."""
+        self.check_idle()
 
     def watch_virtual_size(self) -> None:
         """Draw all cells again with the columns' present widths."""
