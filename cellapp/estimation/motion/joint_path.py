@@ -109,12 +109,15 @@ class JointPath:
             starts = t[first + moved.argmax(axis=0)[moved.any(axis=0)]]
             if len(starts):
                 begun[first:last] = t[first:last] >= min(starts.max(), starts.min() + _SLOWEST_S)
-        return begun[np.clip(np.searchsorted(t, time_s, side="right") - 1, 0, len(t) - 1)]
+        return begun[self.samples_at(time_s)]
+
+    def samples_at(self, time_s: Array) -> NDArray[np.intp]:
+        """The last samples (n,) before times (n,) [s], the first one before it."""
+        return np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
 
     def segment_at(self, time_s: Array) -> NDArray[np.intp]:
         """Segment of the controller's clock at times (n,) [s]."""
-        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
-        return self.stamps.segment[place]
+        return self.stamps.segment[self.samples_at(time_s)]
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
@@ -142,25 +145,27 @@ class JointPath:
         share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
         return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
 
-    def fading_at(self, time_s: Array, q: Array, joint: int, fading: Fading) -> Array:
-        """What a joint at positions ``q`` (n,) at times (n,) [s] has not taken up yet of its lost motion (n,): ``d``
-        just after it began from the middle, 0 after a long way; up to ``2 d`` after a turn from the other edge, if
-        kept."""
-        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
+    def fading_at(self, samples: NDArray[np.intp], q: Array, joint: int, fading: Fading) -> Array:
+        """What a joint at positions ``q`` (n,) after ``samples`` (n,) has not taken up yet of its lost motion (n,):
+        ``d`` just after it began from the middle, 0 after a long way; up to ``2 d`` after a turn from the other edge,
+        if kept."""
         turns = self._turns[joint]
-        number = turns.number[place]
+        number = turns.number[samples]
         side = turns.side[number]
         if not fading.kept:
             travel = np.abs(q - turns.q[number]) / fading.reach
             return np.asarray(side * np.exp(-(travel**2 if fading.bell else travel)))
-        plays = np.clip(turns.plays[number], q[:, None] - _WIDTHS, q[:, None] + _WIDTHS)
-        return np.asarray(side - ((q[:, None] - plays) / _WIDTHS) @ fading.shares())
+        taken_up = q[:, None] / _WIDTHS
+        taken_up -= turns.plays[number]
+        return np.asarray(side - np.clip(taken_up, -1.0, 1.0, out=taken_up) @ fading.shares())
 
     def travel_at(self, time_s: Array, q: Array) -> Array:
         """Travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them turned round, or
         began to move after a gap of the recording: what its last motion is to a joint at rest."""
-        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
-        return np.column_stack([q[:, joint] - turns.q[turns.number[place]] for joint, turns in enumerate(self._turns)])
+        samples = self.samples_at(time_s)
+        return np.column_stack(
+            [q[:, joint] - turns.q[turns.number[samples]] for joint, turns in enumerate(self._turns)]
+        )
 
     @cached_property
     def _turns(self) -> tuple[_Turns, ...]:
@@ -175,14 +180,14 @@ class JointPath:
             side = sides[np.append(first[1:], len(sides)) - 1]
             q = np.asarray(self._position(self.stamps.time_s[first])[:, joint])
             plays = play(np.repeat(q[:, None], len(_WIDTHS), axis=1), _WIDTHS)
-            found.append(_Turns(np.cumsum(turned) - 1, q, side, plays))
+            found.append(_Turns(np.cumsum(turned) - 1, q, side, plays / _WIDTHS))
         return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class _Turns:
     """Where a joint turned round or a run began: the number (m,) of the last turn of each sample, and of each turn the
-    position (K,) [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W) [rad]."""
+    position (K,) [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W), in these."""
 
     number: NDArray[np.intp]
     q: Array

@@ -257,7 +257,8 @@ def _arm_columns(
 ) -> tuple[Array, Array]:
     """Computed points (3, n) and their derivatives by the joints (3, N, n); ``out`` takes those by the parameters."""
     size, joints = model.layout.geometric, model.layout.parameters.joints
-    angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms))
+    units = [term.offset(state) for term in model.layout.terms]
+    angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms, units))
     thetas = tuple(6 + 5 * joint for joint in range(joints))
     wanted = model.layout.parameters.columns
     added = tuple(theta for theta in thetas if theta not in wanted)
@@ -265,8 +266,8 @@ def _arm_columns(
     out[:, :size] = J[:, len(added) :]
     place = {column: i for i, column in enumerate(added + wanted)}
     by_joint = J[:, [place[theta] for theta in thetas]]
-    for number, term in enumerate(model.layout.terms):
-        np.multiply(by_joint[:, term.joint], term.offset(state), out=out[:, size + number])
+    for number, (term, unit) in enumerate(zip(model.layout.terms, units, strict=True)):
+        np.multiply(by_joint[:, term.joint], unit, out=out[:, size + number])
     return P, by_joint
 
 

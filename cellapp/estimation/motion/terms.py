@@ -22,11 +22,13 @@ constants, frequencies and dampings are not linear: their terms are those at a s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.motion.joint_path import BEND_S, Fading, JointPath
 from cellapp.robot.effects import MotionLaw
@@ -205,15 +207,16 @@ class JointTerm:
         torque = state.torque[:, j]
         return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
 
-    def turned(self, state: JointState, value: float) -> Array:
-        """Offset of the joint (n,) for a value of the parameter [rad]; of shaped terms, with what the shape gives."""
+    def turned(self, state: JointState, value: float, unit: Array) -> Array:
+        """Offset of the joint (n,) for a value of the parameter [rad], ``unit`` (n,) being its ``offset``; of shaped
+        terms, with what the shape gives."""
         if self.law is Law.TIME_CONSTANT and state.course is not None:
             path, time_s = state.course
             at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
-            return np.asarray(at_shape + (value - self.shape[0]) * self.offset(state))
+            return np.asarray(at_shape + (value - self.shape[0]) * unit)
         if self.law is Law.VIBRATION and self.part:
             value -= self.shape[self.part]
-        return np.asarray(value * self.offset(state))
+        return np.asarray(value * unit)
 
     def _of_course(self, state: JointState) -> Array:
         """The same of laws that depend on the whole course of a motion."""
@@ -243,13 +246,19 @@ class JointState:
         """What a joint has not taken up yet of its lost motion (n,), against its direction; at rest as if it had come
         from the middle, as what it had taken up before its last motion is not known."""
         if self.course is not None:
-            path, time_s = self.course
-            return path.fading_at(time_s, self.q[:, joint], joint, fading)
+            return self.course[0].fading_at(self._samples, self.q[:, joint], joint, fading)
         if self.step is None:
             return np.zeros(len(self.q))
         return np.asarray(
             self.direction[:, joint] * left_by_motion(self.step[:, joint], fading.reach, bell=fading.bell)
         )
+
+    @cached_property
+    def _samples(self) -> NDArray[np.intp]:
+        """The last samples (n,) of the path."""
+        assert self.course is not None
+        path, time_s = self.course
+        return path.samples_at(time_s)
 
     @cached_property
     def qdd(self) -> Array:
@@ -265,12 +274,13 @@ class JointState:
             return self.qdd
         return {"q": self.q, "qd": self.qd, "tau": self.torque, "approach": self.direction}[name]
 
-    def offsets(self, terms: tuple[JointTerm, ...], values: Array) -> Array:
-        """Sum of the offsets of all terms (n, N) [rad]."""
+    def offsets(self, terms: tuple[JointTerm, ...], values: Array, units: Sequence[Array] | None = None) -> Array:
+        """Sum of the offsets of all terms (n, N) [rad]; ``units`` are their offsets per unit, where they are known."""
         total = np.zeros_like(self.q)
-        for term, value in zip(terms, values.tolist(), strict=True):
+        for number, (term, value) in enumerate(zip(terms, values.tolist(), strict=True)):
             if value:
-                total[:, term.joint] += term.turned(self, value)
+                unit = term.offset(self) if units is None else units[number]
+                total[:, term.joint] += term.turned(self, value, unit)
         return total
 
 

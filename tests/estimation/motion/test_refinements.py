@@ -36,7 +36,7 @@ def test_what_is_kept_is_that_of_plays_in_parallel():
     behind = motion.at(fine) - gradual(motion.at(fine), np.ones(6), REACH)
     truth = np.column_stack([np.interp(t, fine, column) for column in behind.T])
     for joint in range(6):
-        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=True))
+        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=True))
         surely = np.abs(direction[:, joint]) == 1.0
         np.testing.assert_allclose((direction[:, joint] - left)[surely], truth[surely, joint], atol=0.05)
 
@@ -48,7 +48,7 @@ def test_what_begins_anew_fades_with_the_travel_since_the_turn(bell):
     q = motion.at(t)
     for joint in range(6):
         turn, side = q[0, joint], 0.0
-        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=False, bell=bell))
+        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=False, bell=bell))
         for i in range(1, len(t)):
             now = np.sign(q[i, joint] - q[i - 1, joint])
             if now != side:
