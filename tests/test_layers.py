@@ -204,6 +204,7 @@ def test_every_name_in_these_rules_is_a_module() -> None:
     assert {path.parent.name for path in (ROOT / "cellapp").glob("*/__init__.py")} == {*GROUPS, "docs"}
 
 
+@pytest.mark.slow
 def test_imports_go_down() -> None:
     for module, others in imports_between_files().items():
         group = module.split(".")[1] if module.startswith("cellapp.") else ""
@@ -265,6 +266,7 @@ def test_only_some_rooms_read_settings_and_fewer_open_devices() -> None:
         assert [one for one in found if not f"{one}.".startswith(allowed)] == [], name(path)
 
 
+@pytest.mark.slow
 def test_loading_the_profile_loads_no_driver() -> None:
     """Settings modules import neither numpy nor a device library, so that every command starts fast."""
     heavy = {"numpy", "serial", "rtde_control", "clr", *DRIVERS}
@@ -310,6 +312,7 @@ def test_doors_are_used_by_nobody_inside() -> None:
                 assert imports_of(path, "cellapp.interfaces.tui") == [], name(path)
 
 
+@pytest.mark.slow
 def test_nothing_that_runs_foreign_code_or_hides_errors() -> None:
     for path in MODULES:
         for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
@@ -355,6 +358,7 @@ def test_nothing_waits_by_sleeping_in_tests() -> None:
         assert "time.sleep" not in [ast.unparse(node) for node in sleeps], path.name
 
 
+@pytest.mark.slow
 def test_every_package_that_is_imported_is_declared() -> None:
     """What another package brings along by chance is missing where that changes."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -30,6 +30,7 @@ def test_a_kind_without_lines_elsewhere_is_named_in_its_own_folder_alone() -> No
         assert "greet" not in path.read_text("utf-8").lower(), path
 
 
+@pytest.mark.slow
 def test_a_screen_is_named_in_the_registry_of_screens_alone() -> None:
     for entry in SCREENS:
         word = re.compile(rf"\b{entry.class_name}\b")

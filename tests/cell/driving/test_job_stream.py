@@ -24,6 +24,7 @@ LINES: tuple[type, ...] = (Heartbeat, Answer, Ending)
 st.register_type_strategy(float, st.floats(allow_nan=False))  # NaN equals nothing; see below
 
 
+@pytest.mark.slow
 @given(st.one_of(*map(st.from_type, DETAILS)), st.from_type(Progress))
 def test_every_detail_comes_back_as_it_was(detail: Detail, event: Progress) -> None:
     told = Progress(event.job, event.done, event.total, event.note, event.eta_s, detail)

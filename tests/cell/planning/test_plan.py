@@ -153,6 +153,7 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
         plan_stops(profile)
 
 
+@pytest.mark.slow
 def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     profile = small_twin(3)
     home = profile.arms["right"].home

@@ -297,10 +297,10 @@ def test_many_errors_are_counted(twin: Path) -> None:
         (b"a: 1\n--- \nb: 2\n", 2, "not YAML"),
         (b"a: &a [*a]\n", 1, "nested too deeply"),
         (b"a: *nothing\n", 1, "not YAML"),
-        (b"a: " + b"[" * 2000, None, "nested too deeply"),
-        (b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
+        pytest.param(b"a: " + b"[" * 2000, None, "nested too deeply", marks=pytest.mark.slow),
+        pytest.param(b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
             b"%c: &%c [%s]\n" % (letter, letter, b",".join([b"*%c" % (letter - 1)] * 10)) for letter in b"bcdefgh"
-        ), None, "more than 100000 values"),
+        ), None, "more than 100000 values", marks=pytest.mark.slow),
         (b"version: 99\nbrand: new\n", 1, "install a newer cellapp"),
     ],
 )  # fmt: skip

@@ -101,6 +101,7 @@ def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> Non
         np.testing.assert_allclose(pose_matrix(pose.new or ()), pose_matrix(told), atol=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**31), length=st.floats(0.0, 2e-3), angle=st.floats(0.0, 3e-3))
 def test_any_arm_is_inverted_below_a_micrometre(seed: int, length: float, angle: float) -> None:

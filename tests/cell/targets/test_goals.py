@@ -78,6 +78,7 @@ def check_goals(goals: ArmGoals, position_M: Array, rotation_M: Array) -> None:
     np.testing.assert_allclose(goals.rotation_M, np.broadcast_to(rotation_M, goals.rotation_M.shape), atol=_AT_M)
 
 
+@pytest.mark.slow
 @given(poses, poses)
 def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array) -> None:
     targets = everywhere(T_M_S, T_M_W)
@@ -86,6 +87,7 @@ def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array
     check_goals(goals, T_M_S[:3, 3], T_M_S[:3, :3])
 
 
+@pytest.mark.slow
 @given(poses, poses)
 def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array) -> None:
     goals = goals_of_arm(MODEL, everywhere(T_M_S, T_M_W), "left")

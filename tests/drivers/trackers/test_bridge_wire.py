@@ -81,6 +81,7 @@ def test_points_arrive_bit_for_bit(one, other):
 keys = st.from_regex(r"[a-z][a-z0-9._]{0,9}", fullmatch=True)
 
 
+@pytest.mark.slow
 @given(st.integers(0, wire.LAST_SEQUENCE), st.dictionaries(keys, texts))
 def test_any_text_fits_a_field(sequence, fields):
     fields = {key: wire.text(value, 60) for key, value in fields.items()}

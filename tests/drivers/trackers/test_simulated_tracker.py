@@ -61,6 +61,7 @@ def test_the_noise_is_half_the_permissible_error_along_and_across_the_beam(make_
     assert covariance[7] == pytest.approx(expected, rel=1e-12, abs=1e-24)
 
 
+@pytest.mark.slow
 def test_longer_averaging_reduces_noise_and_covariance(make_plant):
     plant = make_plant(noise=True)
     p = np.tile([0.5, 3.0, 0.2], (5000, 1))

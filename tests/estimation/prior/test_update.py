@@ -73,6 +73,7 @@ def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedA
     assert np.abs(off).max() < 2e-7
 
 
+@pytest.mark.slow
 def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prove(arm: SimulatedArm) -> None:
     six = arm.with_probe(np.array([0.1, -0.2, 0.3]))
     change = np.zeros((6, 5))

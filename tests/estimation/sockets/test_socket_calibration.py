@@ -63,6 +63,7 @@ def test_a_longer_distance_fixes_the_scale_better() -> None:
     assert words[1] < 0.5 * words[0]
 
 
+@pytest.mark.slow
 def test_a_bad_row_is_left_out_and_named() -> None:
     arm = led(1, gauge_m=0.4)
     q = arm.readings.q.copy()

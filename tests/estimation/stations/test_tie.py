@@ -38,6 +38,7 @@ def test_exact_points_give_the_true_poses() -> None:
     assert ties["west"].nests == ("F4", "F5", "F6")
 
 
+@pytest.mark.slow
 def test_the_uncertainty_at_a_point_is_the_stated_one() -> None:
     far = np.array([[1.0, 0.5, 0.2]])
     off, stated = [], []

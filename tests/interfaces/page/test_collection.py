@@ -57,6 +57,7 @@ def run(folder: Path) -> Iterator[RunFile]:
         yield opened
 
 
+@pytest.mark.slow
 def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: RunFile) -> None:
     state = collection_state(run)
     assert state is not None

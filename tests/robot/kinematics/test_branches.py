@@ -61,6 +61,7 @@ def test_chains_without_a_closed_form_are_solved_from_samples(chain: Geometry) -
         assert gaps.min() > 1e-5, "no solution twice"
 
 
+@pytest.mark.slow
 def test_samples_find_nearly_all_branches_of_a_general_arm() -> None:
     position, rotation = poses(GENERAL, 8, seed=2)
     found = found_by(GENERAL, position, rotation)

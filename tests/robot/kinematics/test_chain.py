@@ -51,6 +51,7 @@ def plain_product(geometry, q):
     return T
 
 
+@pytest.mark.slow
 @given(seeds, st.integers(2, 8))
 @settings(max_examples=60, deadline=None)
 def test_positions_agree_with_the_product_of_matrices(seed, joints):
@@ -65,6 +66,7 @@ def test_positions_agree_with_the_product_of_matrices(seed, joints):
         np.testing.assert_allclose(smr_positions(geometry, q)[k], T[:3, :3] @ geometry.tool + T[:3, 3], atol=1e-12)
 
 
+@pytest.mark.slow
 @given(seeds, st.integers(2, 8))
 @settings(max_examples=40, deadline=None)
 def test_jacobian_is_the_derivative_of_the_positions(seed, joints):

@@ -59,6 +59,7 @@ def test_unchanged_fleets_raise_no_alarm() -> None:
     assert fleets[0].trends_tested == 3
 
 
+@pytest.mark.slow
 def test_standard_errors_that_are_too_small_by_the_stated_factor_raise_none_either() -> None:
     rng = np.random.default_rng(4)
     alarms = 0
