@@ -18,6 +18,7 @@ import numpy as np
 from drivers.plant.climate import joint_rise
 from drivers.plant.config import Array
 from drivers.plant.inertia import inertia_torques
+from drivers.plant.lags import lagging
 from drivers.plant.plant import Plant
 from drivers.plant.recent import smr_in
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
@@ -152,12 +153,9 @@ def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array
     time_s = np.arange(0.0, len(commanded) * cycle_s + 2.0 * _REST_S, _STEP_S)
     at = np.arange(len(commanded), dtype=np.float64) * cycle_s + _REST_S
     goal = _at(time_s, at, commanded)
-    keep = float(np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
-    q = goal - start  # at rest before it begins: two equal lags one after the other are critically damped
-    for _ in range(2):
-        for row in range(1, len(q)):
-            q[row] = keep * q[row - 1] + (1.0 - keep) * q[row]
-    return time_s, np.asarray(q + start)
+    keep = np.full(len(start), np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
+    # at rest before it begins: two equal lags one after the other are critically damped
+    return time_s, lagging(lagging(goal - start, keep), keep) + start
 
 
 def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -181,10 +179,9 @@ def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarr
 def _turns(q: Array) -> np.ndarray:
     """Rows at which some joint turns round: the arm moves without any reversal between two of them."""
     way = np.sign(np.diff(q, axis=0))
-    for row in range(1, len(way)):  # a joint at rest has turned round only when it moves the other way
-        still = way[row] == 0.0
-        if still.any():
-            way[row, still] = way[row - 1, still]
+    # a joint at rest has turned round only when it moves the other way
+    moved = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way))[:, None], 0), axis=0)
+    way = np.take_along_axis(way, moved, axis=0)
     return np.flatnonzero((way[1:] * way[:-1] < 0.0).any(axis=1)) + 1
 
 

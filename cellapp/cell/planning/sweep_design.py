@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,14 @@ from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_co
 from cellapp.estimation.motion.forecast import Expected, foreseen_laws, motion_information
 from cellapp.estimation.motion.joint_path import joint_path
 from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import JointState, JointTerm, Masses, state_at_rest, state_in_motion
+from cellapp.estimation.motion.terms import (
+    JointState,
+    JointTerm,
+    Masses,
+    state_at_rest,
+    state_in_motion,
+    torques_in_motion,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions
@@ -64,7 +71,9 @@ class ExpectedArm:
             path = joint_path(JointStream(time_s=time_s, q=motion.at(time_s), qd=motion.at(time_s, 1)))
             # the ends are left out: accelerations need neighbours
             chosen = np.arange(_INDEPENDENT_S, motion.period_s - _INDEPENDENT_S / 2.0, _INDEPENDENT_S)
-            states.append(state_in_motion(path, chosen, self.masses, torques=True))
+            state = state_in_motion(path, chosen, None, torques=False)
+            # at these few times only: what fits keep is at hundreds of times as many
+            states.append(replace(state, torque=torques_in_motion(path, chosen, self.masses)))
         q, qd, direction, torque = (
             np.concatenate([getattr(state, word) for state in states]) for word in ("q", "qd", "direction", "torque")
         )

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters
+from drivers.plant.lags import lagging
 from drivers.plant.mechanism import Mechanism
 
 _FASTER = 8.0
@@ -26,9 +27,7 @@ class DriveLag(Effect):
         late = np.column_stack([np.interp(time_s - d, time_s, own) for d, own in zip(self.delay, q.T, strict=True)])
         step_s = float(time_s[1] - time_s[0])
         for time_constant in (self.time_constant, self.time_constant / _FASTER):
-            keep = np.exp(-step_s / np.maximum(time_constant, 1e-6))
-            for row in range(1, len(late)):
-                late[row] = keep * late[row - 1] + (1.0 - keep) * late[row]
+            late = lagging(late, np.exp(-step_s / np.maximum(time_constant, 1e-6)))
         return np.asarray(late - q)
 
 

@@ -36,7 +36,7 @@ from cellapp.ground.progress import Progress, SweepLive
 from cellapp.ground.results import CALIBRATE
 from tests.twin import small_twin
 
-STOPS = 4
+STOPS = 2
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def copied(planned: Path, folder: Path) -> RunFile:
 def swinging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two stops, and about each a sweep of either arm, the other one swinging where there is room."""
     folder = tmp_path_factory.mktemp("swinging") / "run"
-    new_planned_run(small_twin(plan={"method": "random", "other_arm": "swinging"}), folder, sweeps=2).close()
+    new_planned_run(small_twin(plan={"method": "random", "other_arm": "swinging"}), folder, sweeps=STOPS).close()
     return folder
 
 
@@ -66,7 +66,7 @@ def test_every_sample_of_a_planned_sweep_is_seen_clear_and_slow(plan: str, reque
         sweeps, stops, profile = read_sweeps(run), read_planned_stops(run), run.profile
         result = plan_result(run)
     cell = cell_bodies(profile)
-    assert len(stops) == (STOPS if plan == "planned" else 2)
+    assert len(stops) == STOPS
     assert result.sweeps is not None
     assert sum(its.n for its in result.sweeps.values()) == len(sweeps) > len(stops)
     assert "sweeps about its stops" in str(PLAN.view(result).parts)
