@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
@@ -138,13 +139,6 @@ class _Change(NamedTuple):
     sign: float
 
 
-_ROW, _COLUMN = np.triu_indices(3)
-"""The six different elements of a symmetric matrix (3, 3)."""
-_COFACTORS = np.array([(3, 5, 4, 4), (2, 4, 1, 5), (1, 4, 2, 3), (0, 5, 2, 2), (1, 2, 0, 4), (0, 3, 1, 1)]).T
-"""Elements of which two products make each of its cofactors: the first less the second."""
-_TWICE = np.where(_ROW == _COLUMN, 1.0, 2.0)
-
-
 @dataclass(eq=False)
 class _Tracked:
     """Candidates with the six elements (6, s) of V and of U while the design changes; ``rows`` are (p, 3 s).
@@ -169,14 +163,14 @@ class _Tracked:
             return
         products = np.concatenate([change.columns for change in changes]) @ self.rows
         for change, both in zip(changes, products.reshape(len(changes), 2, 3, 3, -1), strict=True):
-            (G, B), (G_other, B_other) = both[:, :, _ROW], both[:, :, _COLUMN]
+            (G, B), (G_other, B_other) = both[:, :, ROW], both[:, :, COLUMN]
             self.V -= change.sign * np.einsum("cem,cem->em", G, G_other)
             self.U -= np.einsum("cem,cem->em", G, B_other)
             self.U -= np.einsum("cem,cem->em", B, G_other)
 
     def traces(self, sign: float) -> Array:
         """tr((I + sign V)^-1 U) (s,)."""
-        return _trace_of_solution(self.V, self.U, sign)
+        return trace_of_solution(self.V, self.U, sign)
 
 
 def _ahead(rows: Floats, matrix: Floats) -> Floats:
@@ -187,17 +181,7 @@ def _ahead(rows: Floats, matrix: Floats) -> Floats:
 def _products(rows: Floats, ahead: Floats) -> Array:
     """The elements (6, s) of ``x C x^T`` of candidates x and ``x C``."""
     whole = np.einsum("sap,sbp->abs", ahead, rows)
-    return np.asarray(whole[_ROW, _COLUMN])
-
-
-def _trace_of_solution(V: Array, U: Array, sign: float) -> Array:
-    """tr((I + sign V)^-1 U) (s,) of symmetric matrices with elements (6, s), by cofactors."""
-    A = sign * V
-    A[_TWICE == 1.0] += 1.0
-    first, second, third, fourth = A[_COFACTORS]
-    cofactors = first * second - third * fourth
-    determinant = np.einsum("es,es->s", A[:3], cofactors[:3])
-    return np.asarray(np.einsum("e,es,es->s", _TWICE, cofactors, U) / determinant)
+    return np.asarray(whole[ROW, COLUMN])
 
 
 def _inverse_root(matrix: Array) -> Array:
@@ -250,7 +234,7 @@ class BlockDesign:
         looked_at = np.argpartition(-first_order, min(_FIRST_ORDER * count, len(rows) - 1))[: _FIRST_ORDER * count]
         near = rows[looked_at].astype(np.float32, copy=False)
         V, U = _products(near, _ahead(near, C)), _products(near, ahead[looked_at])
-        return looked_at[np.argpartition(-_trace_of_solution(V, U, 1.0), count)[:count]]
+        return looked_at[np.argpartition(-trace_of_solution(V, U, 1.0), count)[:count]]
 
     def promising(self, rows: Array, count: int) -> Rows:
         """Numbers of the ``count`` candidates of the largest tr(U) among ``rows`` (s, 3, p): their gain to first order.

@@ -21,6 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 _RIDGE = 1e-11
@@ -132,8 +133,8 @@ class SequentialDesign:
 
     def gains(self) -> Array:
         """Increase of lambda by each candidate, (m,)."""
-        weights = np.linalg.inv(np.eye(3) + self.variance)
-        return np.asarray(np.einsum("kmc,mce,kme->m", self.error, weights, self.error, optimize=True)) / len(self.error)
+        squares = np.einsum("kme,kme->em", self.error[:, :, ROW], self.error[:, :, COLUMN]) / len(self.error)
+        return trace_of_solution(self.variance[:, ROW, COLUMN].T, squares, 1.0)
 
     def add(self, candidate: int) -> None:
         """Add a candidate to the design."""

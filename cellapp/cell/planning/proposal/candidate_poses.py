@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.plan import draw_stops, rolled_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.many_motions import free_motions
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -128,15 +129,12 @@ def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.ra
 def _within_reach(gate: CellBodies, name: str, q: Array, home: Array) -> NDArray[np.bool_]:
     """Mask (n,) of configurations (n, N) that an arm alone in the cell reaches on straight motions from others."""
     without_others = alone(gate, name)
-    reached = np.zeros(len(q), dtype=bool)
-    for k, goal in enumerate(q):
-        free = 0
-        for start in (home, *q[[(k + 1 + i) % len(q) for i in range(min(_NEIGHBOURS, len(q) - 1))]]):
-            free += not refuse_motion(without_others, {name: start}, {name: goal})
-            if free >= _LEAST_REACHED_FROM:
-                reached[k] = True
-                break
-    return reached
+    free = np.zeros(len(q), dtype=np.intp)
+    neighbours = (np.roll(q, -1 - i, axis=0) for i in range(min(_NEIGHBOURS, len(q) - 1)))
+    for start in (np.broadcast_to(home, q.shape), *neighbours):
+        left = np.flatnonzero(free < _LEAST_REACHED_FROM)
+        free[left] += free_motions(without_others, {name: start[left]}, {name: q[left]})
+    return np.asarray(free >= _LEAST_REACHED_FROM)
 
 
 def alone(gate: CellBodies, name: str) -> CellBodies:
