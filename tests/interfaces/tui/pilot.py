@@ -54,7 +54,7 @@ async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s:
                 await _rest(pilot, _LOOK_S)
             while app.return_code is None:
                 await _rest(pilot, _DRAWN_S)
-                if not app.is_running or shown_text(app).strip():
+                if not app.is_running or app.screen._compositor.visible_widgets:
                     break
     except TimeoutError:
         assert isinstance(app, CellApp)
