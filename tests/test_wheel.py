@@ -72,7 +72,7 @@ def alone(site: Path, cwd: Path, *commands: str) -> str:
     done = subprocess.run(
         [sys.executable, "-P", "-W", "error", "-c", COMMANDS, *commands],
         cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(site)},
+        env={**os.environ, "PYTHONPATH": str(site), "PYTHONDONTWRITEBYTECODE": ""},  # two processes, compiled once
         capture_output=True,
         text=True,
         timeout=WAIT_S,

@@ -36,11 +36,14 @@ def _smaller(best: float, best_time_s: float, distances: Array, times_s: Array) 
 
 def _point_to_segment(p: Array, a: Array, b: Array) -> Array:
     segment = b - a
-    square = (segment * segment).sum(axis=-1)
-    share = ((p - a) * segment).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
-    nearest = a + np.clip(share, 0.0, 1.0)[..., None] * segment
-    distance: Array = np.linalg.norm(p - nearest, axis=-1)
-    return distance
+    square, to = _dot(segment, segment), p - a
+    share = _dot(to, segment) / np.where(square > 0.0, square, 1.0)
+    away = to - np.minimum(np.maximum(share, 0.0), 1.0)[..., None] * segment
+    return np.sqrt(_dot(away, away))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -53,13 +56,12 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
         np.minimum(_point_to_segment(c, a, b), _point_to_segment(d, a, b)),
     )
     u, v, w = b - a, d - c, c - a
-    uu, vv, uv = (u * u).sum(axis=-1), (v * v).sum(axis=-1), (u * v).sum(axis=-1)
-    uw, vw = (u * w).sum(axis=-1), (v * w).sum(axis=-1)
+    uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     determinant = uu * vv - uv**2
     crossing = determinant > 1e-12 * uu * vv
     divisor = np.where(crossing, determinant, 1.0)
     s, t = (vv * uw - uv * vw) / divisor, (uv * uw - uu * vw) / divisor
     crossing &= (s > 0.0) & (s < 1.0) & (t > 0.0) & (t < 1.0)
-    gap = np.linalg.norm(w + t[..., None] * v - s[..., None] * u, axis=-1)
-    nearest: Array = np.where(crossing, np.minimum(distance, gap), distance)
+    across = w + t[..., None] * v - s[..., None] * u
+    nearest: Array = np.where(crossing, np.minimum(distance, np.sqrt(_dot(across, across))), distance)
     return nearest

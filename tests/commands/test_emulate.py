@@ -41,7 +41,7 @@ pytestmark = pytest.mark.waits
 
 PATIENT_S = 60.0
 PACE = 200.0
-STOPS = 20
+STOPS = 12
 SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
 HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)

@@ -107,8 +107,9 @@ def test_drift_follows_from_the_points_and_their_times(tested: tuple[Iso9283Resu
 def crossing(track: list[Point], place: Point, normal: Point) -> Point:
     """Where a track crosses a plane, next to ``place``."""
     best: Point | None = None
-    for a, b in pairwise(track):
-        low, high = (sum(n * (p[k] - place[k]) for k, n in enumerate(normal)) for p in (a, b))
+    (nx, ny, nz), (px, py, pz) = normal, place
+    heights = [nx * (x - px) + ny * (y - py) + nz * (z - pz) for x, y, z in track]
+    for (a, b), (low, high) in zip(pairwise(track), pairwise(heights), strict=True):
         if low <= 0.0 < high:
             share = low / (low - high)
             x, y, z = (a[k] + share * (b[k] - a[k]) for k in range(3))

@@ -31,11 +31,12 @@ from tests.trials.command import run_trial
 from tests.twin import PROFILES
 
 STOPS = 30
-SEEDS = (*range(32), 33, 34, 39, 45, 47, 10531)
-"""In the first 32 every kind of fault strikes; in the others, faults whose bad handling must be found strike again.
+SEEDS = (1, 2, 3, 6, 8, 9, 10, 12, 13, 14, 17, 18, 20, 21, 22, 24, 29, 30, 31, 33, 34, 39, 45, 47, 10531)
+"""In these every kind of fault strikes, and several times those whose bad handling must be found.
 
 In the last one a person's stop comes after another cause, and was recorded under the name of that.
 """
+OTHER_SEEDS = tuple(seed for seed in range(32) if seed not in SEEDS)
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +65,11 @@ def test_the_engine_survives_the_campaigns(campaigns: list[Campaign]) -> None:
     assert struck == set(KINDS), "every fault struck at least once"
 
 
+@pytest.mark.long
+def test_the_engine_survives_more_campaigns(bench: Bench) -> None:
+    assert failures(bench, *OTHER_SEEDS) == set()
+
+
 def test_the_same_seed_is_the_same_campaign(bench: Bench) -> None:
     first, second, other = (run_campaign(bench, seed)[0] for seed in (7, 7, 8))
     assert replace(first, seconds=0.0) == replace(second, seconds=0.0)
@@ -72,7 +78,7 @@ def test_the_same_seed_is_the_same_campaign(bench: Bench) -> None:
 
 def test_processes_do_not_change_the_result() -> None:
     profile = load_profile(PROFILES / "twin.yaml")
-    alone, shared = (campaign_trials(profile, 3, 3, STOPS, Resources(jobs=jobs)) for jobs in (1, 2))
+    alone, shared = (campaign_trials(profile, 2, 3, 10, Resources(jobs=jobs)) for jobs in (1, 2))
     times = {"seconds_mean": 0.0, "seconds_worst": 0.0}
     assert alone.model_copy(update=times) == shared.model_copy(update=times)
 

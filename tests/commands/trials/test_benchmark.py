@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellapp.commands.trials.benchmark.methods import neural_network, symbolic_regression
 from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.commands.trials.benchmark.methods.relevance import relevant_rows
 from cellapp.commands.trials.benchmark.problem import Answer
@@ -215,7 +216,9 @@ def test_a_store_has_no_answers_to_other_problems_of_the_same_folder(folder: Pat
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_every_method_answers(folder: Path, name: str) -> None:
+def test_every_method_answers(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(symbolic_regression, "_POPULATION", 60)
+    monkeypatch.setattr(neural_network, "_STEPS", 150)
     problem, _ = sealed_problem(folder / "one", "run-0001", "left")
     answer = METHODS[name](problem)
     assert answer.p_M.shape == (ROWS["validate_"], 3)
