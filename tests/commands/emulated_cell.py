@@ -27,8 +27,10 @@ _STALLED = (
     "its driver process was silent",
     "its driver process did not answer",
     "no answer from the tracker within",
+    "no state came for",
 )
-"""What stops the arms where other programs take the processor for some tenths of a second; the bridge is on it, too."""
+"""What stops the arms where other programs take the processor for some tenths of a second; bridge and emulated
+controllers are on it, too."""
 T = TypeVar("T")
 
 
