@@ -213,6 +213,7 @@ def test_imports_go_down() -> None:
             assert [other for other in others if f"{other}.".startswith(above)] == [], module
 
 
+@pytest.mark.slow
 def test_no_files_import_each_other() -> None:
     assert circles({"a": ["b"], "b": ["c"], "c": ["b"], "d": ["a"]}) == [["b", "c"]]
     assert circles(imports_between_files()) == []
