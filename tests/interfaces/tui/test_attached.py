@@ -258,24 +258,27 @@ def test_stop_in_a_second_window_stops_the_arms_of_the_first(
         terminal.process.wait(WAIT_S)
 
 
-@pytest.mark.parametrize("way", ["quit", "close", "terminate"])
+def quit_it(terminal: Terminal) -> None:
+    terminal.send("q")
+    shows(terminal, "Quit, it goes on")
+    terminal.send("y")
+
+
+def terminate(terminal: Terminal) -> None:
+    terminal.process.send_signal(signal.SIGTERM)
+
+
 def test_leaving_the_second_window_lets_the_first_go_on(
-    collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path, way: str
+    collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
 ) -> None:
-    with cellapp(tmp_path / "cell", PATIENT) as terminal:
-        shows(terminal, "Watch the job that runs now?")
-        terminal.send("o")
-        shows(terminal, "ATTACHED · EMULATED", "RUNNING")
-        if way == "quit":
-            terminal.send("q")
-            shows(terminal, "Quit, it goes on")
-            terminal.send("y")
-        elif way == "close":
-            terminal.hang_up()
-        else:
-            terminal.process.send_signal(signal.SIGTERM)
-        assert terminal.process.wait(WAIT_S) == 0
-    assert collecting.poll() is None
+    for leave in (quit_it, Terminal.hang_up, terminate):  # one window after the other, beside the same job
+        with cellapp(tmp_path / "cell", PATIENT) as terminal:
+            shows(terminal, "Watch the job that runs now?")
+            terminal.send("o")
+            shows(terminal, "ATTACHED · EMULATED", "RUNNING")
+            leave(terminal)
+            assert terminal.process.wait(WAIT_S) == 0, leave.__name__
+        assert collecting.poll() is None, leave.__name__
     cell.control("*", "pace", 200.0)
     assert collecting.wait(WAIT_S) == 0
     with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:

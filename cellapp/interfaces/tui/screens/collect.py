@@ -246,8 +246,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self._plot = (self._plot + 1) % shown
         for number, name in enumerate(_PLOTS):
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
-        for one in _VIEWS:
-            self.set_class(one == view, one)
+        self.update_classes({one: one == view for one in _VIEWS})
         log, stops = self.query_one(LogPane).view, self.query_one(CollectedStops).table
         self.set_focus({"log": log, "stops": stops, "collected": self.query_one(WrappedTables)}.get(view))
 
@@ -367,7 +366,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self._draw_suspicions(record)
         line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
         self.query_one("#residual-line", Static).update(line)
-        self.set_class(bool(line), "measured")
+        unheard = record.state is None and not record.arms
+        self.update_classes({"measured": bool(line), "unheard": unheard})  # at once: each change styles the whole screen
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
@@ -396,7 +396,6 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             box.mount(*panels.values())
         for name, panel in panels.items():
             panel.arm = record.arms.get(name, ArmRecord())
-        self.set_class(record.state is None and not record.arms, "unheard")
 
     def _arm_names(self, record: JobRecord) -> list[str]:
         profile = self.workspace.profile
