@@ -367,7 +367,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
         self.query_one("#residual-line", Static).update(line)
         unheard = record.state is None and not record.arms
-        self.update_classes({"measured": bool(line), "unheard": unheard})  # at once: each change styles the whole screen
+        # at once: each change styles the whole screen again
+        self.update_classes({"measured": bool(line), "unheard": unheard})
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
