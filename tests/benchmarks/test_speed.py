@@ -89,8 +89,6 @@ def test_cost_per_configuration_does_not_grow(benchmark):
     benchmark.pedantic(identify, args=small, rounds=3)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 @pytest.mark.benchmark(group="start")
 def test_help_is_there_at_once(benchmark):
     command = [sys.executable, "-m", "cellapp", "--help"]

@@ -85,8 +85,6 @@ def bent(file: Path, plan: PlannedStops, stop: int = 3) -> Path:
 # -- files ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: PlannedStops, tmp_path: Path) -> None:
     check = check_plan_file(quickly_planned(STOPS), file)
     assert (check.is_safe, check.stops, check.file) == (True, STOPS, str(file))

@@ -159,8 +159,6 @@ def test_joints_that_may_not_move_give_no_copies() -> None:
         assert len(np.unique(q, axis=0)) == 100
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 60_000)
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS_PER_CANDIDATE", 1)
@@ -240,8 +238,6 @@ def impossible(twin: Profile) -> dict[str, tuple[Profile, str, str]]:
 CAUSES = impossible(small_twin(3))
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 20_000)

@@ -76,8 +76,6 @@ def test_each_stop_is_chosen_once_and_the_seed_decides(
         np.testing.assert_array_equal(again[name], rows)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_designed_stops_tell_more_than_random_ones_on_unseen_points(judged: ArmDesign) -> None:
     designed, random = judged.designed, judged.random
     assert random.parameters == pytest.approx(1.0)

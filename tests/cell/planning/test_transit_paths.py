@@ -53,8 +53,6 @@ def replay(cell: CellBodies, here: dict[str, np.ndarray], way: TransitPath, ther
     return [one for one in found if one]
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_way_leads_round_a_pillar() -> None:
     profile = with_pillar(one_arm())
     cell = cell_bodies(profile)
@@ -78,8 +76,6 @@ def test_a_random_tree_leads_round_a_pillar() -> None:
     assert not any(refuse_motion(cell, a, b) for a, b in pairwise(stations))
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_arms_that_would_meet_go_another_way() -> None:
     profile = planned_twin(200)
     cell = cell_bodies(profile)
@@ -111,8 +107,6 @@ def test_roadmaps_know_what_the_limits_shut_off() -> None:
     assert len(path) == 0
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_an_arm_without_home_has_a_roadmap() -> None:
     profile = one_arm()
     arm = profile.arms["left"].model_copy(update={"home": None})

@@ -27,8 +27,6 @@ def test_designed_stops_are_worth_more_than_random_ones(result: PlanTrialsResult
     assert BARS.keys() == set(ERROR_NAMES), "every error has its bar"
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_the_bound_is_above_what_is_reached_and_only_where_it_was_asked_for(result: PlanTrialsResult) -> None:
     for one in result.trials:
         assert (one.bound is not None) == (one.seed == 1)

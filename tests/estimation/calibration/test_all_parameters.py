@@ -148,8 +148,6 @@ def test_stated_priors_are_used_as_stated_and_others_take_the_spread_of_the_arm(
     np.testing.assert_allclose(again.geometry.vector(), free.geometry.vector(), atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_the_uncertainty_of_predictions_covers_what_the_table_does_not_state():
     squares = []
     for seed in range(12):

@@ -48,8 +48,6 @@ def test_a_distance_that_would_do_is_named_and_does() -> None:
     assert "a tracker at 2.0 m or nearer" in words or "a tracker at 1.9 m or nearer" in words
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_number_of_cycles_that_would_do_is_named() -> None:
     tracker = instrument()
     limit = least_shown_mm("multidirectional", tracker, 4.0, 100)

@@ -314,8 +314,6 @@ def five_joints() -> Profile:
     return profile.model_copy(update={"arms": {"left": left.model_copy(update={"type": kind, "home": left.home[:5]})}})
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_the_drift_of_a_base_is_found() -> None:
     """A base that moves along its axis by 0.1 mm in ten minutes."""
     profile = cell_of(one_arm(), noise=False)

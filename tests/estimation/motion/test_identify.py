@@ -42,8 +42,6 @@ def clock_holds(clock, offset_s, rate_ppm, errors=4.0):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_clocks_geometry_and_play_are_those_of_the_simulated_arm(case):
     arm, motion, recording = case
     fit = fit_of(recording)
@@ -157,8 +155,6 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     assert fit.heldout_rms_mm < 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_small_steps_are_told_from_gaps(case):
     recording = case[2]
     time = recording.joints.time_s.copy()
@@ -171,8 +167,6 @@ def test_small_steps_are_told_from_gaps(case):
     assert all(abs(segment.offset_s - 0.0178) < 5e-4 for segment in clock.segments)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_gross_points_do_not_count(case):
     recording = case[2]
     rng = np.random.default_rng(12)
@@ -226,8 +220,6 @@ def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     assert one.scatter_m < 60e-6
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_play_that_a_fit_does_not_have_is_no_delay():
     """Both act against the motion: without play among what may lack, the delay is off by ten standard errors."""
     rng = np.random.default_rng(29)

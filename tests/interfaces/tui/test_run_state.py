@@ -176,8 +176,6 @@ def test_the_table_of_states_says_what_the_cases_ask_and_nothing_that_contradict
     assert not COMMAND.search(said)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_the_table_has_every_state_and_stands_in_the_handbook() -> None:
     assert list(STATES) == list(CASES)
     table = states_table()

@@ -90,8 +90,6 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
     ((accepted,), (its,)) = discovery.result.accepted, discovery.terms
     structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)

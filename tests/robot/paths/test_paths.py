@@ -177,8 +177,6 @@ def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
         assert refuse_stop(cell, {**others, wanted.arm: trajectory.q[row]}) == ""
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_the_example_paths_are_planned_for_both_arms(profile: Profile, model: CellModel) -> None:
     for wanted in load_paths(TWIN, profile):
         plan = planned(profile, model, wanted)
@@ -221,8 +219,6 @@ def test_random_small_paths_keep_tolerance_and_limits(
     assert_followed(profile, model, plan)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: CellModel) -> None:
     there_and_back = spec(
         poses=[
@@ -256,8 +252,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellModel) -> None:
     sent = planned(profile, model, load_paths(TWIN, profile, "left")[0]).trajectory
     assert sent is not None
@@ -313,8 +307,6 @@ def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
 # -- refusals ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_what_cannot_be_followed_is_refused_with_its_place(profile: Profile, model: CellModel) -> None:
     start = {"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}
     cases = {

@@ -69,8 +69,6 @@ def test_correction_is_milder_than_bonferroni_and_never_helps(checked: tuple[Des
         assert test.significant(p, 0.01) == (test.corrected(p) <= 0.01)
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_looking_after_every_stop_does_not_raise_false_alarms(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     moments, limit = Moments.of(stops), 0.1
@@ -91,8 +89,6 @@ def test_whole_check_keeps_its_false_alarms(checked: tuple[Design, StopRows]) ->
     assert np.mean([one.stops for one in found]) < PLANNED
 
 
-@pytest.mark.slow
-@pytest.mark.fast
 def test_a_visible_change_is_called_valid_no_more_often_than_stated(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     moments = Moments.of(stops)
