@@ -32,7 +32,8 @@ def is_fast(path: Path) -> bool:
         if ast.unparse(node) == "pytestmark = pytest.mark.fast":
             return True
         marks = node.decorator_list if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) else []
-        if "pytest.mark.fast" in [ast.unparse(mark) for mark in marks]:
+        words = [ast.unparse(mark) for mark in marks]
+        if "pytest.mark.fast" in words and "pytest.mark.slow" not in words:
             return True
     return False
 
