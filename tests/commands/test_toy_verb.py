@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schemas, written_results
+from cellapp.commands.schema.results import results_by_name, written_results
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.page.drawn import drawn_parts
@@ -59,7 +59,7 @@ def test_a_chart_on_the_page() -> None:
 
 def test_a_schema() -> None:
     assert GreetResult in written_results(WITH_TOY)
-    assert "toy-greet" in json_schemas(written_results(WITH_TOY))
+    assert "toy-greet" in results_by_name(written_results(WITH_TOY))
 
 
 def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from cellapp.cell.targets.path_file import load_paths
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schemas, written_results
+from cellapp.commands.schema.results import json_schema, results_by_name, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
 from tests.handbook.chapters import EXCERPT, Example
@@ -115,9 +115,9 @@ def _read_csv(path: Path, profile: Profile) -> None:
 
 def _read_json(example: Example) -> None:
     content = json.loads(example.text)
-    schemas = json_schemas(written_results(VERBS))
-    if isinstance(content, dict) and content.get("schema") in schemas:
-        jsonschema.validate(content, schemas[content["schema"]])
+    results = results_by_name(written_results(VERBS))
+    if isinstance(content, dict) and content.get("schema") in results:
+        jsonschema.validate(content, json_schema(results[content["schema"]]))
 
 
 def _written(example: Example, path: Path) -> Path:

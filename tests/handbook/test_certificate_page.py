@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schemas, written_results
+from cellapp.commands.schema.results import json_schema, results_by_name, written_results
 from cellapp.commands.sign_key.keys import load_sign_key
 from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
@@ -29,7 +29,7 @@ def ran(*arguments: str) -> tuple[int, str, dict[str, object]]:
     found: dict[str, object] = {}
     if Path("result.json").is_file():
         found = json.loads(Path("result.json").read_text("utf-8"))
-        jsonschema.validate(found, json_schemas(written_results(VERBS))[str(found["schema"])])
+        jsonschema.validate(found, json_schema(results_by_name(written_results(VERBS))[str(found["schema"])]))
     return (
         (1 if ended.exception and not isinstance(ended.exception, SystemExit) else ended.exit_code),
         ended.output,

@@ -33,14 +33,15 @@ def written_results(verbs: Iterable[Verb]) -> tuple[type[Result], ...]:
     return tuple(dict.fromkeys((*own, *WITHOUT_VERB)))
 
 
-def json_schemas(results: Iterable[type[Result]]) -> dict[str, dict[str, Any]]:
-    """JSON Schema (2020-12) of each result, by the name that its JSON objects carry under ``schema``.
+def results_by_name(results: Iterable[type[Result]]) -> dict[str, type[Result]]:
+    """Results by the name that their JSON objects carry under ``schema``."""
+    return {str(result.model_fields["schema_"].default): result for result in results}
 
-    As ``--json`` writes NaN and infinity as null, every number may be null.
-    """
-    return {
-        str(result.model_fields["schema_"].default): _nullable_numbers(result.model_json_schema()) for result in results
-    }
+
+def json_schema(result: type[Result]) -> dict[str, Any]:
+    """JSON Schema (2020-12) of a result. As ``--json`` writes NaN and infinity as null, every number may be null."""
+    schema: dict[str, Any] = _nullable_numbers(result.model_json_schema())
+    return schema
 
 
 def _nullable_numbers(schema: Any) -> Any:

@@ -16,8 +16,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.compare.run import compare_runs
 from cellapp.commands.fleet.run import compare_many, fleet
 from cellapp.commands.fleet.view import fleet_sentences, runs_table
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schemas, written_results
+from cellapp.commands.schema.results import json_schema
 from cellapp.estimation.monitoring.fleet.records import ArmHistory, FleetResult
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
@@ -47,7 +46,7 @@ def worn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def history(worn: Path) -> FleetResult:
     result = fleet([worn])
     assert FleetResult.from_json(result.to_json(), "fleet") == result
-    Draft202012Validator(json_schemas(written_results(VERBS))["cellapp-fleet"]).validate(json.loads(result.to_json()))
+    Draft202012Validator(json_schema(FleetResult)).validate(json.loads(result.to_json()))
     return result
 
 

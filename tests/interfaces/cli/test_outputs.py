@@ -210,7 +210,7 @@ def test_what_is_there_stays(
 WRITERS = [
     (("export", "R"), "--csv", b"configuration,arm"),
     (("show", "R"), "--json", b"{"),
-    (("schema",), "--json", b"{"),
+    (("schema", "cellapp-check"), "--json", b"{"),
     (("runs", "."), "--json", b"{"),
     (("docs", "backlash"), "--json", b"{"),
     (("fleet", "R"), "--page", b"<!DOCTYPE"),

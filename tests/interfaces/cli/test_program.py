@@ -13,9 +13,9 @@ import pytest
 
 import cellapp
 from cellapp.commands.doctor.result import DoctorResult, Finding
-from cellapp.commands.registry import VERBS
 from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.schema.results import json_schemas, written_results
+from cellapp.commands.schema.results import json_schema
+from cellapp.ground.results import ErrorResult
 from cellapp.interfaces.cli.program import wants_json
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.twin import write_profile
@@ -72,7 +72,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
     assert ended.json["exit_code"] == code
     assert text in ended.json["message"]
     assert ended.err  # a person still gets the sentence
-    jsonschema.validate(ended.json, json_schemas(written_results(VERBS))["cellapp-error"])
+    jsonschema.validate(ended.json, json_schema(ErrorResult))
 
 
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
