@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +20,9 @@ _MOST_WAYS = 6
 reach, and a detour is sought."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
+_AHEAD = 100
+"""Stops that are looked ahead: other steps of those whose motions the gate refuses are drawn and asked about together.
+Drawn together they do not balance each other, so that there must not be many."""
 
 Steps = Mapping[str, Array]
 """Arm -> signed steps of the last motion to one stop (N,) [rad]."""
@@ -42,19 +45,23 @@ class LegPlanner:
         self._step = factors.approaches()
         self._before: dict[int, Configuration | None] = {}
         """Where the arms are before each stop that is reached."""
+        self._others: dict[int, list[Steps]] = {}
+        """Other steps of stops ahead."""
         self.given_up: list[str] = []
         """One sentence for each stop that cannot be reached."""
 
     def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
         """The stops that can be reached, in their order."""
         n = len(self._arrangement.block)
-        self._ask_ahead(n)
+        self._ask((stop, self._planned_before(stop), self._own(stop)) for stop in range(n))
         legs: dict[int, Route] = {}
         here = self._start
         for stop in range(n):
             cancel.check()
             if stop % _REPORT_EVERY == 0:
                 report(stop, "ways")
+            if stop % _AHEAD == 0:
+                self._look_ahead(range(stop, min(stop + _AHEAD, n)))
             way = self._reach(stop, here)
             if isinstance(way, str):
                 self.given_up.append(f"a stop in block {self._arrangement.block[stop] + 1} has no way to it: {way}")
@@ -72,17 +79,28 @@ class LegPlanner:
         )
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
 
-    def _ask_ahead(self, n: int) -> None:
-        """Ask the gate about all motions as they are planned."""
-        begins = [self._begin_of(stop, {name: step[stop] for name, step in self._step.items()}) for stop in range(n)]
-        places = [self._at(stop) for stop in range(n)]
-        before = places[:-1] if self._start is None else [self._start, *places[:-1]]
-        self._finder.gate.ask(zip(begins, places, strict=True))
-        self._finder.gate.ask(zip(before, begins[n - len(before) :], strict=True))
+    def _look_ahead(self, stops: range) -> None:
+        """Draw other steps of the stops whose motions the gate refuses as they are planned, and ask about the first."""
+        refused = []
+        for stop in stops:
+            own, before = self._own(stop), self._planned_before(stop)
+            if not (self._last_is_free(stop, own) and self._way_is_free(stop, before, own)):
+                refused.append(stop)
+        self._others = self._other_steps([stop for stop in refused if self._arrangement.repeat_of[stop] < 0])
+        some = [(stop, others[0]) for stop, others in self._others.items() if others]
+        self._ask((stop, self._planned_before(stop), steps) for stop, steps in some)
+
+    def _own(self, stop: int) -> dict[str, Array]:
+        """Steps of a stop as they are planned."""
+        return {name: step[stop] for name, step in self._step.items()}
+
+    def _planned_before(self, stop: int) -> Configuration | None:
+        """Where the arms are before a stop, unless the one before it is given up."""
+        return self._start if stop == 0 else self._at(stop - 1)
 
     def _reach(self, stop: int, here: Configuration | None) -> Route | str:
         """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
-        own = {name: step[stop] for name, step in self._step.items()}
+        own = self._own(stop)
         usable, asked = None, 0
         for steps in self._steps_to(stop, here, own):
             if not self._last_is_free(stop, steps):
@@ -104,32 +122,49 @@ class LegPlanner:
     def _steps_to(self, stop: int, here: Configuration | None, own: Steps) -> Iterator[Steps]:
         """The planned steps of a stop, then others whose last motion begins where the arms may stand.
 
-        A repeat has those of its stop. The others are drawn when they are asked for, which is seldom. The gate mostly
-        accepts the first of them: it is asked about one, then about some at a time.
+        A repeat has those of its stop. The gate mostly accepts the first of the others: it is asked about one, then
+        about some at a time.
         """
         yield own
         if self._arrangement.repeat_of[stop] >= 0:
             return
-        patterns = self._factors.other_steps(self._step, stop)
-        begins = {name: q[stop] - patterns[name] for name, q in self._q.items()}
-        free = clear_stops(self._cell, begins)
-        others = [{name: rows[k] for name, rows in patterns.items()} for k in np.flatnonzero(free).tolist()]
+        others = self._others.pop(stop, None)
+        if others is None:  # the stop before is not where it was planned
+            others = self._other_steps([stop])[stop]
         asked = 0
         for number, steps in enumerate(others):
             if number == asked:
                 asked = 3 * number + 1
-                self._ask(stop, here, others[number:asked])
+                self._ask((stop, here, one) for one in others[number:asked])
             yield steps
 
-    def _ask(self, stop: int, here: Configuration | None, some: Sequence[Steps]) -> None:
-        """Ask the gate about the motions to a stop with some steps together."""
-        begins = [self._begin_of(stop, one) for one in some]
-        ways = [] if here is None else [(here, begin) for begin in begins]
-        self._finder.gate.ask([*((begin, self._at(stop)) for begin in begins), *ways])
+    def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
+        """Other steps of some stops, best balanced first, whose last motions begin where the arms may stand."""
+        drawn = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
+        if not drawn:
+            return {}
+        begins = {
+            name: np.concatenate([q[stop] - steps[name] for stop, steps in drawn.items()])
+            for name, q in self._q.items()
+        }
+        free = np.split(clear_stops(self._cell, begins), len(drawn))
+        return {
+            stop: [{name: rows[k] for name, rows in steps.items()} for k in np.flatnonzero(of_stop).tolist()]
+            for (stop, steps), of_stop in zip(drawn.items(), free, strict=True)
+        }
+
+    def _ask(self, motions: Iterable[tuple[int, Configuration | None, Steps]]) -> None:
+        """Ask the gate about the motions to stops, each from some place and with some steps, together."""
+        both = list[tuple[Configuration, Configuration]]()
+        for stop, here, steps in motions:
+            begin = self._begin_of(stop, steps)
+            both.append((begin, self._at(stop)))
+            both += [] if here is None else [(here, begin)]
+        self._finder.gate.ask(both)
 
     def _accepts(self, stop: int, steps: Steps) -> bool:
         """Whether the gate accepts other steps at a stop that is reached straight."""
-        self._ask(stop, self._before[stop], [steps])
+        self._ask([(stop, self._before[stop], steps)])
         return self._last_is_free(stop, steps) and self._way_is_free(stop, self._before[stop], steps)
 
     def _last_is_free(self, stop: int, steps: Steps) -> bool:
