@@ -36,14 +36,15 @@ def touches(
     limits = next(one.limits for one in plant.config.arms if one.name == arm)
     q = np.array(starts, dtype=np.float64)
     wanted = point_M + seating_m * rng.standard_normal((len(q), 3))
+    steps = _STEP_RAD * np.eye(q.shape[1])[:, None]
+    steps = np.stack([steps, -steps])  # of all postures in one call: it costs hardly more than that of one
     for _ in range(_ITERATIONS):
         off = wanted - _ball(plant, arm, q)
         if float(np.abs(off).max()) < _SETTLED_M:
             break
-        J = np.stack(
-            [_ball(plant, arm, q + step) - _ball(plant, arm, q - step) for step in _STEP_RAD * np.eye(q.shape[1])]
-        )
-        move = np.einsum("nja,na->nj", np.linalg.pinv(J.transpose(1, 2, 0) / (2.0 * _STEP_RAD)), off)
+        moved = _ball(plant, arm, (q + steps).reshape(-1, q.shape[1])).reshape(2, q.shape[1], len(q), 3)
+        J = (moved[0] - moved[1]) / (2.0 * _STEP_RAD)
+        move = np.einsum("nja,na->nj", np.linalg.pinv(J.transpose(1, 2, 0)), off)
         q += move * np.minimum(1.0, _LARGEST_RAD / np.maximum(np.abs(move).max(axis=1), 1e-12))[:, None]
     there = np.linalg.norm(wanted - _ball(plant, arm, q), axis=1) < 1e3 * _SETTLED_M
     return np.asarray(q[there & np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)])
