@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.robot.kinematics.chain import (
     Geometry,
     JointAngles,
@@ -109,7 +110,7 @@ class ParameterSet:
         k = len(self.columns)
         if self.scaled_information is None or self.unit is None:
             return np.zeros((k, 0))
-        shares = np.linalg.solve(self.scaled_information[:k, :k], self.scaled_information[:k, k:])
+        shares = solve_psd(self.scaled_information[:k, :k], self.scaled_information[:k, k:])
         return np.asarray(shares * self.unit[:k, None] / self.unit[k:])
 
     @cached_property

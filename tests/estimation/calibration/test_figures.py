@@ -47,9 +47,9 @@ def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time
     assert min(result.by_parameter.values()) > 0.88  # 4.5 standard deviations of 200 draws
 
 
-@pytest.mark.parametrize("seeds", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_the_redundant_model_does_not_converge_and_the_reduced_one_does(seeds):
-    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(seeds))
+def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
+    # of six, one or two converge all the same: which ones depends on the linear algebra library
+    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(3))
     assert result.failed == ()
     by_name = {(trial.parameter_set, trial.solver): trial for trial in result.arms["left"]}
     redundant, reduced = by_name["full", "plain"], by_name["auto", "plain"]

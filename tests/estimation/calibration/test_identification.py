@@ -10,7 +10,7 @@ from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.identification import TooFewReadings, identify, start_from_nominal
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, with_gradient
-from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
+from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions
 from drivers.plant import GeometryErrors
@@ -57,6 +57,13 @@ def test_a_dropped_parameter_has_the_effect_of_its_shares():
     assert chosen.merged["theta1"] == pytest.approx({"theta0": 1.0})
     assert chosen.merged["d3"] == pytest.approx({"d2": 1.0})
     assert chosen.merged["theta6"] == pytest.approx({"tx": -OFF_AXIS[1], "ty": OFF_AXIS[0]})
+
+
+def test_shares_of_readings_that_determine_less_than_the_columns_are_those_of_least_norm():
+    # six readings give 18 coordinates; whether elimination meets an exact zero depends on the linear algebra library
+    rows = np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
+    chosen = ParameterSet("given", 6, (0, 1), (2,), scaled_information=rows.T @ rows, unit=np.ones(3))
+    np.testing.assert_allclose(chosen.shares, [[0.5], [0.5]])
 
 
 def test_the_papers_sets_have_34_and_26_parameters():
