@@ -1,4 +1,4 @@
-"""Uniform configurations of one arm and how the tracker sees their SMR, without the poses of all frames.
+"""Random configurations of one arm and how the tracker sees their SMR, without the poses of all frames.
 
 An SMR that may be turned away by some 30 degrees faces the tracker in one of twenty configurations. Whether it does,
 and where the SMR is, follows from a few products of the pose of the first joints with that of the wrist. So each of a
