@@ -1,4 +1,4 @@
-"""A profile while a person writes it: the texts of a form, and the commented YAML that they make."""
+"""A profile while a person edits it: the texts of a form, and the commented YAML that is made of them."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from drivers.arms.registry import ARMS
 from drivers.trackers.registry import TRACKERS
 
 SURVEYED = "From tracker points:"
-"""How the comment begins that says where a base pose comes from."""
+"""Beginning of the comment that says where a base pose comes from."""
 _WIDTH = 118
-"""Longest line of YAML with a comment behind it; else the comment stands above."""
+"""Longest line of YAML with its comment after it; if longer, the comment stands above."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Filled:
 def fields_of(draft: ProfileDraft) -> Iterator[Filled]:
     """Yield all fields that the draft's kinds of devices and shapes have, in the order of the form.
 
-    Names of arms and of obstacles are no fields: they are keys.
+    Names of arms and of obstacles are not fields: they are keys.
     """
     yield Filled("name", NAME_FIELD, ("name",), draft.name)
     for index, arm in enumerate(draft.arms):
@@ -187,7 +187,7 @@ def obstacle_keys(shape: str) -> frozenset[str]:
 
 
 def needs_plant(draft: ProfileDraft) -> bool:
-    """Whether a device of the draft belongs to the simulated cell."""
+    """Return whether a device of the draft belongs to the simulated cell."""
     arms = [ARMS[arm.kind] for arm in draft.arms if arm.kind in ARMS]
     tracker = TRACKERS.get(draft.tracker.kind)
     return any(arm.needs_plant for arm in arms) or (tracker is not None and tracker.needs_plant)
@@ -286,7 +286,7 @@ plant:
 
 
 def draft_to_yaml(draft: ProfileDraft) -> str:
-    """Return the draft as commented YAML; empty fields are left out. ``load_profile`` reads it if the fields hold."""
+    """Return the draft as commented YAML without empty fields. ``load_profile`` reads it if the fields are valid."""
     filled = [item for item in fields_of(draft) if item.text.strip() or item.id == "name"]
     notes: dict[KeyPath, str] = {("arms", arm.name, "base"): arm.note for arm in draft.arms if arm.note}
     top, sections = filled[:1], filled[1:]
