@@ -62,8 +62,7 @@ def standardised(names: tuple[str, ...], values: Array) -> Columns:
 
 
 def posture_functions(profile: Profile, cell: CellBodies, name: str, q: Array) -> Columns:
-    """Compute sine and cosine of each joint, and gravity's torque about it, at configurations ``q`` (n, N) [rad] of an
-    arm.
+    """Compute sine, cosine and gravity torque of each joint at configurations ``q`` (n, N) [rad] of an arm.
 
     Effects that depend on posture are, to first order, combinations of these. Constant ones are left out.
     """

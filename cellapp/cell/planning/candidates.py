@@ -27,7 +27,7 @@ _ASKED_AT_ONCE = 1000
 """Number of configurations that the safety gate is asked about at once."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
-"""Draws after which the search ends: four times what a candidate takes in the twin cell, some seconds."""
+"""Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,7 +68,7 @@ def check_stops(
 
 
 def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
-    """List what gate or tracker's view refuse of each stop and of its last motion, whatever the order of stops.
+    """List what the gate or the tracker's view refuses of each stop and its last motion, whatever the order.
 
     Raises ``InputError`` if the profile does not describe the cell.
     """

@@ -1,4 +1,4 @@
-"""Which constraints exclude configurations of an arm from being measured, by how much, and what helps."""
+"""Constraints that exclude configurations of an arm from being measured: how many, by how much, and what helps."""
 
 from __future__ import annotations
 

@@ -74,8 +74,7 @@ class FactorPlan:
         return {name: levels[chosen].copy() for name in self._q}
 
     def approaches(self) -> dict[str, Array]:
-        """Choose signed steps of the last motions with balanced sides and sizes, arm -> (n, N) [rad]; 0: the joint
-        rests.
+        """Choose signed steps of the last motions, balanced in side and size, arm -> (n, N) [rad]; 0: the joint rests.
 
         They begin inside the joint limits; nothing else is checked.
         """
@@ -121,8 +120,7 @@ class FactorPlan:
         return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
 
     def improve(self, step: Mapping[str, Array], changeable: NDArray[np.bool_], accepts: Accepts) -> None:
-        """Change steps of single joints, where the gate accepts that, until no correlation is larger than
-        ``_IMPROVED``.
+        """Change steps of single joints, if the gate accepts, until no correlation exceeds ``_IMPROVED``.
 
         Only stops that are ``changeable`` (n,) and are not visited twice are changed; ``step`` is changed in place.
         """

@@ -108,11 +108,11 @@ class InformationModel:
         return len(self.size) - self.potential
 
     def rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64) -> Array:
-        """Differentiate whitened readings at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        """Compute whitened derivatives (n, 3, p) of readings at ``q`` (n, N) [rad] by parameters in units ``size``."""
         return self._rows(q, conditions, dtype, weighted=True)
 
     def prediction_rows(self, q: Array, conditions: MeasurementConditions) -> Array:
-        """Differentiate SMR positions [m] at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        """Compute derivatives (n, 3, p) [m] of SMR positions at ``q`` (n, N) [rad] by parameters in units ``size``."""
         return self._rows(q, conditions, weighted=False)
 
     def _rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64, *, weighted: bool) -> Array:

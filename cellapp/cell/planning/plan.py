@@ -18,8 +18,7 @@ from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 
 _TRIES_PER_STOP = 60
-"""Pairs of configurations tried for one stop. The twin cell accepts 58 % of them; at 8 %, still 99 % of stops are
-found."""
+"""Pairs of configurations tried for one stop. The twin cell accepts 58 %; at 8 %, still 99 % of stops are found."""
 _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 

@@ -57,7 +57,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """The measure by which plans of one arm are judged.
+    """Model, workspace points and random plans by which plans of one arm are judged.
 
     Attributes
     ----------

@@ -66,8 +66,8 @@ class PlannedStops:
     def take(self, rows: Sequence[int] | NDArray[np.intp]) -> PlannedStops:
         """Select some of the stops, in the given order.
 
-        Legs are dropped where another stop comes before than did, as they begin elsewhere. A repeat whose original is
-        not selected is no longer a repeat.
+        Legs to a stop with a new predecessor are dropped, as they begin elsewhere. A repeat of a stop that is not
+        selected becomes an ordinary stop.
         """
         chosen = np.asarray(rows, dtype=np.intp)
         place = np.full(len(self) + 1, -1, dtype=np.intp)  # the last one stands for "no repeat"

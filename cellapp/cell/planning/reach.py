@@ -93,7 +93,7 @@ class ArmRoadmap:
 
     @cached_property
     def _nodes(self) -> Array:
-        """Home and random clear configurations (m, N) [rad], at most half a turn from home where limits allow."""
+        """Home and random clear configurations (m, N) [rad], at most half a turn from home where limits allow that."""
         low, high = self._bodies.limits.T
         centre = 0.5 * (low + high) if self._home is None else self._home
         found = [centre[None]] if self._home is not None else []

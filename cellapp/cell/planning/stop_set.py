@@ -111,8 +111,7 @@ class StopSet:
         return combinations(range(len(self.q)), 2)
 
     def compatible_stops(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
-        """Return whether arm ``first`` is clear and visible at each of ``rows`` (m,) while ``second`` is at
-        ``partners`` (p,).
+        """Return whether arm ``first`` is clear and visible at ``rows`` (m,) while ``second`` is at ``partners`` (p,).
 
         Returns
         -------

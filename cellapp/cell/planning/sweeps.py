@@ -3,7 +3,7 @@
 Several random motions are drawn. The one is taken that tells most per second of geometry and effects, in addition to
 the stops and the sweeps before. It is made narrower until the tracker sees all of it and the gate accepts the whole
 path. Motions about successive stops alternate between two speeds. With ``plan.other_arm: swinging`` the other arm of
-two moves at the same time, half as fast and without being measured (``swings``).
+two moves at the same time, half as fast and without being measured (``PlannedSweep.beside``).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _NARROWEST = 0.08
 _SPEED_SHARE, _ACCELERATION_SHARE = 0.5, 0.5
 """Largest speed and acceleration, as shares of the joints' limits."""
 _JERK_S = 0.1
-"""Shortest time in which the acceleration may build up to its limit."""
+"""Shortest time [s] in which the acceleration may build up to its limit."""
 _FASTEST_M_S = 0.25
 """Largest speed of the SMR: the limit where a person can reach into the cell, and slow enough for any tracker."""
 _SEEN_S, _GATE_S = 0.1, 0.05
@@ -63,12 +63,12 @@ class Swing(Record):
     cosine: tuple[tuple[float, ...], ...]
 
     def motion(self, center: Array) -> Sweep:
-        """The motion about ``center`` (N,) [rad]."""
+        """Return the motion about ``center`` (N,) [rad]."""
         return Sweep(center, np.array(self.sine), np.array(self.cosine), self.period_s)
 
     @classmethod
     def of(cls, arm: str, motion: Sweep) -> Swing:
-        """That of a motion."""
+        """Return the coefficients of a motion."""
         sine, cosine = (tuple(map(tuple, table.tolist())) for table in (motion.sine, motion.cosine))
         return cls(arm=arm, period_s=motion.period_s, sine=sine, cosine=cosine)
 
@@ -81,11 +81,11 @@ class PlannedSweep(Swing):
 
     @property
     def name(self) -> str:
-        """What its recording is called."""
+        """Name of its recording."""
         return f"sweep-{self.stop + 1}"
 
     def motions(self, at: Mapping[str, Array]) -> dict[str, Sweep]:
-        """The motions of all arms that move about a stop ``at`` (arm -> (N,) [rad]); first that which is measured."""
+        """Return the motions of all arms that move about a stop ``at`` (arm -> (N,) [rad]), the measured one first."""
         moving = (self, *([] if self.beside is None else [self.beside]))
         return {one.arm: one.motion(at[one.arm]) for one in moving}
 

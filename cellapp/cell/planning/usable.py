@@ -97,7 +97,7 @@ def together(batches: Sequence[Usable]) -> Usable:
 
 
 def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:
-    """Those configurations that the safety gate finds visible and clear too: it has the last word on a plan."""
+    """Select the configurations that the safety gate, too, finds visible and clear: its answer is final."""
     admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
     rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
     return Usable(found.drawn, found.q[admitted], found.smr_M[admitted], found.incidence[admitted], rejected)

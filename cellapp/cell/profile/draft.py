@@ -36,10 +36,10 @@ _WIDTH = 118
 
 @dataclass(frozen=True)
 class ArmDraft:
-    """The fields of one arm, as typed; ``draft_fields.ARM_FIELDS`` says what each is.
+    """The fields of one arm, as typed; see ``draft_fields.ARM_FIELDS``.
 
-    ``source`` is the arm's name in the file that is edited, empty for a new arm. ``note`` says where the base pose
-    comes from; it becomes a comment.
+    ``source`` is the arm's name in the edited file, empty for a new arm. ``note`` names the source of the base pose; it
+    becomes a comment.
     """
 
     name: str = ""
@@ -208,7 +208,7 @@ def draft_of(text: str, path: Path) -> ProfileDraft:
 
 
 def draft_of_data(data: dict[str, Any], where: str) -> ProfileDraft:
-    """Return the draft of a profile's plain data; ``where`` begins a refusal."""
+    """Return the draft of a profile's plain data; ``where`` is the beginning of error messages."""
     arms = _mapping(data, "arms", where)
     for name in arms:
         if not isinstance(_mapping(arms, name, f"{where}: arms").get("type", ""), str):

@@ -23,7 +23,7 @@ _OBSTACLE: TypeAdapter[AnyObstacle] = TypeAdapter(AnyObstacle)
 
 @dataclass(frozen=True)
 class FieldProblem:
-    """What is wrong with one field.
+    """A problem of one field.
 
     Attributes
     ----------

@@ -84,7 +84,7 @@ def changed_on_disk(opened: OpenProfile) -> bool:
 
 
 def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
-    """Return what saving would write. Raises ``InputError`` if the opened text cannot be edited."""
+    """Return the text that saving would write. Raise ``InputError`` if the opened text cannot be edited."""
     wrong = wrong_names(draft)
     if wrong:
         return NewText(None, (), Checked(wrong))

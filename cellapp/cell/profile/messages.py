@@ -165,7 +165,7 @@ def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, li
 
 
 def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Place]) -> Iterator[ErrorDetails]:
-    """Drop "expected the word 'unknown', got a list" where another error concerns the same list."""
+    """Drop "expected the word 'unknown', got a list" if another error concerns the same list."""
     paths = [_walk(details["loc"], places)[0] for details in errors]
     for index, (at, details) in enumerate(zip(paths, errors, strict=True)):
         others = paths[:index] + paths[index + 1 :]

@@ -109,8 +109,7 @@ class _Read:
 def understood(
     names: Sequence[str], kind: Kind | Literal["readings"], own: Collection[str], orientation: Collection[str] = ()
 ) -> Understood:
-    """Interpret the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` those that are read
-    elsewhere.
+    """Interpret the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` are read elsewhere.
 
     A quantity with two candidate columns is left out, unless one of them is the measured one.
     """

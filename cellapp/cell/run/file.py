@@ -406,7 +406,7 @@ class RunFile:
             return insert_session(connection, utc_now(), again)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
-        """Record a request of a person, or what suspended or resumed a session."""
+        """Record a request of a person, or an event that suspended or resumed a session."""
         with self.change() as connection:
             insert_request(connection, session, utc_now(), kind, reason)
 

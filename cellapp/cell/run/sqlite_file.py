@@ -124,7 +124,7 @@ def damage_as_sentence(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def sentences(folder: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the file system into an ``InputError`` that names the file and what to do."""
+    """Convert errors of SQLite and of the file system to an ``InputError`` that names the file and what to do."""
     path = folder / FILE_NAME
     try:
         yield

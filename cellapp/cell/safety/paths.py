@@ -38,7 +38,7 @@ class SampledPath:
 
     @cached_property
     def deviation(self) -> float:
-        """Farthest that a point of any body is from where it is at the nearest sample [m]."""
+        """Largest displacement of any point of a body relative to its place at the nearest sample [m]."""
         return float(self.half_step @ self.arm.levers)
 
     @cached_property
@@ -48,7 +48,7 @@ class SampledPath:
 
     @property
     def spread(self) -> float:
-        """Farthest that a point of a body at any sample is from where it is at the nearest coarse sample [m]."""
+        """Largest displacement of a point of a body at a sample relative to the nearest coarse sample [m]."""
         return STRIDE * self.deviation
 
     @cached_property

@@ -61,7 +61,7 @@ class CandidateDesign:
 
 
 def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
-    """Expect the run's mean variances along the beam and across it for further readings, in the directions there.
+    """Predict the uncertainty of further readings: the run's mean variances along their beams and across them.
 
     Further stops count as positions alone, also where the run has orientations.
     """
