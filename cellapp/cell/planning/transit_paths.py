@@ -81,8 +81,7 @@ class TransitPlanner:
     def _first_free(
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> TransitPath | None:
-        """Find the shortest path that the gate accepts through one of the sequences ``between``; None if there
-        is none."""
+        """Find the shortest accepted path through one of the sequences ``between``; None if there is none."""
         ways = [list(pairwise([here, *through, there])) for through in between]
         shortest = [ways[k] for k in np.argsort(self._ways_s(ways), kind="stable")[:_MOST_ASKED].tolist()]
         for number, way in enumerate(shortest):
@@ -122,8 +121,7 @@ class TransitPlanner:
                 ]
 
     def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Yield paths through positions of one arm while the others have moved or wait, and through positions of all
-        arms."""
+        """Yield paths through positions of one arm, while the others have moved or wait, and of all arms."""
         alone = {name: self._detours_of_arm(name, here[name], there[name]) for name in there}
         for name, detours in alone.items():
             others = [other for other in there if other != name]
@@ -136,8 +134,7 @@ class TransitPlanner:
                 yield [dict(zip(alone, q, strict=True)) for q in zip(*together, strict=True)]
 
     def _detours_of_arm(self, name: str, start: Array, end: Array) -> list[list[Array]]:
-        """Find the shortest sequences of positions (N,) between ``start`` and ``end`` through which the arm alone is
-        clear."""
+        """Find short sequences of positions (N,) between ``start`` and ``end`` that keep the arm alone clear."""
         arm, roadmap = self._profile.arms[name], self.roadmaps[name]
         values, joints = np.stack([start, end, roadmap.rest]), len(start)
         if 3**joints <= _MIXTURES:
@@ -154,8 +151,7 @@ class TransitPlanner:
         return [[one] for one in q[clear][:_PASSED_ON]] + ([path] if path else [])
 
     def _by_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Yield paths through home, to and from it at once or one arm after the other, and with one arm at home
-        meanwhile."""
+        """Yield paths through home, all arms at once or one after the other, and with one arm at home meanwhile."""
         home = {name: self.roadmaps[name].rest for name in there}
         for first in ([], *self._one_after_the_other(here, home)):
             for second in ([], *self._one_after_the_other(home, there)):
@@ -231,8 +227,7 @@ class _Tree:
         return len(self.nodes) - 1
 
     def connect(self, space: _JointSpace, target: Array) -> int | None:
-        """Grow the tree step by step to ``target`` and return the index of the node there; None if the way
-        is blocked."""
+        """Grow the tree step by step to ``target`` and return the index of its node; None if the way is blocked."""
         while (new := self.extend(space, target)) is not None:
             if self.nodes[new] is target:
                 return new

@@ -21,8 +21,7 @@ degrees, nine digits lose 0.5 um in the median and 8 um at most, twelve 0.01 um 
 
 
 def controller_table(text: str, path: Path) -> dict[str, object]:
-    """Return the values of a profile's section ``factory`` from the text of a ``calibration.conf``, ignoring other
-    keys.
+    """Return the values of a profile's section ``factory`` from a ``calibration.conf``, ignoring its other keys.
 
     Raises
     ------

@@ -191,7 +191,7 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
     uw, vw = _dot(u, w), _dot(v, w)
-    s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s is a minimum
+    s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s will do
     t = _share(uv * s + vw, vv)
     s = _share(uv * t - uw, uu)
     gap = w + s[..., None] * u
@@ -200,8 +200,7 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 
 def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | float = np.inf) -> Array:
-    """Compute distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they
-    meet.
+    """Compute distances (n, p) [m] between bodies ``i`` and ``k`` (p,) of one arm; negative where their surfaces meet.
 
     Distances beyond ``within`` [m], (n, p) or what broadcasts to it, may be underestimated, but not below it: there a
     lower bound from bounding spheres is used, which takes a twentieth of the time.
