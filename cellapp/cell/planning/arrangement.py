@@ -1,4 +1,4 @@
-"""Pairing and order of the stops of all arms in random blocks: little travel, nothing confounded with time or pose."""
+"""Pairing and order of the stops of all arms in random blocks: little travel, posture not confounded with time."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _STOPS_PER_BLOCK = 100
-"""Fewer make ways longer, as each block goes through the whole workspace once; more leave too few blocks."""
+"""Stops of a block. Fewer make travel longer, as each block covers the whole workspace; more leave too few blocks."""
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
-"""Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
+"""Blocks of smaller plans, and stops in them: with fewer than four blocks, time and posture correlate; fewer than six
 stops are hardly a sample of the workspace."""
 _STEPS_PER_STOP = 3
-"""Steps of the search for each stop; twice as many save a percent of travel more."""
+"""Steps of the search for each stop; twice as many save only one percent more travel."""
 _LEAST_STEPS = 500
 _FORBIDDEN_STEPS = 20.0
-"""Cost of a pair that must not stand together, in usual steps: never worth it."""
+"""Cost of a pair that is not compatible, in mean steps: never worth it."""
 _PAIR_GOAL = 0.1
-"""Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
+"""Correlation of two arms' postures that costs ``_PAIR_WEIGHT``: below the largest accepted one."""
 _PAIR_WEIGHT = 7.5e-4
-"""Charge of a stop for a correlation of that size, in usual steps."""
+"""Cost of such a correlation for each stop, in mean steps."""
 _DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
-"""Correlations with posture that are small enough: of time, and of the other courses of a drift."""
+"""Acceptable correlations of time, and of the other drift courses, with posture."""
 _DECAY = 2.0
-"""Half the duration of a plan over the time constant of a drift that dies away: a warm arm after a quarter of it."""
+"""Half the duration of a plan over the time constant of an exponential drift: an arm is warm after a quarter of it."""
 _ORDERS = 2000
-"""Orders and directions of the blocks that are compared."""
+"""Number of random orders and directions of the blocks that are compared."""
 _REPEAT_CANDIDATES = 4
-"""Stops looked at for each that is repeated."""
+"""Number of stops considered for each repeat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Arrangement:
     Attributes
     ----------
     rows : array, shape (K, n), int
-        Number of the stop of each arm in the set.
+        Index of the stop of each arm in the set.
     block : array, shape (n,), int
     repeat_of : array, shape (n,), int
         Place of the stop that is visited again; -1 for none.
@@ -55,9 +55,9 @@ class Arrangement:
     repeat_of: NDArray[np.intp]
 
     def taken(self, source: NDArray[np.intp]) -> Arrangement:
-        """The stops in another order, or some of them; ``source`` holds their present places.
+        """Reorder the stops, or select some of them; ``source`` holds their current places.
 
-        Of two visits the later one is the repeat.
+        Of two visits the later one becomes the repeat.
         """
         place = np.full(self.rows.shape[1] + 1, -1, dtype=np.intp)
         place[source] = np.arange(len(source))
@@ -70,7 +70,7 @@ class Arrangement:
 
 
 def block_count(asked: int | None, stops: int) -> int:
-    """Number of blocks of a plan of some stops; ``asked`` is what the profile says."""
+    """Return the number of blocks of a plan of ``stops`` stops; ``asked`` is the number in the profile, if any."""
     if asked is not None:
         return max(1, min(asked, stops))
     return max(1, min(max(_LEAST_BLOCKS, round(stops / _STOPS_PER_BLOCK)), stops // _LEAST_STOPS))
@@ -104,7 +104,7 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
 
 
 def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Stops of each block (B, m), -1 beyond its size."""
+    """Return the indices of the stops of each block (B, m), -1 beyond its size."""
     members = np.full((len(sizes), int(sizes.max())), -1, dtype=np.intp)
     for number, size in enumerate(sizes.tolist()):
         members[number, :size] = np.flatnonzero(block == number)
@@ -112,7 +112,7 @@ def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.int
 
 
 def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array:
-    """Cost of the stops of two arms that must not stand together (pairs of arms, B, m, m) [s]; 0 of others."""
+    """Compute the cost of incompatible pairs of two arms' stops (pairs of arms, B, m, m) [s]; 0 for others."""
     pairs, m = list(stops.arm_pairs()), members.shape[2]
     cost = np.zeros((len(pairs), len(sizes), m, m))
     for number, (first, second) in enumerate(pairs):
@@ -123,12 +123,12 @@ def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array
 
 
 def _best_blocks(stops: StopSet, ways: list[Rows], rng: np.random.Generator) -> Arrangement:
-    """The ways through all blocks one after the other: order and directions at random, the best of many.
+    """Concatenate the blocks in the best of many random orders and directions.
 
-    Neither time nor other courses of a drift are to correlate with posture, and ways between blocks are to be short.
+    Neither time nor other drift courses should correlate with posture, and motions between blocks should be short.
     """
     blocks, n = len(ways), sum(way.shape[1] for way in ways)
-    both_ways = [*ways, *(way[:, ::-1] for way in ways)]  # block k, and turned round as block k + B
+    both_ways = [*ways, *(way[:, ::-1] for way in ways)]  # block k, and reversed as block k + B
     order = np.argsort(rng.random((_ORDERS, blocks)), axis=1)
     order += blocks * (rng.random(order.shape) < 0.5)
     first = np.stack([way[:, 0] for way in both_ways], axis=1)
@@ -144,9 +144,9 @@ def _best_blocks(stops: StopSet, ways: list[Rows], rng: np.random.Generator) -> 
 
 
 def _drift_correlations(stops: StopSet, ways: list[Rows], order: NDArray[np.intp]) -> Array:
-    """Largest correlation of each course of a drift with posture, for orders (r, B) of blocks: (courses, r).
+    """Compute the largest correlation of each drift course with posture, for orders (r, B) of blocks: (courses, r).
 
-    Blocks count as equally long, which they are but for one stop.
+    Blocks are taken as equally long; they differ by one stop at most.
     """
     blocks, size = order.shape[1], max(way.shape[1] for way in ways)
     drift = _drift_courses(blocks * size).reshape(-1, blocks, size)
@@ -159,7 +159,7 @@ def _drift_correlations(stops: StopSet, ways: list[Rows], order: NDArray[np.intp
 
 
 def _drift_courses(n: int) -> Array:
-    """Courses of a drift over n stops, with mean 0 and standard deviation 1: straight, curved twice, dying away."""
+    """Return drift courses over n stops with mean 0 and deviation 1: linear, quadratic, cubic, exponential."""
     time = np.linspace(-1.0, 1.0, n)
     courses = np.stack([time, time**2, time**3 - 0.6 * time, np.exp(-_DECAY * (time + 1.0))])
     centred = courses - courses.mean(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""Balance of planned factors: functions of posture, fair random blocks, levels that correlate with nothing.
+"""Balance of the planned factors: posture functions, balanced random blocks, levels without correlations.
 
-A factor that correlates with posture, time or another factor hides what it does behind what the other does. Levels are
-therefore not only drawn at random: they are changed, one at a time, until the largest correlation is small.
+If a factor correlates with posture, time or another factor, their effects cannot be separated. Levels are therefore not
+only drawn at random: they are changed, one at a time, until the largest correlation is small.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ _UP_C = np.array([0.0, 0.0, 1.0])
 _CONSTANT = 1e-6
 """A column whose standard deviation is below this share of the largest one's counts as constant."""
 _POWER = 6
-"""Power of correlations that is summed: large enough that the sum is ruled by the largest ones."""
+"""Power of the correlations in the sum that is minimised: high enough that the largest ones dominate."""
 _BLOCK_DRAWS = 50
-"""Draws of blocks of which the fairest is taken; chance decides among the others."""
+"""Number of random assignments of blocks, of which the best balanced is taken."""
 _CANDIDATES = 32
-"""Changes of a level whose effect is computed exactly: those with the largest gain to first order."""
+"""Number of level changes whose effect is computed exactly: those with the largest gain to first order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Variables (n, p) of n stops with mean 0 and standard deviation 1, and what each is."""
+    """Variables (n, p) of n stops with mean 0 and standard deviation 1, and their names."""
 
     names: tuple[str, ...]
     values: Array
 
     def first(self, count: int) -> Columns:
-        """The first ones."""
+        """Return the first ``count`` columns."""
         return Columns(self.names[:count], self.values[:, :count])
 
     def with_(self, *others: Columns) -> Columns:
-        """These and the others, side by side."""
+        """Return these columns and the others, side by side."""
         return side_by_side((self, *others))
 
 
 def side_by_side(columns: Iterable[Columns]) -> Columns:
-    """All of them, one after the other."""
+    """Concatenate columns side by side."""
     every = tuple(columns)
     return Columns(sum((one.names for one in every), ()), np.concatenate([one.values for one in every], axis=1))
 
 
 def standardised(names: tuple[str, ...], values: Array) -> Columns:
-    """Columns of ``values`` (n, p) that vary, with mean 0 and standard deviation 1."""
+    """Standardise the columns of ``values`` (n, p) to mean 0 and standard deviation 1; leave out constant ones."""
     centred = values - values.mean(axis=0)
     spread = np.sqrt(np.mean(centred**2, axis=0))
     varies = spread > _CONSTANT * max(float(spread.max(initial=0.0)), 1e-300)
@@ -62,7 +62,7 @@ def standardised(names: tuple[str, ...], values: Array) -> Columns:
 
 
 def posture_functions(profile: Profile, cell: CellBodies, name: str, q: Array) -> Columns:
-    """Sine and cosine of each joint and gravity's torque about it at configurations ``q`` (n, N) [rad] of an arm.
+    """Compute sine, cosine and gravity torque of each joint at configurations ``q`` (n, N) [rad] of an arm.
 
     Effects that depend on posture are, to first order, combinations of these. Constant ones are left out.
     """
@@ -76,7 +76,7 @@ def posture_functions(profile: Profile, cell: CellBodies, name: str, q: Array) -
 
 
 def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:
-    """Time, and each block against the others."""
+    """Return time, and for each block an indicator against the others."""
     numbers = np.unique(block)
     blocks = (block[:, None] == numbers).astype(np.float64) if len(numbers) > 1 else np.zeros((len(block), 0))
     names = ("time", *(f"block {number + 1}" for number in range(blocks.shape[1])))
@@ -84,11 +84,11 @@ def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:
 
 
 def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
-    """Block (n,) of each stop: random, but each block gets its part of similar stops.
+    """Assign a block (n,) to each stop at random, so that each block gets its share of similar stops.
 
-    Within each group of similar stops chance decides to which block each goes (a randomised block design); of many
-    draws the one whose blocks have the most equal means is taken (rerandomisation: Morgan, Rubin, Annals of Statistics
-    40 (2012) 1263).
+    Within each group of similar stops, the block of each is drawn at random (a randomised block design); of many draws
+    the one whose blocks have the most equal means is taken (rerandomisation: Morgan, Rubin, Annals of Statistics 40
+    (2012) 1263).
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generat
     best, least = np.zeros(len(features), dtype=np.intp), np.inf
     for _ in range(_BLOCK_DRAWS if count > 1 else 0):
         block = np.empty(len(features), dtype=np.intp)
-        for rows in groups:  # the rest that does not fill a group goes to the blocks that have one stop more
+        for rows in groups:  # an incomplete group goes to the blocks that have one stop more
             block[rows] = rng.permutation(count if len(rows) == count else longer)
         unfair = float(np.sum(((np.arange(count)[:, None] == block) @ features / sizes[:, None]) ** 2))
         if unfair < least:
@@ -112,7 +112,7 @@ def fair_blocks(features: Array, sizes: NDArray[np.intp], rng: np.random.Generat
 
 
 def _similar(features: Array, size: int) -> list[NDArray[np.intp]]:
-    """Groups of ``size`` similar stops: halved again and again along the direction in which they spread most.
+    """Split the stops into groups of ``size`` similar ones, by repeated halving along the direction of largest spread.
 
     The last group is smaller if the number of stops is no multiple of ``size``.
     """
@@ -133,10 +133,10 @@ def _similar(features: Array, size: int) -> list[NDArray[np.intp]]:
 def balanced_levels(
     levels: Array, allowed: NDArray[np.bool_], against: Array, rng: np.random.Generator, goal: float
 ) -> NDArray[np.intp]:
-    """Number of the level of each of n stops (n,), balanced and with small correlations.
+    """Choose a level for each of n stops, balanced and with small correlations; return the indices of the levels (n,).
 
-    Random levels are changed one at a time, each time the one that makes the sum of the sixth powers of the
-    correlations least, until the largest is at most ``goal`` or nothing gets better.
+    Random levels are changed one at a time, each time by the change that most reduces the sum of the sixth powers of
+    the correlations, until the largest is at most ``goal`` or nothing improves.
 
     Parameters
     ----------

@@ -24,10 +24,10 @@ them effects of the incidence could not be seen."""
 _INDEPENDENT = 4000
 """Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
 _ASKED_AT_ONCE = 1000
-"""Configurations about which the safety gate is asked together."""
+"""Number of configurations that the safety gate is asked about at once."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
-"""Draws after which the search ends: four times what a candidate takes in the twin cell, some seconds."""
+"""Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +61,11 @@ def draw_pool(
     rng: np.random.Generator,
     cancel: CancelToken | None = None,
 ) -> CandidatePool:
-    """``count`` candidates of an arm in random order, fewer where they are rare.
+    """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept. About half of them have their first joints, or
-    their wrist, in common with one or a few others; no two are equal.
+    with an incidence above ``plan.incidence`` a quarter is kept. About half of them have their first joints, or their
+    wrist, in common with one or a few others; no two are equal.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def draw_pool(
 
 
 def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:
-    """Usable configurations (N,) [rad] of an arm without end, independent and uniform in the joint ranges of the plan.
+    """Yield usable configurations (N,) [rad] of an arm without end, independent and uniform in the plan's joint ranges.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
     fruitless = 0
     while True:
         q = rng.uniform(low, high, size=(_INDEPENDENT, len(low)))
-        if cell.field is not None:  # most are turned away: that is told without bodies
+        if cell.field is not None:  # most face away from the tracker: that is checked without bodies
             q = q[in_view(cell.field, place(bare, q))]
         q = q[visible(cell, name, q)]
         q = q[clear_alone(cell, place(arm, q))]

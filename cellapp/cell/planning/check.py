@@ -1,4 +1,4 @@
-"""The safety gate over a whole plan once more: every stop, every way between stops, the tracker's view of each SMR."""
+"""A second check of a complete plan by the safety gate: every stop, every motion, the tracker's view of each SMR."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PROGRESS_EVERY = 10
 
 
 def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanCheckResult:
-    """Check the plan of a run. It only reads.
+    """Check the plan of a run; nothing is written.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToke
 def check_stops(
     profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> tuple[PlanRefusal, ...]:
-    """What the gate or the tracker's view refuses of a plan, from home through all stops and home again.
+    """List what the gate or the tracker's view refuses of a plan, from home through all stops and home again.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def check_stops(
 
 
 def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
-    """What the gate or the tracker's view refuses of each stop for itself and of its last motion, whatever the order.
+    """List what the gate or the tracker's view refuses of each stop and its last motion, whatever the order.
 
     Raises ``InputError`` if the profile does not describe the cell.
     """
@@ -85,7 +85,7 @@ def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal,
 
 
 def required_plan(run: RunFile) -> dict[str, Array]:
-    """The plan of a run, arm -> q (n, N) [rad]. Raises ``InputError`` without one."""
+    """Read the plan of a run, arm -> q (n, N) [rad]. Raise ``InputError`` if there is none."""
     plan = run.read_plan()
     if not plan or not len(next(iter(plan.values()))):
         raise InputError(f"{run.path}: the run has no plan (its readings were imported); make one with 'cellapp plan'")
@@ -103,7 +103,7 @@ def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanR
 def _way_refusals(
     cell: CellBodies, stops: PlannedStops, k: int, here: Configuration, homes: Configuration
 ) -> Iterator[PlanRefusal]:
-    """The refusal of the planned way to a stop, and how collection would get there all the same."""
+    """Yield the refusal of the planned motion to a stop, with the detour that collection would take, if any."""
     planned, *others = routes(stops, k, as_planned=True)
     reason = refused_route(cell, here, planned)
     if not reason or refuse_stop(cell, stops.targets(k)):

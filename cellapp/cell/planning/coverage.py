@@ -9,7 +9,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def joint_coverage(ranges: Array, q: Array) -> tuple[JointCoverage, ...]:
-    """Used part of the allowed ``ranges`` (N, 2) [rad] at configurations ``q`` (n, N) [rad], and its largest gap."""
+    """Compute what configurations ``q`` (n, N) [rad] use of the ``ranges`` (N, 2) [rad], and the largest gaps."""
     within = np.clip(q, ranges[:, 0], ranges[:, 1])
     sorted_q = np.sort(np.concatenate([ranges.T, within]), axis=0)
     gaps = np.diff(sorted_q, axis=0).max(axis=0)

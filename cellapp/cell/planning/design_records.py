@@ -1,4 +1,4 @@
-"""Results of designing a plan: what it tells against random plans, how balanced its factors are, its time; the view."""
+"""Results of designing a plan: its information against random plans, balance of its factors, its time; the view."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class PlanDesignResult(Result, schema="cellapp-plan-design"):
 
 
 FEW_CONFIGURATIONS = 100
-"""Shares of fewer configurations than these are taken as of these: one seen of three is no third."""
+"""Least denominator of a share: of fewer configurations it would mislead, as one seen of three is no third."""
 
 
 class SeenCell(Record):

@@ -1,4 +1,4 @@
-"""What is known of a designed plan: what it tells against random stops, correlations of its factors, its time."""
+"""Description of a designed plan: what it tells against random stops, correlations of its factors, its time."""
 
 from __future__ import annotations
 

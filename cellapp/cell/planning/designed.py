@@ -1,4 +1,4 @@
-"""Designed plans: candidates of each arm, those that tell most, their factors, pairs, order and ways."""
+"""Designed plans: candidates of each arm, the most informative of them, their factors, pairs, order and paths."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0xDE51
 _SPARE_SHARE = 0.05
-"""In a crowded cell about one chosen stop in fifty cannot be reached."""
+"""Share of stops chosen in reserve: in a crowded cell about one chosen stop in fifty cannot be reached."""
 _LEAST_SPARES = 8
 _ROUNDS = 3
-"""In which spares take the places of stops that cannot be reached."""
+"""Rounds in which spare stops replace those that cannot be reached."""
 _LEAST_CHOICE = 3
-"""Candidates within easy reach for each stop; with fewer there is no choice."""
+"""Least number of easily reached candidates for each stop; with fewer there would be no choice."""
 _SAMPLE = 1000
-"""Candidates whose reach is looked at first."""
+"""Number of candidates whose reach is checked first."""
 _FEW_HARD = 0.01
-"""Share of them that may be hard to reach without a look at the others: spares stand in for the few that are chosen."""
+"""Share of these up to which the others are not checked: spare stops replace the few hard ones that are chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class DesignedStops:
-    """A designed plan, a sentence on each chosen stop that was given up, candidates by arm, and what found ways."""
+    """A designed plan, why each chosen stop that is missing was given up, candidates by arm, the path planner."""
 
     stops: PlannedStops
     given_up: tuple[str, ...]
@@ -53,7 +53,7 @@ def design_stops(
     cancel: CancelToken | None = None,
     kept: PlannedStops | None = None,
 ) -> DesignedStops:
-    """``count`` stops that tell most, in a safe order, after those that are ``kept``.
+    """Design ``count`` informative stops in a safe order, after those that are ``kept``.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def design_stops(
     listener, cancel
         Progress and cancelling.
     kept : PlannedStops, optional
-        Stops that are in the plan already: what they tell is known before the first choice.
+        Stops that are in the plan already: their information counts before the first choice.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def design_stops(
     """
     cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
-    # the gate samples ways: a configuration at the very limit could not be reached
+    # the gate samples motions: a configuration at the very limit could not be reached
     roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
     before = 0 if kept is None else len(kept)
     rng = np.random.default_rng([profile.seed, _SEED, before])
@@ -99,11 +99,10 @@ def _in_order(
     listener: Listener,
     cancel: CancelToken,
 ) -> tuple[PlannedStops, tuple[str, ...]]:
-    """The kept stops and ``count`` more, the first ``chosen`` ones first, and a sentence on each that is given up.
+    """Return the kept stops and ``count`` more, beginning with the first ``chosen``, and why others were given up.
 
-    Spares follow in place of those that cannot be reached.
-
-    Raises ``InputError`` if fewer than the asked stops can be reached.
+    Spare stops replace those that cannot be reached. Raises ``InputError`` if fewer than the asked stops can be
+    reached.
     """
     stops = kept
     given_up: list[str] = []
@@ -132,8 +131,8 @@ def _in_order(
 def _pool(
     profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator, cancel: CancelToken
 ) -> CandidatePool:
-    """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops, and the few that
-    are hard to reach where the first ones show no more of them."""
+    """Draw candidates of an arm and keep those within easy reach. All are kept if these are too few for ``count``
+    stops; only the first ones are checked if hardly any of them is hard to reach."""
     pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
     hubs = hubs_of(cell, name, q, home_positions(profile).get(name))

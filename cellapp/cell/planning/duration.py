@@ -42,7 +42,7 @@ class StopTimes:
 
 
 def motion_s(arm: Arm, way: Array) -> Array:
-    """Time of joint motions ``way`` (n, N) [rad] from rest to rest, shape (n,) [s].
+    """Compute the time of joint motions ``way`` (n, N) [rad] from rest to rest, shape (n,) [s].
 
     All joints start and end together, with a trapezoidal speed profile inside the arm's speeds and accelerations.
     """
@@ -56,7 +56,7 @@ def motion_s(arm: Arm, way: Array) -> Array:
 
 
 def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | None = None) -> StopTimes:
-    """Expected times of planned stops with their approaches and detours, from ``start``; None: from home."""
+    """Estimate the times of planned stops with their approaches and detours, from ``start``; None: from home."""
     here = home_positions(profile) if start is None else start
     begin = {
         name: np.where(np.isfinite(stops.approach_from[name]), stops.approach_from[name], q)
@@ -82,14 +82,14 @@ def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | 
 
 
 def home_s(profile: Profile, stops: PlannedStops) -> float:
-    """Time of the way home from the last stop [s]; 0 for arms without a home position."""
+    """Compute the time of the motion home from the last stop [s]; 0 for arms without a home position."""
     homes = home_positions(profile)
     ways = [motion_s(profile.arms[name], (homes[name] - q[-1])[None]) for name, q in stops.q.items() if name in homes]
     return float(np.max(ways)) if ways else 0.0
 
 
 def route_s(profile: Profile, start: Configuration, route: Route) -> float:
-    """Time of motions one after the other from ``start`` (all arms) [s]; each takes as long as its slowest arm."""
+    """Compute the time of consecutive motions from ``start`` (all arms) [s]; each takes as long as its slowest arm."""
     here, total = dict(start), 0.0
     for targets in route:
         total += max(float(motion_s(profile.arms[name], (q - here[name])[None])[0]) for name, q in targets.items())
@@ -98,13 +98,13 @@ def route_s(profile: Profile, start: Configuration, route: Route) -> float:
 
 
 def _straight_s(arm: Arm, start: Array | None, q: Array, begin: Array) -> Array:
-    """Time from each stop to where the last motion to the next begins, shape (n,) [s]; 0 from an unknown ``start``."""
+    """Compute the time from each stop to where the next last motion begins, (n,) [s]; 0 from unknown ``start``."""
     first = begin[:1] if start is None else start[None]
     return motion_s(arm, begin - np.concatenate([first, q])[: len(q)])
 
 
 def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
-    """Expected time of collecting planned stops and going home."""
+    """Estimate the time of collecting planned stops and going home."""
     times = stop_times_of(profile, stops)
     reference = profile.collection.reference
     references_s = 0.0
@@ -123,5 +123,5 @@ def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
 
 
 def _measuring_s(profile: Profile) -> float:
-    """Time of pointing at one SMR and measuring it, at least twice where repeats are asked for."""
+    """Return the time of pointing at one SMR and measuring it, twice if repeats are required."""
     return _POINTING_S + (2 if profile.collection.repeat.precision is not None else 1) * profile.tracker.averaging

@@ -1,4 +1,4 @@
-"""Work that is done for each arm by itself: in threads, with streams of random numbers that do not depend on them."""
+"""Work done for each arm separately, in worker threads; the random numbers do not depend on the threads."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 _AT_ONCE = 2
-"""Arms at once: bounds the memory, and few arms or cores are more."""
+"""Number of threads: bounds the memory; more arms or cores are rare."""
 
 Result = TypeVar("Result")
 
@@ -18,10 +18,10 @@ Result = TypeVar("Result")
 def of_each_arm(
     work: Callable[[str, np.random.Generator], Result], names: Iterable[str], rng: np.random.Generator
 ) -> dict[str, Result]:
-    """Arm -> ``work(arm, stream)``, each with a stream of its own that is spawned from ``rng``.
+    """Return arm -> ``work(arm, stream)``, each with a stream of its own that is spawned from ``rng``.
 
-    The result is the same whichever arm is faster, and on any number of cores: matrix products and other work on long
-    arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
+    The result is the same whichever arm is faster and however many cores there are. Matrix products and other work on
+    long arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
     """
     names = tuple(names)
     # linear algebra keeps to one thread: its products are narrow, and the arms have a core each

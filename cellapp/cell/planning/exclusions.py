@@ -1,4 +1,4 @@
-"""Which constraints exclude configurations of an arm from being measured, by how much, and what helps."""
+"""Constraints that exclude configurations of an arm from being measured: how many, by how much, and what helps."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _EXAMINED = 36_000
-"""Configurations that are examined: shares to a tenth of a percent in a fifth of a second."""
+"""Number of configurations examined: shares to a tenth of a percent in a fifth of a second."""
 _SEED = 0
-"""The same configurations each time, whatever was drawn before: shares of two cells compare."""
+"""Seed of these configurations: always the same, so that the shares of two cells can be compared."""
 _TURN = 2.0 * math.pi
 _SUBJECTS: Mapping[str, str] = {
     RANGE: "tracker.distance",
@@ -60,7 +60,7 @@ _ADVICE: Mapping[str, str] = {
 
 
 def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: int) -> str:
-    """One message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
+    """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
     asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
     first, second = exclusions(cell, profile, name)[:2]
     subject, next_one = (_SUBJECTS.get(one.constraint, one.constraint) for one in (first, second))
@@ -75,7 +75,7 @@ def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: i
 
 
 def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[ConstraintShare, ...]:
-    """What each constraint excludes; that first without which most configurations could be measured.
+    """Compute what each constraint excludes; first the one without which most configurations could be measured.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Constrain
 
 @dataclass(frozen=True, eq=False)
 class _Examined:
-    """One constraint at n configurations: where it holds (n,), by how much it is missed (n,) in ``unit``."""
+    """One constraint at n configurations: where it holds (n,), and by how much it is missed (n,) in ``unit``."""
 
     name: str
     holds: NDArray[np.bool_]
@@ -120,7 +120,7 @@ class _Examined:
 
 
 def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> list[_Examined]:
-    """The conditions on the SMRs, by how much they are missed in mm or deg."""
+    """Examine the conditions on the SMRs, and by how much they are missed in mm or deg."""
     low, high = field.distance
     lowest, highest = field.elevation
     past_left = np.mod(sight.azimuth - field.azimuth[0], _TURN)
@@ -136,7 +136,7 @@ def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> lis
 
 
 def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.bool_]) -> str:
-    """What is seen at ``rows`` against what is allowed, and by how much the nearest of them misses."""
+    """Describe what is seen at ``rows`` against what is allowed, and by how much the nearest of them misses."""
     if not rows.any():
         return "it excludes none"
     by = _by_how_much(one, rows)
@@ -155,7 +155,7 @@ def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.
 
 
 def _by_how_much(one: _Examined, rows: NDArray[np.bool_]) -> str:
-    """How much the nearest of ``rows`` misses; where others do not miss, the nearest says nothing, and half of them."""
+    """Say by how much the nearest of ``rows`` misses; if other rows hold, by how much half of them miss."""
     nearest, half = float(np.min(one.missed[rows])), float(np.median(one.missed[rows]))
     if not math.isfinite(nearest):
         return "it hides the SMR"
@@ -171,7 +171,7 @@ def _span(values: Array, number_format: str) -> str:
 
 
 def _percent(share: float) -> str:
-    """A share of the configurations in percent that is not rounded to all or nothing."""
+    """Format a share of the configurations in percent, never rounded to all or nothing."""
     if share in (0.0, 1.0):
         return "all of them" if share else "none"
     return f"{100.0 * share:.{1 if 0.01 < share < 0.99 else 2}f} % of them"

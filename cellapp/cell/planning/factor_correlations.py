@@ -1,4 +1,4 @@
-"""Correlations of the planned factors of a plan with posture, time, block and each other; its time against random."""
+"""Correlations of a plan's factors with posture, time, block and each other; its time against that of random orders."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _SAMPLED_WAYS = 80
-"""Ways between random stops on which detours are looked for, at most: some ten of them need one."""
+"""Upper limit of the motions between random stops that are searched for detours: about ten of them need one."""
 _SAMPLED_A_STOP = 2
-"""Such ways for each stop: of a small plan they say as much as all ways of it."""
+"""Such motions for each stop: in a small plan they say as much as all of its motions."""
 _RANDOM_ORDERS = 20
-"""Random orders whose time is averaged: its standard deviation is then a few tenths of a percent."""
+"""Number of random orders whose time is averaged: the standard deviation is then a few tenths of a percent."""
 
 
 def correlations(
     profile: Profile, cell: CellBodies, stops: PlannedStops, start: Configuration | None = None
 ) -> tuple[FactorCorrelation, ...]:
-    """The largest correlation of each factor that a plan chooses: of each arm, and of all (arm "all").
+    """Find the largest correlation of each factor that a plan chooses: of each arm, and of all (arm "all").
 
-    ``start`` is where the arms are before the first stop; None: home. A factor that does not vary has none.
+    ``start`` is where the arms are before the first stop; None: home. Factors that do not vary are left out.
     """
     time = stop_times_of(profile, stops, start).measured_s
     common = time_and_blocks(time, stops.block)
@@ -58,9 +58,9 @@ def correlations(
 
 
 def travel_time(profile: Profile, stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> TravelTime:
-    """Time in motion of a plan, and of the same pairs, approaches and dwells in random order.
+    """Compute the time in motion of a plan, and of the same pairs, approaches and dwells in random order.
 
-    In random order too the gate refuses some straight ways: what detours add there is taken from a sample of ways.
+    In random order, too, the gate refuses some straight motions; the time of their detours is estimated from a sample.
     """
     straight = replace(stops, legs=((),) * len(stops))
     random_s = []
@@ -73,7 +73,7 @@ def travel_time(profile: Profile, stops: PlannedStops, finder: TransitPlanner, r
 
 
 def _added_by_a_detour_s(stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> float:
-    """Mean time that ways between random stops take longer than straight ones [s]; those not found are left out."""
+    """Estimate the mean time that detours add to motions between random stops [s], where one is found."""
     if len(stops) < 2:
         return 0.0
     number = min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))
@@ -93,7 +93,7 @@ def _of_joints(text: str, values: Array) -> Columns:
 
 
 def _largest(arm: str, factors: Columns, others: Columns) -> Iterator[FactorCorrelation]:
-    """The largest correlation of each factor with one of the others that is not itself."""
+    """Yield the largest correlation of each factor with one of the others that is not itself."""
     if not others.names:
         return
     correlation = factors.values.T @ others.values / max(len(factors.values), 1)

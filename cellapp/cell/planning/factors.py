@@ -1,8 +1,8 @@
 """Planned factors of each stop: side and size of each joint's last motion, rest before the measurement.
 
-The last motion of all arms goes at once from ``approach_from``: the stop minus a step of each joint with its sign. The
-levels are balanced, and decorrelated from posture, time, block, the other arms and each other, so that no effect of a
-factor can pass for an effect of another. Repeats of a stop are approached from the other side of every joint.
+In the last motion all arms move at once from ``approach_from``: the stop minus a signed step of each joint. The levels
+are balanced, and decorrelated from posture, time, block, the other arms and each other, so that the effect of one
+factor is not mistaken for that of another. Repeats of a stop are approached from the other side of every joint.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _GOAL = 0.06
-"""Correlation at which the search for levels ends: some stops must change theirs later, where the gate refuses."""
+"""Correlation at which the search for levels ends: low, as some levels must change later where the gate refuses."""
 _OTHER_STEPS = 40
-"""Other sides and sizes that are tried for a stop whose last motion the gate refuses."""
+"""Number of other sides and sizes that are drawn for a stop whose last motion the gate refuses."""
 _IMPROVED = 0.08
-"""Largest correlation with which the plan is left: below the one that is accepted, as times are estimates."""
+"""Largest correlation left in the plan: below the accepted one, as times are only estimates."""
 _IMPROVEMENTS = 300
-"""Most changes of single steps; one takes about a millisecond."""
+"""Upper limit of changes of single steps; each takes about a millisecond."""
 _TRIED_CHANGES = 10
-"""Stops at which a change of one factor is tried before it is left."""
+"""Number of stops at which a change of one factor is tried before it is given up."""
 _SMALLEST_RAD = 1e-9
-"""Stands for a spread of 0."""
+"""Lower limit of spreads, in place of 0."""
 _SIDES = np.array([-1.0, 1.0])
 
 
 Accepts = Callable[[int, Mapping[str, Array]], bool]
-"""Takes a stop and other signed steps of its last motion, arm -> (N,) [rad]; whether the gate accepts them."""
+"""Callback: given a stop and new signed steps of its last motion, arm -> (N,) [rad], whether the gate accepts them."""
 
 
 class FactorPlan:
@@ -59,13 +59,13 @@ class FactorPlan:
         self._sizes = np.unique(profile.plan.steps)
         self._repeat_of = repeat_of
         self._first = np.flatnonzero(repeat_of < 0)
-        """Stops whose levels are free; those of repeats follow."""
+        """Stops whose levels are free; repeats take theirs from these."""
         time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
         postures = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
         self._against = side_by_side((*postures, time)).values
 
     def dwell_s(self, step: Mapping[str, Array]) -> dict[str, Array]:
-        """Rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, which wait for each other."""
+        """Choose the rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, as these wait."""
         levels = np.unique(self._profile.plan.dwell)
         n = len(self._repeat_of)
         steps = _levels_of(np.concatenate(list(step.values()), axis=1))
@@ -74,9 +74,9 @@ class FactorPlan:
         return {name: levels[chosen].copy() for name in self._q}
 
     def approaches(self) -> dict[str, Array]:
-        """Signed steps of the last motions with balanced sides and sizes, arm -> (n, N) [rad]; 0: the joint rests.
+        """Choose signed steps of the last motions, balanced in side and size, arm -> (n, N) [rad]; 0: the joint rests.
 
-        They begin inside the limits; nothing else is regarded.
+        They begin inside the joint limits; nothing else is checked.
         """
         step = {name: np.zeros_like(q) for name, q in self._q.items()}
         if len(self._sizes) == 0:
@@ -104,7 +104,7 @@ class FactorPlan:
         return step
 
     def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
-        """Other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
+        """Draw other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
         if len(self._sizes) == 0:
             return {name: np.zeros((0, q.shape[1])) for name, q in self._q.items()}
         own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
@@ -120,9 +120,9 @@ class FactorPlan:
         return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
 
     def improve(self, step: Mapping[str, Array], changeable: NDArray[np.bool_], accepts: Accepts) -> None:
-        """Change steps of single joints until no correlation is larger than wanted, where the gate accepts that.
+        """Change steps of single joints, if the gate accepts, until no correlation exceeds ``_IMPROVED``.
 
-        Only stops that are ``changeable`` (n,) and are not visited twice get other ones; ``step`` is changed in place.
+        Only stops that are ``changeable`` (n,) and are not visited twice are changed; ``step`` is changed in place.
         """
         twice = np.isin(np.arange(len(changeable)), self._repeat_of) | (self._repeat_of >= 0)
         rows = np.flatnonzero(changeable & ~twice)
@@ -144,9 +144,9 @@ class FactorPlan:
                 stuck.add(column)
 
     def _correlations(self, levels: Array) -> tuple[Array, Array]:
-        """All variables (n, q), and their correlations (q, 3 J) with the ``levels`` (n, 3 J) of the factors.
+        """Return all variables (n, q), and their correlations (q, 3 J) with the ``levels`` (n, 3 J) of the factors.
 
-        Signed steps are compared with posture, time and blocks alone: they follow from sides and sizes.
+        Signed steps are compared with posture, time and blocks alone, as they follow from sides and sizes.
         """
         every = np.concatenate([self._against, levels], axis=1)
         correlation = every.T @ levels / len(levels)
@@ -167,7 +167,7 @@ class FactorPlan:
         correlation: Array,
         accepts: Accepts,
     ) -> bool:
-        """Change side or size of one joint at the stop where that helps most and is accepted; False if nowhere."""
+        """Change side or size of one joint at the accepted stop where that helps most; False if there is none."""
         present = step[name][rows, joint]
         scale = len(every) * max(float(np.std(measure(step[name][:, joint]))), _SMALLEST_RAD)
         compared, found = np.where(correlation == 0.0, 0.0, every[rows]), []
@@ -188,7 +188,7 @@ class FactorPlan:
         return False
 
     def _levels(self, levels: Array, allowed: NDArray[np.bool_], against: Array, *, mirrored: bool) -> NDArray[np.intp]:
-        """Levels of the free stops; a repeat has the same one, or the opposite if ``mirrored``."""
+        """Choose levels of the free stops; a repeat gets the same one, or the opposite if ``mirrored``."""
         fold = against[self._first].copy()
         place = np.searchsorted(self._first, self._repeat_of)
         for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
@@ -199,7 +199,7 @@ class FactorPlan:
         return balanced_levels(levels, usable, fold, self._rng, _GOAL)
 
     def _of_all(self, values: Array, *, mirrored: bool) -> Array:
-        """Values of all stops from those of the free ones (m,)."""
+        """Expand the values (m,) of the free stops to all stops."""
         every = np.zeros(len(self._repeat_of))
         every[self._first] = values
         copies = np.flatnonzero(self._repeat_of >= 0)
@@ -207,7 +207,7 @@ class FactorPlan:
         return every
 
     def _allowed_sides(self, name: str, joint: int) -> NDArray[np.bool_]:
-        """Sides (m, 2) from which the largest step is inside the limits; if none is, any step; repeats from both."""
+        """Mask (m, 2) of sides from which the largest, else the smallest step is within limits; repeats need both."""
         low, high = self._limits[name][joint]
         q = self._q[name][self._first, joint]
         repeated = np.isin(self._first, self._repeat_of)
@@ -221,7 +221,7 @@ class FactorPlan:
         return np.asarray(np.where(largest.any(axis=1, keepdims=True), largest, smallest))
 
     def _allowed_sizes(self, name: str, joint: int, side: Array) -> NDArray[np.bool_]:
-        """Sizes (m, L) with which the steps of a stop and of its repeat begin inside the limits."""
+        """Return the sizes (m, L) with which the steps of a stop and of its repeat begin inside the limits."""
         low, high = self._limits[name][joint]
         start = self._q[name][:, joint, None] - side[:, None] * self._sizes
         fits = (start >= low) & (start <= high) & (side != 0.0)[:, None]
@@ -231,13 +231,13 @@ class FactorPlan:
 
 
 def _sixth_power(values: Array) -> Array:
-    """The largest correlations rule a sum of these. By products: general powers take many times as long."""
+    """Raise to the sixth power, so that the largest dominate a sum. Products are many times faster than powers."""
     squares = values * values
     return squares * squares * squares
 
 
 def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
-    """Steps (m, N) whose start is inside the limits: others are turned round, or left out."""
+    """Reverse steps (m, N) that start outside the limits; 0 if that does not help."""
     turned = np.where((q - step >= low) & (q - step <= high), step, -step)
     return np.asarray(np.where((q - turned >= low) & (q - turned <= high), turned, 0.0))
 
@@ -247,11 +247,11 @@ def _with_constant(values: Array) -> Array:
 
 
 _MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)
-"""What a signed step is a level of: the side, the size, both."""
+"""The levels of a signed step: the side, the size, both."""
 
 
 def _levels_of(step: Array) -> Array:
-    """Sides, sizes and both of signed steps (n, J), (n, 3 J), with mean 0 and standard deviation 1; 0 if constant."""
+    """Standardise sides, sizes and both of signed steps (n, J) to mean 0 and deviation 1, (n, 3 J); 0 if constant."""
     levels = np.concatenate([measure(step) for measure in _MEASURES], axis=1)
     centred = levels - levels.mean(axis=0)
     spread = centred.std(axis=0)

@@ -1,4 +1,4 @@
-"""What can be expected of the plan of a run before it is measured: time, covered ranges, accuracy, effects."""
+"""Forecast of a run's plan before it is measured: time, covered joint ranges, accuracy, visible effects."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanForecastResult:
-    """Foresee what the plan of a run will give. It only reads.
+    """Forecast what the plan of a run will give; nothing is written.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
 
 
 def _noise_rms_mm(design: ArmDesign) -> float:
-    """Rms length of the tracker's noise at the stops [mm]."""
+    """Compute the rms length of the tracker's noise at the stops [mm]."""
     covariance = design.data.stated
     assert covariance is not None
     return 1e3 * float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))

@@ -1,8 +1,8 @@
-"""What each candidate stop of an arm tells: whitened derivatives of its reading by geometry and effects.
+"""The information in each candidate stop of an arm: whitened derivatives of its reading by geometry and effects.
 
-The columns are all geometric parameters with the priors of typical arms, the coefficients of the effects that the
-profile lists, and *potential terms*: periodic errors of several cycles per revolution that no one asked for, each small
-by prior. A design that ignored them would put its stops where the listed effects are largest and nowhere else, and what
+The columns are: all geometric parameters with the priors of typical arms; the coefficients of the effects that the
+profile lists; and *potential terms*, periodic errors of several cycles per revolution that are not listed, each small
+by prior. A design that ignored these would put its stops only where the listed effects are largest, and errors that
 discovery finds with free forms would stay hidden (Bayesian designs with potential terms: DuMouchel, Jones,
 Technometrics 36 (1994) 37).
 """
@@ -39,31 +39,31 @@ EXPECTED_EFFECT_M = 1e-4
 """Standard deviation of the rms displacement by each coefficient of an effect: what most effects of the library do to
 an arm of this class (10 to 300 um). It matters only for coefficients that hardly any plan determines."""
 POTENTIAL_M = 1e-5
-"""The same of a potential term. Designed stops then show such errors better than random ones (standard errors 0.8 of
-theirs; 1.5 of theirs in the worst case without potential terms), and lose 2 % of what they tell of the rest."""
+"""The same for a potential term. Designed stops then show such errors better than random ones do (standard errors 0.8
+of theirs; without potential terms 1.5 in the worst case), and lose 2 % of their information about the rest."""
 POTENTIAL_CYCLES = (3, 4, 5, 6)
-"""Cycles a turn of the potential terms of every joint: the next above those of the listed effects. Higher ones have
-nothing in common with posture, so that any stops show them that leave no gap."""
+"""Cycles per revolution of the potential terms of every joint: the next above those of the listed effects. Errors with
+more cycles are unrelated to posture: any stops without large gaps show them."""
 _MOST_CYCLES = 2
 """Columns of effects with more cycles per revolution are left to the potential terms."""
 _REGISTRATION = {"m": 5e-3, "rad": 5e-3}
-"""Standard deviation of the parameters of base and SMR that have no prior: where a first registration leaves them."""
+"""Standard deviation of the parameters of base and SMR that have no prior: as a first registration leaves them."""
 _LEAST_EFFECT_M = 1e-6
 """A column is left out if it moves the SMR by less than this even at the bound of its coefficient."""
 _INCIDENCE_SCALE = math.radians(10.0)
-"""Incidence beyond the range of full accuracy at which the tracker's standard uncertainty has grown by half again."""
+"""Incidence beyond the range of full accuracy at which the tracker's standard uncertainty has grown by half."""
 _INCIDENCE_GROWTH = 0.5
 _SECONDS_A_STOP = 15.0
-"""Time of a stop with its motion: only the shape of a warm-up against the length of the run depends on it."""
+"""Time of a stop with its motion: it only matters for the course of a warm-up relative to the length of the run."""
 _REFERENCE_STOPS = 400
-"""Candidates at which the laws of effects are set up, and the sizes of their columns are taken."""
+"""Number of candidates at which the laws of effects are set up and the sizes of their columns are computed."""
 _ROWS_AT_ONCE = 2000
-"""Candidates whose columns are computed together: bounds the memory for the arrays in between."""
+"""Number of candidates whose columns are computed at once: bounds the memory for intermediate arrays."""
 
 
 @dataclass(frozen=True)
 class _EffectPart:
-    """Columns ``names`` of a law of an effect."""
+    """The columns ``names`` of one law of an effect."""
 
     slug: str
     law: Law
@@ -72,7 +72,7 @@ class _EffectPart:
 
 @dataclass(frozen=True, eq=False)
 class InformationModel:
-    """The p columns of one arm and their sizes; the first are geometry, then effects, then potential terms.
+    """The p columns of one arm and their sizes: first geometry, then effects, then potential terms.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class InformationModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameters of geometry, then ``slug: coefficient``."""
+        """Names of the columns: parameters of the geometry, then ``slug: coefficient``."""
         return (*self.parameters.names, *(f"{part.slug}: {name}" for part in self.parts for name in part.names))
 
     @property
@@ -108,11 +108,11 @@ class InformationModel:
         return len(self.size) - self.potential
 
     def rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64) -> Array:
-        """Whitened derivatives of readings at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        """Compute whitened derivatives (n, 3, p) of readings at ``q`` (n, N) [rad] by parameters in units ``size``."""
         return self._rows(q, conditions, dtype, weighted=True)
 
     def prediction_rows(self, q: Array, conditions: MeasurementConditions) -> Array:
-        """Derivatives [m] of the SMR position at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        """Compute derivatives (n, 3, p) [m] of SMR positions at ``q`` (n, N) [rad] by parameters in units ``size``."""
         return self._rows(q, conditions, weighted=False)
 
     def _rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64, *, weighted: bool) -> Array:
@@ -125,7 +125,7 @@ class InformationModel:
         return found
 
     def _columns(self, context: EffectContext, white: Array) -> Array:
-        """Columns (n, 3, p) with ``white`` (3, 3, n)."""
+        """Compute the columns (n, 3, p), whitened by ``white`` (3, 3, n)."""
         geometry = self.parameters.columns
         joints = tuple(6 + 5 * j for j in range(context.joints))
         _, J = jacobian(self.model.geometry, JointAngles.of(context.q), (*geometry, *joints))
@@ -138,7 +138,7 @@ class InformationModel:
         return together.transpose(2, 1, 0)
 
     def _covariance(self, context: EffectContext) -> Array:
-        """Expected covariance (n, 3, 3) [m^2] of readings: the tracker's, and the scatter of the arm."""
+        """Compute the expected covariance (n, 3, 3) [m^2] of readings: the tracker's, and the scatter of the arm."""
         oblique = np.maximum(incidence(context) - self.profile.plan.incidence, 0.0)
         growth = 1.0 + _INCIDENCE_GROWTH * oblique / _INCIDENCE_SCALE
         covariance = tracker_covariance(self.profile.tracker, context.p_M) * growth[:, None, None] ** 2
@@ -150,8 +150,9 @@ def information_model(
 ) -> InformationModel:
     """Choose the columns of an arm from some of its candidates ``q`` (n, N) [rad] under ``conditions``.
 
-    Of each effect the simplest form that a plan can show counts, with the middle one of its laws (of several onsets or
-    time constants), and of this the columns that are no refinements and have at most two cycles per revolution.
+    Each effect is represented by the simplest form that a plan can show, by the middle one of its laws (of several
+    onsets or time constants), and by those columns of it that are not refinements and have at most two cycles per
+    revolution.
 
     Raises
     ------
@@ -183,7 +184,7 @@ def information_model(
 
 
 def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterator[tuple[_EffectPart, Array]]:
-    """The wanted effects of an arm, each with the sizes of its coefficients."""
+    """Yield the wanted effects of an arm, each with the sizes of its coefficients."""
     listed = profile.plan.effects
     unknown = [slug for slug in listed or () if slug not in EFFECTS or slug == UNKNOWN]
     if unknown:
@@ -205,7 +206,7 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
 
 
 def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None:
-    """Periodic errors of several cycles per revolution of each joint that moves the SMR."""
+    """Return periodic errors of several cycles per revolution of each joint that moves the SMR; None without any."""
     joints = range(1, context.joints + 1)
     waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
     law = EFFECTS[TRANSMISSION_ERROR].law("lines")
@@ -215,7 +216,7 @@ def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None
 def _sized(
     slug: str, law: Law, context: EffectContext, expected_m: float, names: frozenset[str] | None = None
 ) -> Iterator[tuple[_EffectPart, Array]]:
-    """The columns of a law that move the SMR, with coefficients that displace it by ``expected_m`` rms."""
+    """Yield the columns of a law that move the SMR, with coefficients that displace it by ``expected_m`` rms."""
     chosen, sizes = [], []
     columns = EFFECTS[slug].columns(context, law, names)
     displaced = whitened_displacements(columns, _by_joint(context), _unit(len(context)))
@@ -236,18 +237,18 @@ def _columns_of(part: _EffectPart, context: EffectContext) -> list[EffectColumn]
 
 
 def _by_joint(context: EffectContext) -> Array:
-    """Derivatives of the SMR position by the joints (3, N, n) [m/rad]."""
+    """Compute the derivatives of the SMR position by the joints (3, N, n) [m/rad]."""
     joints = tuple(6 + 5 * j for j in range(context.joints))
     return jacobian(context.geometry, JointAngles.of(context.q), joints)[1]
 
 
 def _unit(n: int) -> Array:
-    """Whitening (3, 3, n) that changes nothing."""
+    """Return the identity as whitening (3, 3, n)."""
     return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
 
 
 def incidence(context: EffectContext) -> Array:
-    """Angle (n,) [rad] between the beam and the SMR's viewing direction; 0 where this is not known."""
+    """Compute the angle (n,) [rad] between the beam and the SMR's viewing direction; 0 where this is not known."""
     if context.smr_normal is None:
         return np.zeros(len(context))
     normal = context.frames[0][-1] @ context.smr_normal
@@ -257,10 +258,10 @@ def incidence(context: EffectContext) -> Array:
 def even_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
-    """``drawn_conditions`` in which no stop is better off than another: only signs of steps and of times are drawn.
+    """Draw conditions as ``drawn_conditions`` does, but equally informative at all stops: only signs are drawn.
 
-    Steps have their rms size, times their rms distance from the middle of the run. A choice among stops would else
-    prefer those with large steps at the beginning or at the end of the run, which the plan then changes.
+    Steps have their rms size, times their rms distance from the middle of the run. Otherwise the choice would prefer
+    stops with large steps at the beginning or the end of the run, which the plan then changes.
     """
     drawn = drawn_conditions(profile, name, q, others, rng)
     half = 0.5 * _SECONDS_A_STOP * profile.plan.stops
@@ -274,7 +275,7 @@ def even_conditions(
 def drawn_conditions(
     profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
 ) -> MeasurementConditions:
-    """Conditions of readings at ``q`` (n, N) [rad] as factors of a plan that are not decided yet: drawn, independent.
+    """Draw independent conditions of readings at ``q`` (n, N) [rad], for factors of a plan that are not decided yet.
 
     ``others`` are configurations of the other arms, from which their pose at each stop is drawn.
     """
@@ -303,5 +304,5 @@ def drawn_conditions(
 
 
 def _places(time_s: Array) -> Array:
-    """Places (n,) in the order of time, from 0."""
+    """Return ranks (n,) in the order of time, from 0."""
     return np.argsort(np.argsort(time_s, kind="stable")).astype(np.float64)

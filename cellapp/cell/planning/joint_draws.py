@@ -1,4 +1,4 @@
-"""Uniform configurations of one arm and how the tracker sees their SMR, without the poses of all frames.
+"""Random configurations of one arm and how the tracker sees their SMR, without the poses of all frames.
 
 An SMR that may be turned away by some 30 degrees faces the tracker in one of twenty configurations. Whether it does,
 and where the SMR is, follows from a few products of the pose of the first joints with that of the wrist. So each of a
@@ -22,9 +22,9 @@ from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
 _GROUP = 16
-"""First joints, and wrists, in a group: 256 configurations, of which two to four are usable in the twin cell."""
+"""Number of first joints, and of wrists, in a group: 256 configurations, 2 to 4 of them usable in the twin cell."""
 _GROUPS = 48
-"""Groups drawn at once, some 12 000 configurations: what is computed from them fits in the cache."""
+"""Number of groups drawn at once, some 12 000 configurations: what is computed from them fits in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class JointDraws:
     sight: Sight
 
     def q(self, chosen: NDArray[np.bool_]) -> Array:
-        """The configurations ``chosen`` (b, m, w) as (n, N) [rad], in the order of ``array[chosen]``."""
+        """Return the configurations ``chosen`` (b, m, w) as (n, N) [rad], in the order of ``array[chosen]``."""
         group, i, k = np.nonzero(chosen)
         return np.concatenate([self.first[group, i], self.wrist[group, k]], axis=1)
 
@@ -76,20 +76,20 @@ def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Gene
 
 
 def _uniform(ranges: Array, rng: np.random.Generator) -> Array:
-    """Uniform positions (b, m, s) [rad] of s joints; one in each group where no joint can move."""
+    """Draw uniform positions (b, m, s) [rad] of s joints; one in each group where no joint can move."""
     group = _GROUP if np.any(ranges[:, 1] > ranges[:, 0]) else 1
     return rng.uniform(ranges[:, 0], ranges[:, 1], size=(_GROUPS, group, len(ranges)))
 
 
 def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
-    """Rotations (b, m, 3, 3) and origins (b, m, 3) [m] of the last frame of a chain at ``q`` (b, m, s) [rad]."""
+    """Compute rotations (b, m, 3, 3) and origins (b, m, 3) [m] of a chain's last frame at ``q`` (b, m, s) [rad]."""
     b, m, joints = q.shape
     rotations, origins = frame_poses(geometry, q.reshape(b * m, joints))
     return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
 
 
 def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
-    """Ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+    """Return the ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
 
     Raises
     ------

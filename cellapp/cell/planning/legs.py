@@ -1,4 +1,4 @@
-"""Last motions and ways of an arrangement of stops: what the gate refuses gets other sides and steps, or a detour."""
+"""Last motions and paths of an arrangement of stops: where the gate refuses, other sides and steps, or a detour."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from cellapp.ground.progress import CancelToken, Report
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_WAYS = 6
-"""Sides and steps of one stop for which the gate is asked about the way: if all are refused, the stop itself is hard to
-reach, and a detour is sought."""
+"""Number of sides and steps of one stop for which the gate is asked about the motion to it. If it refuses all, the stop
+itself is hard to reach, and a detour is sought."""
 _REPORT_EVERY = 10
 """Stops between two reports of progress."""
 _AHEAD = 100
-"""Stops that are looked ahead: other steps of those whose motions the gate refuses are drawn and asked about together.
-Drawn together they do not balance each other, so that there must not be many."""
+"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are drawn and asked
+about in one batch. Few, as steps that are drawn together do not balance each other."""
 
 Steps = Mapping[str, Array]
 """Arm -> signed steps of the last motion to one stop (N,) [rad]."""
 
 
 class LegPlanner:
-    """Plans how each stop is reached from the one before it; ``start`` (None: anywhere) is before the first."""
+    """Plan of how each stop is reached from the one before it; ``start`` (None: anywhere) is before the first."""
 
     def __init__(
         self,
@@ -46,12 +46,12 @@ class LegPlanner:
         self._before: dict[int, Configuration | None] = {}
         """Where the arms are before each stop that is reached."""
         self._others: dict[int, list[Steps]] = {}
-        """Other steps of stops ahead."""
+        """Other steps of the next stops."""
         self.given_up: list[str] = []
         """One sentence for each stop that cannot be reached."""
 
     def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
-        """The stops that can be reached, in their order."""
+        """Plan the stops that can be reached, in their order."""
         n = len(self._arrangement.block)
         self._ask((stop, self._planned_before(stop), self._own(stop)) for stop in range(n))
         legs: dict[int, Route] = {}
@@ -80,7 +80,7 @@ class LegPlanner:
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
 
     def _look_ahead(self, stops: range) -> None:
-        """Draw other steps of the stops whose motions the gate refuses as they are planned, and ask about the first."""
+        """Draw other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
         refused = []
         for stop in stops:
             own, before = self._own(stop), self._planned_before(stop)
@@ -91,15 +91,15 @@ class LegPlanner:
         self._ask((stop, self._planned_before(stop), steps) for stop, steps in some)
 
     def _own(self, stop: int) -> dict[str, Array]:
-        """Steps of a stop as they are planned."""
+        """Return the planned steps of a stop."""
         return {name: step[stop] for name, step in self._step.items()}
 
     def _planned_before(self, stop: int) -> Configuration | None:
-        """Where the arms are before a stop, unless the one before it is given up."""
+        """Return where the arms are before a stop, if the one before it is not given up."""
         return self._start if stop == 0 else self._at(stop - 1)
 
     def _reach(self, stop: int, here: Configuration | None) -> Route | str:
-        """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
+        """Find legs to a stop, changing its steps where the gate refuses them; the reason if there is no path."""
         own = self._own(stop)
         usable, asked = None, 0
         for steps in self._steps_to(stop, here, own):
@@ -111,7 +111,7 @@ class LegPlanner:
                 return ()
             if asked == _MOST_WAYS:
                 break
-        if usable is None:  # the last motion comes straight from the stop before
+        if usable is None:  # none: the last motion comes straight from the stop before
             usable = {name: np.zeros_like(step) for name, step in own.items()}
         self._set(stop, usable)
         if here is None:
@@ -120,16 +120,16 @@ class LegPlanner:
         return found if isinstance(found, str) else found.legs
 
     def _steps_to(self, stop: int, here: Configuration | None, own: Steps) -> Iterator[Steps]:
-        """The planned steps of a stop, then others whose last motion begins where the arms may stand.
+        """Yield the planned steps of a stop, then others whose last motion begins where the arms are clear.
 
-        A repeat has those of its stop. The gate mostly accepts the first of the others: it is asked about one, then
-        about some at a time.
+        A repeat has the steps of its stop, mirrored, and no others. The gate mostly accepts the first of the others: it
+        is asked about one, then about growing batches.
         """
         yield own
         if self._arrangement.repeat_of[stop] >= 0:
             return
         others = self._others.pop(stop, None)
-        if others is None:  # the stop before is not where it was planned
+        if others is None:  # the stop before was given up
             others = self._other_steps([stop])[stop]
         asked = 0
         for number, steps in enumerate(others):
@@ -139,7 +139,7 @@ class LegPlanner:
             yield steps
 
     def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
-        """Other steps of some stops, best balanced first, whose last motions begin where the arms may stand."""
+        """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
         drawn = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
         if not drawn:
             return {}
@@ -154,7 +154,7 @@ class LegPlanner:
         }
 
     def _ask(self, motions: Iterable[tuple[int, Configuration | None, Steps]]) -> None:
-        """Ask the gate about the motions to stops, each from some place and with some steps, together."""
+        """Ask the gate in one batch about motions to stops, each with its beginning and its steps."""
         both = list[tuple[Configuration, Configuration]]()
         for stop, here, steps in motions:
             begin = self._begin_of(stop, steps)
@@ -163,12 +163,12 @@ class LegPlanner:
         self._finder.gate.ask(both)
 
     def _accepts(self, stop: int, steps: Steps) -> bool:
-        """Whether the gate accepts other steps at a stop that is reached straight."""
+        """Return whether the gate accepts other steps at a stop that is reached by a straight motion."""
         self._ask([(stop, self._before[stop], steps)])
         return self._last_is_free(stop, steps) and self._way_is_free(stop, self._before[stop], steps)
 
     def _last_is_free(self, stop: int, steps: Steps) -> bool:
-        """Whether the gate accepts the last motion, and that of the repeat from the other side."""
+        """Return whether the gate accepts the last motion, and that of the repeat from the other side."""
         there, free = self._at(stop), self._finder.gate.free
         if not free(self._begin_of(stop, steps), there):
             return False
@@ -193,5 +193,5 @@ class LegPlanner:
 
 
 def _begin(q: Array, step: Array) -> Array:
-    """Where the last motions begin (n, N) [rad]; NaN where no joint moves."""
+    """Compute where the last motions begin (n, N) [rad]; NaN where no joint moves."""
     return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)

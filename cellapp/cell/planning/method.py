@@ -1,4 +1,4 @@
-"""The stops of a plan by the method that the profile names, alone or around stops that are kept."""
+"""Planning of stops by the method that the profile names, for a new plan or after stops that are kept."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cellapp.ground.progress import CancelToken, Listener, ignore
 
 
 def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlannedStops:
-    """Plan the stops of a run and store them with what is known of their design.
+    """Plan the stops of a run, and store them with the description of their design.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def make_stops(
     kept: PlannedStops | None = None,
     add: int | None = None,
 ) -> tuple[PlannedStops, PlanDesignResult | None]:
-    """Stops by ``plan.method``, and what is known of their design; None for random ones.
+    """Plan stops by ``plan.method``; return them with the description of their design, None for random ones.
 
     Parameters
     ----------
@@ -50,9 +50,9 @@ def make_stops(
     listener, cancel
         Progress and cancelling.
     kept : PlannedStops, optional
-        Stops that are in the plan already; they stay in their order at its beginning, and what they tell is known.
+        Stops that are in the plan already; they stay in their order at its beginning, and their information counts.
     add : int, optional
-        Number of further stops; None: up to those that the profile asks for, reserves included.
+        Number of further stops; None: up to the number that the profile asks for, reserves included.
 
     Raises
     ------
@@ -74,9 +74,9 @@ def make_stops(
 
 
 def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None) -> PlannedStops:
-    """The stops with the loads of the profile one after the other, as many with each; those that are kept have theirs.
+    """Assign the loads of the profile in turn, to equally many stops each; kept stops keep their loads.
 
-    Blocks are in random order and each covers the workspace, so that every load does. Reserves have the last one.
+    Blocks are in random order and each covers the workspace, so every load covers it too. Reserves get the last load.
     """
     before = 0 if kept is None else len(kept)
     first = int(stops.load[before - 1]) if before else 0
@@ -91,7 +91,7 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
 def _random(
     profile: Profile, count: int, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None
 ) -> PlannedStops:
-    """Random stops with straight ways, after those that are kept."""
+    """Draw random stops with straight motions, and append them to those that are kept."""
     if kept is None or not len(kept):
         return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
     here = kept.targets(len(kept) - 1)

@@ -1,4 +1,4 @@
-"""Another order of the stops where the gate refuses a straight way: parts are reversed, shifted or exchanged."""
+"""Repair of the order of stops where the gate refuses a straight motion: parts are reversed, shifted or exchanged."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _DETOUR_STEPS = 1.0
-"""What a detour costs, in usual steps: another order that costs more is not taken."""
+"""Cost of a detour, in mean steps: an order that costs more than the detour is not taken."""
 _MOST_TRIED = 12
-"""Other orders that are asked of the gate for one refused way: about one in two is free."""
+"""Orders that the gate is asked about for one refused motion: it accepts about one in two."""
 _ROUNDS = 2
-"""Passes over all ways: a repair may make another one possible."""
+"""Passes over all motions: one repair may make another one possible."""
 
 _LEAST_GAIN_S = 0.02
-"""Gain for which the ways between blocks, which were made one by one, are joined in another way."""
+"""Smallest gain [s] for which the order at the joint of two blocks is changed: each block was ordered by itself."""
 
 _LONGEST_PART = 20
-"""Most stops that a move displaces: more would change when the postures of a block are visited."""
+"""Largest number of stops that a move displaces: more would change when the postures of a block are visited."""
 
 
 def repair_order(
@@ -37,7 +37,7 @@ def repair_order(
     gate: FreeMotions,
     cancel: CancelToken,
 ) -> Arrangement:
-    """The same pairs of stops in an order of which the gate refuses few straight ways, or none.
+    """Find an order of the same pairs of stops in which the gate refuses few straight motions, or none.
 
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
@@ -62,7 +62,7 @@ def repair_order(
 
 
 def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
-    """Another order in which all ways that are new are free; None if none is found that costs less than ``limit``."""
+    """Find an order that costs less than ``limit`` [s] and whose new motions are accepted; None if there is none."""
     costs: list[tuple[float, int, Move]] = []
     along = ways.along(now)
     for move in _moves(now.block, place):
@@ -78,7 +78,7 @@ def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangem
     new = [[(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in move.steps()] for move in tried]
     asked = 0
     for number, (move, of_move) in enumerate(zip(tried, new, strict=True)):
-        if number == asked:  # about one in two is free
+        if number == asked:  # about one in two is accepted
             asked = 2 * number + 2
             ways.ask(way for later in new[number:asked] for way in later)
         if all(ways.is_free(*way) for way in of_move):
@@ -91,7 +91,7 @@ def _shift(move: Move, k: int) -> NDArray[np.intp] | int:
 
 
 def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
-    """Moves inside a block that change the way to the stop at ``place``; positions count from 1."""
+    """Yield moves within a block that change the motion to the stop at ``place``; positions count from 1."""
     here = place + 1
     if place < len(block):
         before, later = _beside(block, place)
@@ -104,7 +104,7 @@ def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
 
 
 def _beside(block: NDArray[np.intp], place: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions before and after a stop in its block that are not too far from it."""
+    """Return the positions before and after a stop, within its block and ``_LONGEST_PART``."""
     first, end = (int(np.searchsorted(block, block[place], side=side)) for side in ("left", "right"))
     before = np.arange(max(first, place - _LONGEST_PART) + 1, place + 1)
     return before, np.arange(place + 2, min(end, place + 1 + _LONGEST_PART) + 1)
@@ -118,11 +118,11 @@ def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
 
 
 Way = tuple[Arrangement, int, int]
-"""The straight way between two places of an arrangement; -1 is the start, n the end."""
+"""The straight motion between two places of an arrangement; -1 is the start, n the end."""
 
 
 class _Ways:
-    """The straight ways between stops: their time, and whether the gate accepts them."""
+    """The straight motions between stops: their time, and whether the gate accepts them."""
 
     def __init__(
         self, stops: StopSet, start: Configuration | None, end: Configuration | None, gate: FreeMotions
@@ -130,21 +130,21 @@ class _Ways:
         self._stops, self._start, self._end, self._gate = stops, start, end, gate
 
     def ask(self, ways: Iterable[Way]) -> None:
-        """Ask the gate about several ways together."""
+        """Ask the gate about several motions at once."""
         self._gate.ask(motion for way in ways if (motion := self._motion(*way)) is not None)
 
     def is_free(self, arrangement: Arrangement, before: int, place: int) -> bool:
-        """Whether the gate accepts a way."""
+        """Return whether the gate accepts a motion."""
         motion = self._motion(arrangement, before, place)
         return motion is None or self._gate.free(*motion)
 
     def _motion(self, arrangement: Arrangement, before: int, place: int) -> tuple[Configuration, Configuration] | None:
-        """From where to where a way leads; None where it begins or ends anywhere, or nothing moves."""
+        """Return start and end of a motion; None if either is anywhere, or nothing moves."""
         here, there = self._at(arrangement, before), self._at(arrangement, place)
         return None if here is None or there is None or before == place else (here, there)
 
     def along(self, now: Arrangement) -> list[Array]:
-        """Positions of each arm from start to end, NaN where these are not given."""
+        """Return the positions of each arm from start to end, NaN where start or end is None."""
         found = []
         for name, rows in zip(self._stops.names, now.rows, strict=True):
             q = self._stops.q[name][rows]
@@ -154,7 +154,7 @@ class _Ways:
         return found
 
     def added_s(self, along: list[Array], move: Move) -> Array:
-        """Time that each of the moves adds (n,) [s] to a way ``along`` positions."""
+        """Compute the time (n,) [s] that each of the moves adds to the motions through the positions ``along``."""
         added: Array = np.zeros(len(move.low))
         for position, before, here in move.steps():
             added += self._time_s(along, before, here) - self._time_s(along, position - 1, position)

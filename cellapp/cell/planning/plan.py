@@ -1,4 +1,4 @@
-"""Planning of stops that the tracker can see and that all arms reach without collision, in their order."""
+"""Random planning of stops: all SMRs are visible to the tracker, and all arms reach the stops without collision."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 
 _TRIES_PER_STOP = 60
-"""Pairs of configurations tried for one stop. In the twin cell 58 % of pairs are accepted; with 8 % still 99 % of stops
-are found."""
+"""Pairs of configurations tried for one stop. The twin cell accepts 58 %; at 8 %, still 99 % of stops are found."""
 _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
 def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
-    """Stops for all arms, arm -> q (stops + reserve, N) [rad], drawn with the profile's seed.
+    """Draw stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
     of the floor and of itself. Their order is random, so that drift in time is not confounded with joint positions. A
@@ -48,9 +47,10 @@ def further_stops(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> dict[str, Array]:
-    """As ``plan_stops``, arm -> q (wanted, N) [rad], from where the arms are (arm -> (N,) [rad]) to their homes.
+    """Draw stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,) [rad]).
 
-    ``more_seed`` beside the profile's seed gives other stops than those that are there already.
+    The last stop has a motion to the home positions. ``more_seed`` is added to the profile's seed, so that stops differ
+    from those that exist already.
     """
     cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
@@ -76,7 +76,7 @@ def further_stops(
 def draw_stops(
     cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, cancel: CancelToken | None = None
 ) -> dict[str, Array]:
-    """Stops at which all arms may stand and are visible, arm -> q (count, N) [rad]; motions are not checked.
+    """Draw stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def draw_stops(
 def rolled_stops(
     cell: CellBodies, stops: Mapping[str, Array], rolls: int, rng: np.random.Generator
 ) -> tuple[dict[str, Array], NDArray[np.intp]]:
-    """Stops and up to ``rolls`` copies of each with other angles of the last joints, where visible and safe.
+    """Return stops and up to ``rolls`` copies of each with other angles of the last joint, where visible and clear.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def rolled_stops(
 
 
 def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """At which of n stops, arm -> (n, N) [rad], all SMRs are visible and the arms may stand, shape (n,)."""
+    """Return at which of n stops, arm -> (n, N) [rad], all SMRs are visible and all arms are clear, shape (n,)."""
     admitted = visible_stops(cell, q)
     rows = np.flatnonzero(admitted)
     admitted[rows] = clear_stops(cell, {name: value[rows] for name, value in q.items()})
@@ -146,7 +146,7 @@ def _next_stop(
     here: Mapping[str, Array],
     homes: Mapping[str, Array] | None,
 ) -> tuple[Mapping[str, Array] | None, str]:
-    """A stop that can be reached from ``here`` and leads to ``homes`` if given; None with the last refusal."""
+    """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
         q = {name: next(configurations) for name, configurations in drawn.items()}

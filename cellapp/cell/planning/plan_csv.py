@@ -9,13 +9,13 @@
 | dwell_s | least rest before the measurement [s] (optional; 0) |
 | block | part of the run to which the stop belongs, from 0 (optional; 0) |
 | repeat_of | configuration that is visited again (optional) |
-| frozen | ``yes`` for a stop that a new design leaves (optional; ``no``) |
+| frozen | ``yes`` for a stop that a new design leaves as it is (optional; ``no``) |
 | load | what the arms carry: 0 for ``payload`` of the profile, from 1 on ``payloads`` (optional; 0) |
 
-Every arm of the profile has a row ``stop`` for each configuration. A leg has rows of the arms that move on it, and
-without a row ``approach`` the last motion of an arm comes straight from the point before. The last five columns belong
-to rows ``stop``; block, repeat_of, frozen and load say the same for all arms, or stand for one and are empty for the
-others.
+Every arm of the profile has a row ``stop`` for each configuration. A leg has rows for the arms that move in it. Without
+a row ``approach``, the last motion of an arm comes straight from the point before. The last five columns belong to rows
+``stop``. Block, repeat_of, frozen and load are the same for all arms: they agree, or are empty for some.
+
 Numbers are written in their shortest exact form: reading a file again gives the same plan bit for bit.
 """
 
@@ -44,7 +44,7 @@ _KEYS = ("configuration", "arm", "point")
 _OF_STOP = ("dwell_s", "block", "repeat_of", "frozen", "load")
 _WORDS = {"": False, "no": False, "yes": True}
 _ROUNDING_RAD = 1e-9
-"""Joint positions may exceed a limit by rounding, as for the safety gate."""
+"""Tolerance of joint limits for rounding, as in the safety gate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class PlanFile:
 
 
 def write_plan_csv(stops: PlannedStops, path: Path, outputs: Outputs = NEW_ONLY) -> None:
-    """Write a plan, which must have stops. Raises ``InputError`` if the file cannot be written, or may not."""
+    """Write a plan, which must have stops. Raise ``InputError`` if the file cannot or must not be written."""
     joints = max(q.shape[1] for q in stops.q.values())
     of_stop = _OF_STOP if stops.load.any() else _OF_STOP[:-1]
     header = [*_KEYS, *(f"q{joint + 1}" for joint in range(joints)), *of_stop]
@@ -77,7 +77,7 @@ def write_plan_csv(stops: PlannedStops, path: Path, outputs: Outputs = NEW_ONLY)
 
 
 def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
-    """Read a plan for the arms of a profile. Whether it is safe and visible is not checked here.
+    """Read a plan for the arms of a profile. It is not checked here whether it is safe and visible.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _joint_columns(joints: int) -> list[str]:
 
 @dataclass(frozen=True)
 class _Point:
-    """One row: joint positions, and what belongs to rows ``stop`` only; None where a cell is empty."""
+    """One row: joint positions, and the cells that belong to rows ``stop`` only; None where a cell is empty."""
 
     line: int
     q: Array
@@ -160,7 +160,7 @@ class _Point:
 
 
 class _Points:
-    """The rows of a file by configuration, arm and point; notes what is wrong in ``problems``."""
+    """The rows of a file by configuration, arm and point; errors are collected in ``problems``."""
 
     def __init__(self, table: CsvTable, profile: Profile, problems: Problems) -> None:
         self._table, self._profile, self._problems = table, profile, problems
@@ -211,7 +211,7 @@ class _Points:
         return None if None in found else np.array(found, dtype=np.float64)
 
     def _of_stop(self, line: int, cells: Mapping[str, str], point: str) -> _Point | None:
-        """What a row says of its stop; None if a cell is wrong."""
+        """Parse the cells of a row that describe its stop; None if one is wrong."""
         before = self._problems.count
         for column in _OF_STOP:
             if point != STOP and cells.get(column):
@@ -256,7 +256,7 @@ class _Points:
     # -- stops ---------------------------------------------------------------------------------------------------------
 
     def planned(self, numbers: Sequence[int]) -> PlannedStops:
-        """The stops in this order; notes in ``problems`` what does not make a stop."""
+        """Assemble the stops in this order; errors are collected in ``problems``."""
         before = self._problems.count
         for number in numbers:
             self._check_stop(number)
@@ -298,7 +298,7 @@ class _Points:
             self._problems.add(line, "repeat_of", text)
 
     def _agreed(self, number: int, column: str) -> int | None:
-        """What the rows of a stop say of it."""
+        """Return the value that the rows of a stop agree on; None if it is not given."""
         said = (getattr(points[STOP], column) for points in self.by_stop[number].values() if STOP in points)
         return next((one for one in said if one is not None), None)
 
@@ -314,5 +314,5 @@ class _Points:
 
 
 def _approach(points: Mapping[str, _Point]) -> Array:
-    """Where the last motion of an arm begins (N,); NaN if it is not planned."""
+    """Return where the last motion of an arm begins (N,); NaN if it is not planned."""
     return points[APPROACH].q if APPROACH in points else np.full_like(points[STOP].q, np.nan)

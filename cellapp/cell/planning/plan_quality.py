@@ -1,8 +1,8 @@
 """What the stops of a plan tell, against random plans: standard errors, predictions over the workspace, observability.
 
-Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are
-visible and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
-Predictions are judged at configurations of the workspace that no choice of stops has seen, and that the tracker need
+Random plans have configurations as the planner with ``method: random`` draws them: uniform over those that are visible
+and clear. Approach, step and time are drawn for both kinds of plan, so that only the choice of stops differs.
+Predictions are judged at configurations of the workspace that were not used to choose stops and that the tracker need
 not see.
 """
 
@@ -35,15 +35,15 @@ from cellapp.robot.kinematics.transforms import Array
 ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)
 
 _POINTS = 600
-"""Configurations at which predictions are judged: the mean is then known to 2 %."""
+"""Number of configurations at which predictions are judged: the mean is then known to 2 %."""
 _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
-"""Sizes of the random plans, in units of the judged plan's, among which its equal is found."""
+"""Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
-"""Configurations of all random plans together: bounds time and memory for plans of thousands of stops."""
+"""Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
 _DRAWS = 6
-"""Random plans of each size whose mean counts: the worst point differs by 10 % from plan to plan."""
+"""Number of random plans of each size that are averaged: the worst point differs by 10 % from plan to plan."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
-"""Numbers of stops after which the errors are stated."""
+"""Numbers of stops after which the expected errors are stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Errors:
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What plans of one arm are judged by.
+    """Model, workspace points and random plans by which plans of one arm are judged.
 
     Attributes
     ----------
@@ -67,6 +67,8 @@ class Judge:
         Derivatives of predictions [m].
     random : array, shape (m, 3, p)
         Whitened rows of random configurations.
+    others : mapping
+        Configurations of the other arms.
     rng
         Draws random plans and conditions.
     """
@@ -87,7 +89,7 @@ class Judge:
         rng: np.random.Generator,
         cancel: CancelToken,
     ) -> Judge:
-        """For plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
+        """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
@@ -112,22 +114,22 @@ class Judge:
         return self.points.reshape(-1, self.points.shape[2]).astype(np.float32)
 
     def sizes(self, stops: int) -> list[int]:
-        """Sizes of random plans among which the equal of ``stops`` stops is found."""
+        """Return the sizes of random plans among which the equivalent of ``stops`` stops is found."""
         return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
 
     def rows(self, q: Array) -> Array:
-        """Whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
+        """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
         return self.model.rows(q, drawn_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
-        """From the information (p, p) of readings."""
+        """Compute the errors from the information matrix (p, p) of readings."""
         covariance = inverse_psd(np.eye(len(information)) + information)
         squares = np.einsum("rp,rp->r", self._point_rows @ covariance.astype(np.float32), self._point_rows)
         points = np.sqrt(squares.reshape(-1, 3).sum(axis=1))
         return Errors(np.sqrt(np.diag(covariance)), float(points.mean()), float(points.max()))
 
     def random_plans(self, sizes: Sequence[int]) -> dict[int, tuple[Errors, Array]]:
-        """Mean errors of random plans of some sizes, and their mean information (p, p)."""
+        """Compute mean errors and mean information matrix (p, p) of random plans, for each of the ``sizes``."""
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
@@ -142,7 +144,7 @@ class Judge:
         return {size: (_mean(errors), total[size]) for size, errors in found.items()}
 
     def determined(self, information: Array) -> tuple[int, ...]:
-        """Places of the geometric parameters that readings with some information determine.
+        """Return the indices of the geometric parameters that readings with this information matrix determine.
 
         The others are redundant: with them the least singular value of the Jacobian would be zero.
         """
@@ -162,7 +164,10 @@ def _mean(errors: Sequence[Errors]) -> Errors:
 
 
 def observability(information: Array, geometry: Sequence[int], stops: int) -> ObservabilityIndices:
-    """From the information (p, p) of ``stops`` stops about geometric parameters, each in units of its expected size."""
+    """Compute the indices from the information matrix (p, p) of ``stops`` stops.
+
+    Only the parameters ``geometry`` count, each in units of its expected size.
+    """
     chosen = np.array(geometry, dtype=np.intp)
     squares = np.linalg.eigvalsh(information[chosen[:, None], chosen])[::-1]
     s = np.sqrt(np.maximum(squares, np.finfo(np.float64).tiny))
@@ -176,7 +181,7 @@ def observability(information: Array, geometry: Sequence[int], stops: int) -> Ob
 
 
 def _quality(stops: int, errors: Errors, random: Errors, indices: ObservabilityIndices) -> PlanQuality:
-    """``random`` are errors of as many random stops."""
+    """Compare the errors with those of equally many random stops (``random``)."""
     return PlanQuality(
         stops=stops,
         parameters=float(np.mean(errors.parameters / random.parameters)),
@@ -194,7 +199,7 @@ def arm_design(
     rng: np.random.Generator,
     cancel: CancelToken | None = None,
 ) -> ArmDesign:
-    """What the stops of one arm tell, against random ones.
+    """Evaluate the stops of one arm against random ones.
 
     Parameters
     ----------
@@ -243,7 +248,7 @@ def arm_design(
 
 
 def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) -> dict[ErrorName, float]:
-    """Number of random stops with the same errors, interpolated among sizes of random plans; at most the largest.
+    """Find the number of random stops with the same errors, interpolated among ``random`` plans; at most the largest.
 
     ``parameters`` is the mean of the standard errors, each relative to that of ``stops`` random stops.
     """
@@ -254,7 +259,7 @@ def equal_to_random(errors: Errors, random: Mapping[int, Errors], stops: int) ->
 
     sizes = sorted(random)
     curve = np.array([three(random[size]) for size in sizes])
-    curve = np.minimum.accumulate(curve, axis=0)  # a mean of few draws may rise again
+    curve = np.minimum.accumulate(curve, axis=0)  # the mean of a few draws may rise again
     equal = [
         float(np.exp(np.interp(-wanted, -curve[:, k], np.log(sizes))))
         for k, wanted in enumerate(three(errors).tolist())

@@ -15,7 +15,7 @@ from cellapp.robot.kinematics.transforms import Array
 Configuration = Mapping[str, Array]
 """Arm -> joint positions (N,) [rad]; on a leg, only the arms that move."""
 Route = tuple[Configuration, ...]
-"""Motions one after the other, each with the targets of the arms that move."""
+"""Consecutive motions, each with the targets of the arms that move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +31,14 @@ class PlannedStops:
     dwell_s : mapping
         Arm -> least rest before the measurement (n,) [s].
     legs : tuple
-        For each stop the motions that lead from the stop before (home before the first) to where the last motion
-        begins, without that end: empty where the straight way is free.
+        For each stop, the motions from the stop before (home before the first) to where the last motion begins, without
+        the one that ends there: empty where the straight motion is free.
     block : array, shape (n,), int
         Part of the run to which the stop belongs.
     repeat_of : array, shape (n,), int
-        Number of the stop whose configuration is visited again; -1 for none.
+        Index of the stop whose configuration is visited again; -1 for none.
     frozen : array, shape (n,), bool
-        Stops that a person chose; a new design leaves them.
+        Stops that a person chose; a new design leaves them as they are.
     load : array, shape (n,), int
         What the arms carry: 0 for ``payload`` of the profile, from 1 on ``payloads``.
     """
@@ -56,18 +56,18 @@ class PlannedStops:
         return len(self.block)
 
     def targets(self, stop: int) -> dict[str, Array]:
-        """Joint positions (N,) of all arms at a stop."""
+        """Return the joint positions (N,) of all arms at a stop."""
         return {name: q[stop] for name, q in self.q.items()}
 
     def approach_starts(self, stop: int) -> dict[str, Array]:
-        """Joint positions (N,) before the last motion, of the arms whose approach is planned."""
+        """Return the joint positions (N,) before the last motion, for the arms whose approach is planned."""
         return {name: q[stop] for name, q in self.approach_from.items() if np.isfinite(q[stop]).all()}
 
     def take(self, rows: Sequence[int] | NDArray[np.intp]) -> PlannedStops:
-        """Some of the stops in the given order.
+        """Select some of the stops, in the given order.
 
-        Legs to a stop that follows another one than before are dropped, as they begin elsewhere. A repeat of a stop
-        that is not among them is no repeat any more.
+        Legs to a stop with a new predecessor are dropped, as they begin elsewhere. A repeat of a stop that is not
+        selected becomes an ordinary stop.
         """
         chosen = np.asarray(rows, dtype=np.intp)
         place = np.full(len(self) + 1, -1, dtype=np.intp)  # the last one stands for "no repeat"
@@ -88,7 +88,7 @@ class PlannedStops:
 
 
 def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
-    """Stops (arm -> q (n, N) [rad]) with straight ways, without planned approach or dwell, in one block."""
+    """Make stops (arm -> q (n, N) [rad]) with straight motions, without planned approach or dwell, in one block."""
     n = len(next(iter(q.values()), ()))
     return PlannedStops(
         q=q,
@@ -103,7 +103,7 @@ def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
 
 
 def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
-    """The stops of both, those of the second after the first, without legs to its first; both have the same arms."""
+    """Append the stops of ``second``, without legs to its first one; both plans have the same arms."""
     later = np.where(second.repeat_of < 0, -1, second.repeat_of + len(first))
 
     def both(before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Array]:
@@ -122,9 +122,9 @@ def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
 
 
 def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
-    """Last motion of each joint before each stop with its sign, arm -> (n, N) [rad].
+    """Compute the signed last motion of each joint before each stop, arm -> (n, N) [rad].
 
-    It is the planned one, else straight from the stop before, from ``homes`` before the first.
+    It is the planned one, else straight from the stop before, or from ``homes`` before the first.
     """
     motions = {}
     for name, q in stops.q.items():
@@ -135,16 +135,16 @@ def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
 
 
 def joined_after(first: PlannedStops, second: PlannedStops) -> PlannedStops:
-    """As ``joined``, for stops that were planned to follow the first: with all their legs, in blocks of their own."""
+    """Append stops that were planned to follow ``first``: with all their legs, in blocks of their own."""
     both = joined(first, replace(second, block=second.block + int(first.block.max(initial=-1)) + 1))
     return replace(both, legs=(*first.legs, *second.legs))
 
 
 def routes(stops: PlannedStops, stop: int, *, as_planned: bool) -> Iterator[Route]:
-    """Ways to a stop in the order of preference; each ends with the planned last motion, which keeps its side.
+    """Yield routes to a stop in the order of preference; each ends with the planned last motion, which keeps its side.
 
-    They are the planned legs if the arms are where these begin (``as_planned``); straight to where the last motion
-    begins; there one arm after the other; the planned legs from wherever the arms are.
+    The routes: the planned legs if the arms are where these begin (``as_planned``); straight to where the last motion
+    begins; to there one arm after the other; the planned legs from wherever the arms are.
     """
     starts, targets = stops.approach_starts(stop), stops.targets(stop)
     begin = {**targets, **starts}
@@ -160,13 +160,13 @@ def routes(stops: PlannedStops, stop: int, *, as_planned: bool) -> Iterator[Rout
 
 
 def orders(targets: Configuration) -> Iterator[Route]:
-    """The orders in which the arms may move to their targets one after the other."""
+    """Yield the orders in which the arms can move to their targets one after the other."""
     for order in permutations(targets):
         yield tuple({name: targets[name]} for name in order)
 
 
 def refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
-    """Reason why the arms cannot take a route; empty if they can. Names the motion where there are several."""
+    """Return why the arms cannot take a route, naming the motion if there are several; empty if they can."""
     for number, motion in enumerate(route, start=1):
         there = {**here, **motion}
         if reason := refuse_motion(cell, here, there):
@@ -176,5 +176,5 @@ def refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
 
 
 def can_go(cell: CellBodies, here: Configuration, there: Configuration) -> bool:
-    """Whether the arms may go somewhere all at once, or one after the other in some order, as the collection does."""
+    """Return whether the arms can move all at once, or one after the other in some order, as the collection does."""
     return any(not refused_route(cell, here, route) for route in ((there,), *orders(there)))

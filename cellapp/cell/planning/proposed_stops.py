@@ -15,7 +15,7 @@ from cellapp.cell.run import RunFile
 
 
 def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
-    """Append stops to the plan in place of earlier proposals that were not measured. Returns the first one's number."""
+    """Append stops to the plan in place of earlier proposals that were not measured; return the first one's number."""
     plan, done, proposed = read_planned_stops(run), run.stops_done(), proposed_stops(read_stop_conditions(run))
     first = len(plan)
     while first - 1 in proposed and first - 1 not in done:
@@ -23,14 +23,14 @@ def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
     further = range(first, first + len(stops))
     whole = joined(plan.take(range(first)), _planned(stops))
     block = np.where(np.arange(len(whole)) < first, whole.block, whole.block[:first].max(initial=-1) + 1)
-    load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # what hangs by then
+    load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # the last load
     earlier = {stop for stop in proposed if stop < first}
     write_planned_stops(run, replace(whole, block=block, load=load), proposed={*earlier, *further})
     return first
 
 
 def why_not_driven(run: RunFile) -> str:
-    """Why this program cannot drive further stops of a run; empty if it can."""
+    """Say why this program cannot drive further stops of a run; empty if it can."""
     missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
     missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
     if missing:
@@ -39,7 +39,7 @@ def why_not_driven(run: RunFile) -> str:
 
 
 def _planned(stops: Sequence[ProposedStop]) -> PlannedStops:
-    """The proposed stops as planned ones, with straight ways."""
+    """Convert the proposed stops to planned ones with straight motions."""
     planned = straight_stops({name: np.array([stop.q[name] for stop in stops]) for name in stops[0].q})
     for k, stop in enumerate(stops):
         for name in planned.q:

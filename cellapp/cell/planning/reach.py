@@ -1,9 +1,9 @@
-"""Which configurations an arm alone can reach from home, and on which ways: a probabilistic roadmap of each arm.
+"""The configurations that an arm alone can reach from home, and by which paths: a probabilistic roadmap of each arm.
 
-Source: Kavraki, Svestka, Latombe, Overmars, IEEE Transactions on Robotics and Automation 12 (1996) 566. Ways are looked
-at in some places only, with what samples of a path may hide added to the clearance: the gate has the last word on every
-motion. A configuration that no roadmap reaches is, with few exceptions, shut off by joint limits, by the arm itself or
-by what stands in the cell.
+Source: Kavraki, Svestka, Latombe, Overmars, IEEE Transactions on Robotics and Automation 12 (1996) 566. Motions are
+checked at a few samples only, with a clearance enlarged by what the samples may hide; the gate decides about every
+motion. A configuration that the roadmap does not reach is, with few exceptions, shut off by joint limits, by the arm
+itself or by the cell.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _NODES = 300
-"""Nodes of a roadmap beside home: it is made in a quarter of a second."""
+"""Nodes of a roadmap besides home: it is built in a quarter of a second."""
 _NEIGHBOURS = 12
-"""Nearest nodes to which a node is connected where the way is clear."""
+"""Number of nearest nodes to which a node is connected if the motion is clear."""
 _PLACES = (8, 4, 12, 2, 14, 6, 10, 1, 15, 3, 13, 5, 11, 7, 9)
-"""Sixteenths of a way at which an arm is looked at, the most telling first."""
+"""Sixteenths of a motion at which an arm is checked, the most selective first."""
 _DRAWS = 40
-"""Random configurations drawn at most for each node."""
+"""Upper limit of the random configurations drawn for each node."""
 _AT_ONCE = 4000
-"""Ways that are looked at together."""
+"""Number of motions that are checked at once."""
 
 
 class ArmRoadmap:
-    """Clear configurations of one arm and the clear ways between them; the first is home."""
+    """Clear configurations of one arm and the clear motions between them; the first is home."""
 
     def __init__(self, profile: Profile, cell: CellBodies, name: str, rng: np.random.Generator) -> None:
         self._arm, self._bodies, self._cell = profile.arms[name], cell.arms[name], with_margin_for_ways(cell)
@@ -42,13 +42,13 @@ class ArmRoadmap:
 
     @property
     def rest(self) -> Array:
-        """Home; some clear configuration of an arm without one."""
+        """Home; for an arm without one, some clear configuration."""
         return self._nodes[0] if self._home is None else self._home
 
     def reaches(self, q: Array) -> NDArray[np.bool_]:
-        """Whether the arm can go from home to configurations ``q`` (n, N) [rad], without regard to others, (n,).
+        """Return whether the arm can go from home to configurations ``q`` (n, N) [rad], without regard to others, (n,).
 
-        Of an arm without home, whether they are in the largest connected part of its roadmap.
+        For an arm without home: whether they connect to the largest connected part of its roadmap.
         """
         reached: NDArray[np.bool_] = np.zeros(len(q), dtype=np.bool_)
         clear = np.flatnonzero(self._clear(q))
@@ -62,7 +62,7 @@ class ArmRoadmap:
         return reached
 
     def path(self, start: Array, end: Array) -> list[Array] | None:
-        """Configurations (N,) between two others, on a way that takes little time; None if none is found."""
+        """Find configurations (N,) between two others, on a path that takes little time; None if there is none."""
         nodes = np.concatenate([self._nodes, start[None], end[None]])
         n = len(nodes)
         i = np.append(np.repeat([n - 2, n - 1], n - 2), n - 2)  # both ends to all nodes, and to each other
@@ -80,7 +80,7 @@ class ArmRoadmap:
         return found[::-1]
 
     def clear_ways(self, start: Array, end: Array) -> NDArray[np.bool_]:
-        """Whether the arm is clear on the way from ``start`` (n, N) to ``end`` (n, N), where it is looked at, (n,)."""
+        """Return whether the arm is clear at the samples of motions from ``start`` (n, N) to ``end`` (n, N), (n,)."""
         free = np.ones(len(start), dtype=bool)
         for place_on_way in _PLACES:
             left = np.flatnonzero(free)
@@ -93,7 +93,7 @@ class ArmRoadmap:
 
     @cached_property
     def _nodes(self) -> Array:
-        """Home and random clear configurations (m, N) [rad], at most half a turn from home where limits allow."""
+        """Home and random clear configurations (m, N) [rad], at most half a turn from home where limits allow that."""
         low, high = self._bodies.limits.T
         centre = 0.5 * (low + high) if self._home is None else self._home
         found = [centre[None]] if self._home is not None else []
@@ -108,7 +108,7 @@ class ArmRoadmap:
 
     @cached_property
     def _edges(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Nodes that clear ways connect: to the nearest ones, and to home."""
+        """Pairs of nodes that clear motions connect: to the nearest ones, and to home."""
         nodes = self._nodes
         near = self._nearest(nodes)
         i = np.concatenate([np.repeat(np.arange(len(nodes)), near.shape[1]), np.arange(1, len(nodes))])
@@ -118,7 +118,7 @@ class ArmRoadmap:
 
     @cached_property
     def _part(self) -> NDArray[np.intp]:
-        """Number of the connected part of each node (m,)."""
+        """Index of the connected part of each node (m,)."""
         i, k = self._edges
         n = len(self._nodes)
         graph = scipy.sparse.coo_matrix((np.ones(len(i)), (i, k)), shape=(n, n))
@@ -129,7 +129,7 @@ class ArmRoadmap:
         return int(np.argmax(np.bincount(self._part)) if self._home is None else self._part[0])
 
     def _nearest(self, q: Array) -> NDArray[np.intp]:
-        """The nodes nearest in time to each configuration (n, neighbours)."""
+        """Return the indices of the nodes nearest in time to each configuration (n, neighbours)."""
         nodes = self._nodes
         way = (nodes[None] - q[:, None]).reshape(-1, q.shape[1])
         seconds = motion_s(self._arm, way).reshape(len(q), len(nodes))

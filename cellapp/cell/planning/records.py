@@ -28,7 +28,7 @@ class PlanRefusal(Record):
 
     @property
     def is_avoided(self) -> bool:
-        """Whether another way leads there."""
+        """Whether another route leads there."""
         return self.via_home or self.detour is not None
 
 

@@ -1,4 +1,4 @@
-"""Stops that tell most, chosen for each arm from its pool of candidates; what they tell against random ones."""
+"""Selection of the most informative stops of each arm from its pool of candidates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 
 _POINTS = 600
-"""Configurations that stand for the workspace: its mean is then known to 2 %, the worst point to some per cent."""
+"""Configurations that represent the workspace: the mean is then known to 2 %, the worst point to a few percent."""
 
 
 def select_stops(
@@ -33,11 +33,9 @@ def select_stops(
 ) -> dict[str, Rows]:
     """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
 
-    Each arm has a thread and a stream of random numbers of its own, spawned from ``rng``: what is chosen does not
-    depend on which is faster.
-
-    ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: what they tell is there before
-    the first choice, and they count in the coverage of the joints.
+    Each arm has its own thread and its own stream of random numbers, spawned from ``rng``: the result does not depend
+    on which is faster. ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: their
+    information counts before the first choice, and they count in the coverage of the joints.
 
     Raises
     ------
@@ -66,7 +64,7 @@ def _select(
     rng: np.random.Generator,
     cancel: CancelToken,
 ) -> Rows:
-    """Candidates of one arm; ``pools`` are the configurations of all arms."""
+    """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
     q, others = pools[name], {other: q for other, q in pools.items() if other != name}
     if not count or not len(q):
         return np.arange(0)

@@ -1,4 +1,4 @@
-"""From the chosen stops of each arm to a plan: pairs, order, factors and ways, each motion accepted by the gate."""
+"""From the chosen stops of each arm to a plan: pairs, order, factors and paths; the gate accepts every motion."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Sequenced:
 
 
 def distinct_stops(profile: Profile, stops: int) -> int:
-    """Number of different stops of a plan of some stops; the others are repeats."""
+    """Return the number of different stops in a plan of ``stops`` stops; the others are repeats."""
     return stops - min(profile.plan.repeats, stops // _LARGEST_REPEATED_SHARE)
 
 
@@ -51,25 +51,25 @@ def sequenced(
     after: Mapping[str, Array] | None = None,
     finder: TransitPlanner | None = None,
 ) -> Sequenced:
-    """Pair the chosen stops of all arms, order them, plan their factors and ways.
+    """Pair the chosen stops of all arms, order them, plan their factors and paths.
 
-    ``plan.stops`` and ``plan.reserve`` stops are planned, reserves last, or fewer if fewer are chosen; further ones
-    stand in for those that no motion reaches, and ``plan.repeats`` stops are visited twice in place of others.
+    ``plan.stops`` and ``plan.reserve`` stops are planned, reserves last, or fewer if fewer are chosen. Further ones
+    replace those that no motion reaches; ``plan.repeats`` stops are visited twice in place of others.
 
     Parameters
     ----------
     profile : Profile
     cell : CellBodies
     chosen : mapping
-        Arm -> joint positions (n, N) [rad], the most important first. A joint may be planned whole turns from there.
+        Arm -> joint positions (n, N) [rad], the most important first. Joints may be planned at whole turns from these.
     rng : numpy.random.Generator
     listener, cancel
         Progress and cancelling.
     after : mapping, optional
-        Arm -> stops (k, N) that exist already: the way begins at the last one. As many stops are planned as are
+        Arm -> stops (k, N) that exist already: the new ones begin at the last of them. As many stops are planned as are
         chosen, without reserves.
     finder : TransitPlanner, optional
-        Of the same cell, which remembers what it knows; a new one if not given.
+        A planner of the same cell, whose cached answers are used; by default a new one.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def sequenced(
 def _reached(
     profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
 ) -> Array:
-    """Configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
+    """Select the configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
     turned = nearest_turns(profile, cell, name, q)
     reached = finder.roadmaps[name].reaches(turned)
     if not reached.all():
@@ -113,9 +113,9 @@ def _reached(
 
 
 def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:
-    """The same poses with each joint in the turn nearest to home, within the limits or ``plan.ranges``.
+    """Turn each joint by whole turns to be nearest to home, within the limits or ``plan.ranges``; poses stay the same.
 
-    Many poses whose straight way from home is blocked by the arm itself, or by the floor, are free in another turn.
+    Many poses whose straight motion from home is blocked by the arm itself or by the floor are free in another turn.
     """
     home = profile.arms[name].home
     low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
@@ -127,7 +127,7 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """What the parts of a plan share."""
+    """State that the parts of a plan share."""
 
     profile: Profile
     cell: CellBodies
@@ -152,7 +152,7 @@ class _Job:
         return joined_after(first, second)
 
     def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
-        """Plan stops that follow ``start``; after the last one the arms can go home."""
+        """Plan stops that follow ``start``; from the last one the arms can go home."""
         n = min(map(len, q.values())) + repeats
 
         def report(done: int, words: str) -> None:

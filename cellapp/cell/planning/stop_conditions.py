@@ -45,7 +45,7 @@ class StopConditions:
 
 
 def read_stop_conditions(run: RunFile) -> dict[int, dict[str, StopConditions]]:
-    """Conditions of stops that have some, or were proposed: stop -> arm -> conditions.
+    """Read the conditions of stops that have some, or were proposed: stop -> arm -> conditions.
 
     Raises
     ------
@@ -66,12 +66,12 @@ def read_stop_conditions(run: RunFile) -> dict[int, dict[str, StopConditions]]:
 
 
 def proposed_stops(conditions: Mapping[int, Mapping[str, StopConditions]]) -> frozenset[int]:
-    """Numbers of the stops that discovery proposed."""
+    """Return the numbers of the stops that discovery proposed."""
     return frozenset(stop for stop, arms in conditions.items() if any(one.proposed for one in arms.values()))
 
 
 def stop_conditions_json(conditions: Mapping[int, Mapping[str, StopConditions]]) -> str:
-    """The document."""
+    """Convert conditions to the text of the document."""
     stored = {stop: {arm: _stored(one) for arm, one in arms.items()} for stop, arms in conditions.items()}
     return _DOCUMENT.dump_json(stored, exclude_defaults=True).decode()
 
@@ -103,7 +103,7 @@ def _checked(run: RunFile, arm: str, stored: _Stored) -> StopConditions:
 
 
 def reason_of(error: Exception) -> str:
-    """What is wrong with a document, in short."""
+    """Say briefly what is wrong with a document."""
     if isinstance(error, ValidationError):
         first = error.errors(include_url=False)[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

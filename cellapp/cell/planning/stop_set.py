@@ -1,4 +1,4 @@
-"""The chosen stops of each arm, not yet paired: their postures, the time between them, which of them go together."""
+"""The chosen stops of each arm before they are paired: postures, times between stops, pairs that are compatible."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 Rows = NDArray[np.intp]
-"""Numbers of stops; with a first axis of length K one number for each arm."""
+"""Indices of stops; with a first axis of length K, one index for each arm."""
 
 _PARTS_OF_WAY = (0.5, 0.25, 0.75, 0.125, 0.875, 0.375, 0.625)
-"""Where on the way between two stops an arm is looked at alone: that finds most ways that are not free."""
+"""Fractions of the motion between two stops at which an arm is checked alone: they find most collisions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,38 +59,38 @@ class StopSet:
 
     @cached_property
     def postures(self) -> tuple[Columns, ...]:
-        """Functions of posture of the stops of each arm."""
+        """Posture functions of the stops of each arm."""
         return tuple(posture_functions(self.profile, self.cell, name, q) for name, q in self.q.items())
 
     @cached_property
     def cell_of_ways(self) -> CellBodies:
-        """The cell with the clearance that an arm must keep so that the gate accepts ways."""
+        """The cell with a larger clearance: the gate accepts the motions of an arm that keeps it."""
         return with_margin_for_ways(self.cell)
 
     @cached_property
     def usual_step_s(self) -> float:
-        """Mean time of a way between two stops in random order [s]."""
+        """Mean time of a motion between two stops in random order [s]."""
         rows = np.arange(self.size)
         return float(np.mean(self.step_s(np.stack([rows] * len(self.q)), np.stack([np.roll(rows, 1)] * len(self.q)))))
 
     def at(self, rows: Sequence[int] | Rows) -> dict[str, Array]:
-        """Joint positions of all arms: of arm k at its stop(s) ``rows[k]``."""
+        """Return the joint positions of all arms: of arm k at its stop(s) ``rows[k]``."""
         return {name: q[row] for (name, q), row in zip(self.q.items(), rows, strict=True)}
 
     def step_s(self, start: Rows, end: Rows) -> Array:
-        """Time of the slowest arm from stops ``start`` (K, n) to ``end`` (K, n), shape (n,) [s]."""
+        """Compute the time of the slowest arm from stops ``start`` (K, n) to ``end`` (K, n), shape (n,) [s]."""
         return self.way_s([q[there] - q[here] for q, here, there in zip(self.q.values(), start, end, strict=True)])
 
     def way_s(self, ways: Sequence[Array]) -> Array:
-        """Time of the slowest arm for motions (n, N) [rad] of each arm, shape (n,) [s]."""
+        """Compute the time of the slowest arm for motions (n, N) [rad] of each arm, shape (n,) [s]."""
         times = [motion_s(self.profile.arms[name], way) for name, way in zip(self.names, ways, strict=True)]
         return np.asarray(np.max(times, axis=0))
 
     def arm_times_s(self, arm: int, rows: Rows) -> Array:
-        """Time of an arm alone between all pairs of the stops ``rows`` (m,), shape (m, m) [s].
+        """Compute the time of an arm alone between all pairs of the stops ``rows`` (m,), shape (m, m) [s].
 
-        Ways on which the arm alone is not clear take as long as a usual step more: that is what a detour costs. Those
-        that take longer than a usual step are not looked at.
+        Motions on which the arm alone is not clear get the time of a mean step more: a detour costs about that. Motions
+        that take longer than a mean step are not checked.
         """
         name, cell = self.names[arm], self.cell_of_ways
         q, m = self.q[name][rows], len(rows)
@@ -107,11 +107,11 @@ class StopSet:
         return times
 
     def arm_pairs(self) -> Iterator[tuple[int, int]]:
-        """All pairs of arms."""
+        """Return all pairs of arms."""
         return combinations(range(len(self.q)), 2)
 
     def compatible_stops(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
-        """Whether arm ``first`` may stand and be seen at each of ``rows`` (m,) while ``second`` is at ``partners``.
+        """Return whether arm ``first`` is clear and visible at ``rows`` (m,) while ``second`` is at ``partners`` (p,).
 
         Returns
         -------
@@ -123,6 +123,6 @@ class StopSet:
         return clear_pairs(pair, (a, self.q[a][rows]), (b, self.q[b][partners]))
 
     def together(self, rows: Rows) -> NDArray[np.bool_]:
-        """Whether all arms may stand and be seen at the stops ``rows`` (K, n), shape (n,) bool."""
+        """Return whether all arms are clear and visible at the stops ``rows`` (K, n), shape (n,) bool."""
         q = self.at(rows)
         return np.asarray(clear_stops(self.cell, q) & visible_stops(self.cell, q))

@@ -1,9 +1,10 @@
-"""The plan of a run as ``PlannedStops``, and what is known of its design.
+"""Storage of a plan in its run, as ``PlannedStops``, and of its design.
 
 The table ``plan`` holds the joint positions, the document of ``stop_conditions`` approach and dwell. The document
 ``planned_stops`` holds the rest: ``{"legs": {stop: [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop: stop},
-"frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop, without loads the profile's
-payload. Runs without it have straight ways in one block. All three are written in one transaction.
+"frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop; without loads, the
+profile's payload. In runs without this document all motions are straight and all stops in one block. All three are
+written in one transaction.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _Stored(Record):
 
 
 def read_planned_stops(run: RunFile) -> PlannedStops:
-    """The plan of a run; without stops if it has none.
+    """Read the plan of a run; it has no stops if the run has no plan.
 
     Raises
     ------
@@ -79,9 +80,10 @@ def write_planned_stops(
     proposed: Collection[int] = (),
     design: PlanDesignResult | None = None,
 ) -> None:
-    """Store a plan in place of the one before; ``proposed`` are numbers of stops that discovery proposed.
+    """Store a plan in place of the one before.
 
-    ``design`` is what is known of it; None keeps what is stored.
+    ``proposed`` are the numbers of stops that discovery proposed. ``design`` describes the design of the plan; None
+    keeps the stored one.
 
     Raises
     ------
@@ -108,13 +110,13 @@ def write_planned_stops(
 
 
 def read_plan_design(run: RunFile) -> PlanDesignResult | None:
-    """What is known of the design of a run's plan; None if it was not designed. Raises ``InputError`` if damaged."""
+    """Read the design of a run's plan; None if it was not designed. Raise ``InputError`` if it is damaged."""
     text = run.read_result(PLAN_DESIGN_RESULT)
     return None if text is None else PlanDesignResult.from_json(text, f"{run.path}: {PLAN_DESIGN_RESULT}")
 
 
 def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[int, dict[str, StopConditions]]:
-    """Approach and dwell of each arm at each stop that has some, or that discovery ``proposed``."""
+    """Collect approach and dwell of each arm at each stop that has some, or that discovery ``proposed``."""
     found: dict[int, dict[str, StopConditions]] = {}
     for stop in range(len(stops)):
         starts = stops.approach_starts(stop)
@@ -128,7 +130,7 @@ def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[i
 
 
 def _with_stored(stops: PlannedStops, stored: _Stored, loads: int) -> PlannedStops:
-    """The stops with what the document says of them. Raises ``ValueError`` if it does not fit them.
+    """Complete the stops by the document. Raise ``ValueError`` if it does not fit them.
 
     Stops that were appended without it are in the last block and have the last load.
     """
@@ -152,7 +154,7 @@ def _with_stored(stops: PlannedStops, stored: _Stored, loads: int) -> PlannedSto
 
 
 def _continued(values: tuple[int, ...], n: int) -> NDArray[np.intp]:
-    """The values of the first stops, the last of them for the other ones (n,); zero without any."""
+    """Return the values (n,), the last one repeated for the remaining stops; zeros if there is none."""
     last = values[-1] if values else 0
     return np.array((*values, *(last,) * (n - len(values))), dtype=np.intp)
 

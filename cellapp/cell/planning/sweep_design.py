@@ -1,4 +1,4 @@
-"""What a sweep tells of an arm: of its geometry, of the effects that the profile's plan is for, beside its stops."""
+"""The information in a sweep of an arm about its geometry and effects, in addition to that of the stops."""
 
 from __future__ import annotations
 
@@ -35,18 +35,17 @@ from cellapp.robot.model.nominal import prior_sigmas
 from cellapp.robot.paths.sweep import Sweep
 
 _INDEPENDENT_S = 0.5
-"""Time after which a point of a motion tells as much as one at rest does: those of sweeps of the twin were worth some
-two a second."""
+"""Interval [s] of points in a motion that tell as much as one stop each: sweeps of the twin gave about two a second."""
 _SAMPLE_S = 0.04
 _UNKNOWN = 1.0
-"""Standard deviation of what nothing is known of, as of a base [m, rad]."""
+"""Upper limit of prior standard deviations, as of a base: practically unknown [m, rad]."""
 _DELAY_SD_S = 1.0
-"""What is known of the delay between the clocks before: nothing."""
+"""Prior standard deviation of the delay between the clocks: practically unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedArm:
-    """An arm before anything moves: its nominal model, masses, and the tracker's noise by the profile."""
+    """An arm before anything moves: its nominal model, its masses, and the tracker's noise from the profile."""
 
     profile: Profile
     name: str
@@ -55,24 +54,24 @@ class ExpectedArm:
 
     @classmethod
     def of(cls, profile: Profile, name: str) -> ExpectedArm:
-        """The arm of this name. Raises ``InputError`` if the profile does not describe the cell."""
+        """Set up the arm of this name. Raise ``InputError`` if the profile does not describe the cell."""
         model = nominal_model(profile, name)
         return cls(profile, name, model, Masses(model.geometry, model.bodies, model.up_M))
 
     def at_rest(self, q: Array, direction: Array) -> Expected:
-        """Stops at ``q`` (n, N) [rad] that joints came to in ``direction`` (n, N)."""
+        """Predict stops at ``q`` (n, N) [rad] that the joints reached in ``direction`` (n, N)."""
         return self._measured(state_at_rest(q, direction, self.masses))
 
     def moving(self, motions: Sequence[Sweep]) -> Expected:
-        """Points of sweeps, as far apart as they are worth one each."""
+        """Predict points of sweeps, at the interval at which each tells as much as one stop."""
         states = []
         for motion in motions:
             time_s = motion.times(_SAMPLE_S)
             path = joint_path(JointStream(time_s=time_s, q=motion.at(time_s), qd=motion.at(time_s, 1)))
-            # the ends are left out: accelerations need neighbours
+            # without the ends: accelerations need neighbours
             chosen = np.arange(_INDEPENDENT_S, motion.period_s - _INDEPENDENT_S / 2.0, _INDEPENDENT_S)
             state = state_in_motion(path, chosen, None, torques=False)
-            # at these few times only: what fits keep is at hundreds of times as many
+            # torques at these few times only: a fit would need them at hundreds of times as many
             states.append(replace(state, torque=torques_in_motion(path, chosen, self.masses)))
         q, qd, direction, torque = (
             np.concatenate([getattr(state, word) for state in states]) for word in ("q", "qd", "direction", "torque")
@@ -84,8 +83,8 @@ class ExpectedArm:
         return Expected(state, covariance + EXPECTED_SCATTER_M**2 * np.eye(3))
 
     def parameters(self) -> tuple[ParameterSet, Array]:
-        """The parameters of the geometry, and what is known of each before. Raises ``InputError`` if the set of the
-        profile is not for this arm."""
+        """Return the parameters of the geometry, and the prior standard deviation of each. Raise ``InputError`` if the
+        set of the profile is not for this arm."""
         calibration, nominal = self.profile.calibration, self.model.geometry
         stated = prior_sigmas(self.model.nominal, calibration.priors)
         try:
@@ -97,8 +96,8 @@ class ExpectedArm:
 
 @dataclass(frozen=True, eq=False)
 class SweepDesign:
-    """What sweeps shall tell of an arm: parameters of its geometry and ``terms``, each in units of what is known of it
-    before."""
+    """The quantities that sweeps are to determine: parameters of the geometry and ``terms``, each in units of its prior
+    standard deviation ``unit``."""
 
     arm: ExpectedArm
     estimated: ParameterSet
@@ -107,7 +106,7 @@ class SweepDesign:
 
     @classmethod
     def of(cls, profile: Profile, name: str) -> SweepDesign:
-        """For the geometry and the effects that ``plan.effects`` lists, as far as recordings show them."""
+        """Set up for the geometry and those effects of ``plan.effects`` that recordings can show."""
         arm = ExpectedArm.of(profile, name)
         estimated, sds = arm.parameters()
         laws, wanted = foreseen_laws(arm.model.geometry.joints), profile.plan.effects
@@ -116,11 +115,11 @@ class SweepDesign:
         return cls(arm, estimated, terms, np.minimum(unit, _UNKNOWN))
 
     def before(self, stops: Array, direction: Array) -> Array:
-        """Information (P, P) of what is known before, and of the stops (n, N) of an arm."""
+        """Compute the information matrix (P, P) of the priors and the stops (n, N) of an arm."""
         return np.eye(len(self.unit)) + self._information(self.arm.at_rest(stops, direction))
 
     def told(self, motion: Sweep) -> Array:
-        """Information (P, P) of one sweep."""
+        """Compute the information matrix (P, P) of one sweep."""
         return self._information(self.arm.moving([motion]))
 
     def _information(self, expected: Expected) -> Array:

@@ -1,4 +1,4 @@
-"""What the sweeps of a plan will tell beside its stops, before anything moves."""
+"""Forecast of what the sweeps of a plan will tell in addition to its stops, before anything moves."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cellapp.ground.profile import Profile
 
 
 def forecast_sweeps(profile: Profile, stops: PlannedStops, sweeps: Sequence[PlannedSweep]) -> dict[str, SweepForecast]:
-    """What stops, sweeps and both together will tell of each arm that sweeps.
+    """Forecast, for each arm that sweeps, what its stops, its sweeps and both together will tell.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Sweeps: at each stop of a plan every arm swings about it, the others resting, its SMR turned to the tracker.
+"""Sweeps: at each stop of a plan, each arm in turn moves about it with its SMR facing the tracker; the others rest.
 
-Of several random motions that one is taken that tells most in its time of geometry and effects beside
-the stops and sweeps before; it is made narrower until the tracker sees all of it and the gate accepts the whole way.
-Motions about successive stops take turns between two speeds. With ``plan.other_arm: swinging`` the other arm of two
-swings meanwhile, unseen, half as fast, in the same time (``swings``).
+Several random motions are drawn. The one is taken that tells most per second of geometry and effects, in addition to
+the stops and the sweeps before. It is made narrower until the tracker sees all of it and the gate accepts the whole
+path. Motions about successive stops alternate between two speeds. With ``plan.other_arm: swinging`` the other arm of
+two moves at the same time, half as fast and without being measured (``PlannedSweep.beside``).
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ _HARMONICS = 4
 _PERIODS_S = (16.0, 32.0)
 """Shortest periods of motions about successive stops [s]: both directions of each joint at two speeds."""
 _REACH_RAD = (0.15, 0.9)
-"""Amplitudes of single joints are drawn between these."""
+"""Range of the amplitudes of single joints."""
 _DRAWS = 16
 _NARROWER = 0.75
 _NARROWEST = 0.08
-"""Share of a drawn motion below which another one is taken."""
+"""Amplitude [rad] of the joint that moves most below which a motion is given up."""
 _SPEED_SHARE, _ACCELERATION_SHARE = 0.5, 0.5
-"""Of the limits of the joints."""
+"""Largest speed and acceleration, as shares of the joints' limits."""
 _JERK_S = 0.1
-"""An acceleration may build up within this time."""
+"""Shortest time [s] in which the acceleration may build up to its limit."""
 _FASTEST_M_S = 0.25
-"""Of the SMR: the limit of a person's reach into the cell, and slow enough for any tracker."""
+"""Largest speed of the SMR: the limit where a person can reach into the cell, and slow enough for any tracker."""
 _SEEN_S, _GATE_S = 0.1, 0.05
-"""Samples of a motion for the tracker's sight, and for the gate [s]."""
+"""Sampling interval of a motion for the tracker's sight, and for the gate [s]."""
 _SWING_SHARE = 0.5
-"""Of the speed of the SMR, for an arm that swings beside: what two arms may be apart costs room between them."""
+"""Share of that speed for an arm that swings meanwhile: the margin between two arms grows with their speed."""
 _SWING_DRAWS = 4
 
 
@@ -63,12 +63,12 @@ class Swing(Record):
     cosine: tuple[tuple[float, ...], ...]
 
     def motion(self, center: Array) -> Sweep:
-        """The motion about ``center`` (N,) [rad]."""
+        """Return the motion about ``center`` (N,) [rad]."""
         return Sweep(center, np.array(self.sine), np.array(self.cosine), self.period_s)
 
     @classmethod
     def of(cls, arm: str, motion: Sweep) -> Swing:
-        """That of a motion."""
+        """Return the coefficients of a motion."""
         sine, cosine = (tuple(map(tuple, table.tolist())) for table in (motion.sine, motion.cosine))
         return cls(arm=arm, period_s=motion.period_s, sine=sine, cosine=cosine)
 
@@ -81,11 +81,11 @@ class PlannedSweep(Swing):
 
     @property
     def name(self) -> str:
-        """What its recording is called."""
+        """Name of its recording."""
         return f"sweep-{self.stop + 1}"
 
     def motions(self, at: Mapping[str, Array]) -> dict[str, Sweep]:
-        """The motions of all arms that move about a stop ``at`` (arm -> (N,) [rad]); first that which is measured."""
+        """Return the motions of all arms that move about a stop ``at`` (arm -> (N,) [rad]), the measured one first."""
         moving = (self, *([] if self.beside is None else [self.beside]))
         return {one.arm: one.motion(at[one.arm]) for one in moving}
 
@@ -100,8 +100,8 @@ class PlannedSweeps(Record):
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Of an arm: the joint positions of all its stops (n, N) [rad], what sweeps shall tell, and what these and those so
-    far do (P, P)."""
+    """Knowledge about one arm: the joint positions of all its stops (n, N) [rad], what its sweeps are to determine, and
+    the information matrix (P, P) so far."""
 
     stops: Array
     design: SweepDesign
@@ -109,12 +109,12 @@ class _Known:
 
 
 def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
-    """The planned sweeps of a run; none if none were planned. Raises ``InputError`` if their document is damaged."""
+    """Read the planned sweeps of a run, empty if there are none. Raise ``InputError`` if their document is damaged."""
     return read_planned_sweeps(run).sweeps
 
 
 def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
-    """The same with notes and forecast."""
+    """Read the planned sweeps of a run with their notes and forecast, as ``read_sweeps`` does."""
     text = run.read_result(SWEEPS_RESULT)
     if text is None:
         return PlannedSweeps(sweeps=())
@@ -127,7 +127,7 @@ def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
 def plan_sweeps(
     profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> PlannedSweeps:
-    """A sweep of each arm at each stop, as far as the gate and the tracker allow one.
+    """Plan a sweep of each arm at each stop where the gate and the tracker allow one.
 
     Raises
     ------
@@ -171,8 +171,8 @@ def plan_sweeps(
 def refuse_sweep(
     cell: CellBodies, motions: Mapping[str, Sweep], at: Mapping[str, Array], gate: Gate = refuse_motion
 ) -> str:
-    """Why arms must not make ``motions``, of one period, all at once while the others rest ``at`` (arm -> (N,) [rad]);
-    empty if they may. Every sample is checked with the gate."""
+    """Return why arms must not make ``motions`` of one period at the same time while the others rest ``at`` (arm ->
+    (N,) [rad]); empty if they may. The gate checks every sample."""
     time_s = next(iter(motions.values())).times(_GATE_S)
     paths = {name: motion.at(time_s) for name, motion in motions.items()}
     for name, q in paths.items():
@@ -188,8 +188,8 @@ def refuse_sweep(
 def _swing_beside(
     profile: Profile, cell: CellBodies, name: str, motion: Sweep, at: Mapping[str, Array], rng: np.random.Generator
 ) -> Swing | None:
-    """A random motion of the other arm in the time of ``motion`` of arm ``name``, which stays in the tracker's sight;
-    None where the gate accepts none."""
+    """Draw a motion of the other arm that lasts as long as ``motion`` of arm ``name`` and does not hide this from the
+    tracker; None if the gate accepts none."""
     (other,) = (one for one in at if one != name)
     time_s = motion.times(_SEEN_S)
     for _ in range(_SWING_DRAWS):
@@ -215,7 +215,7 @@ def _sweep_about(
     known: _Known,
     rng: np.random.Generator,
 ) -> Sweep | None:
-    """The motion about a stop that tells most in its time beside what is ``known``; None if none is allowed."""
+    """Find the motion about a stop that tells most per second in addition to ``known``; None if none is allowed."""
     others = {other: q for other, q in at.items() if other != name}
     towards = known.stops[rng.integers(len(known.stops), size=_DRAWS)]
     drawn = [_seen(cell, name, _drawn(at[name], posture, period_s, rng), others) for posture in towards]
@@ -233,7 +233,7 @@ def _sweep_about(
 
 
 def _drawn(center: Array, towards: Array, period_s: float, rng: np.random.Generator) -> Sweep:
-    """A random motion with an amplitude of its own for each joint, and a share of the way ``towards`` a posture."""
+    """Draw a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
     order = np.arange(1, _HARMONICS + 1)[:, None]
     sine, cosine = (rng.normal(size=(_HARMONICS, len(center))) / order for _ in range(2))
     motion = Sweep(center, sine, cosine, period_s)
@@ -245,14 +245,14 @@ def _drawn(center: Array, towards: Array, period_s: float, rng: np.random.Genera
 
 
 def _narrower(motion: Sweep) -> Sweep | None:
-    """The same motion somewhat narrower; None if that leaves next to nothing."""
+    """Scale a motion down by one step; None if next to nothing is left."""
     smaller = motion.scaled(_NARROWER)
     reach = np.abs(smaller.at(smaller.times(smaller.period_s / 100.0)) - smaller.center).max()
     return smaller if reach > _NARROWEST else None
 
 
 def _seen(cell: CellBodies, name: str, motion: Sweep, others: Mapping[str, Array]) -> Sweep | None:
-    """The motion, so narrow that the tracker sees all of it; None if it does not even at its narrowest."""
+    """Scale a motion down until the tracker sees all of it; None if it does not even at its narrowest."""
     found: Sweep | None = motion
     while found is not None:
         time_s = found.times(_SEEN_S)
@@ -266,7 +266,7 @@ def _seen(cell: CellBodies, name: str, motion: Sweep, others: Mapping[str, Array
 def _slow_enough(
     profile: Profile, cell: CellBodies, name: str, motion: Sweep, fastest_m_s: float = _FASTEST_M_S
 ) -> Sweep:
-    """The motion within the limits of the joints and of the SMR's speed."""
+    """Slow a motion down to the limits of the joints and of the SMR's speed."""
     arm = profile.arms[name]
     speed = _SPEED_SHARE * arm.speed_scale * np.array([joint.speed for joint in arm.type.joints])
     acceleration = _ACCELERATION_SHARE * arm.speed_scale * np.array([joint.acceleration for joint in arm.type.joints])

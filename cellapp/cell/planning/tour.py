@@ -1,14 +1,14 @@
-"""Order and pairing of the stops of several arms that take least time, block by block, by simulated annealing.
+"""Fastest order and pairing of the stops of several arms, block by block, by simulated annealing.
 
 Each arm has the same number of stops in a block. A position of a block's order holds one stop of each arm; a step from
-one position to the next takes as long as the slowest arm. Which stops share a position costs too (``pair_cost``): so
-pairs that are not allowed and correlations between the arms' poses are avoided.
+one position to the next takes as long as the slowest arm. Stops that share a position cost as well (``pair_cost``):
+this avoids pairs that are not allowed, and correlations between the arms' postures.
 
-Moves: a part of the order is reversed, or a few positions are shifted to another place, or two positions are exchanged,
-for all arms; or two stops of one arm are exchanged, which makes new pairs. Half of the moves bring a stop beside one of
-its nearest neighbours. Of each block many moves are tried at once, and of those that are accepted the one with most to
-spare is made: at high temperature that takes a third of the steps that the first one takes, at low temperature nearly
-all are refused, so that this is nearly one move after the other.
+Moves for all arms: reverse a part of the order, shift a few positions to another place, or exchange two positions. A
+move for one arm: exchange two of its stops, which makes new pairs. Most moves bring a stop beside one of its nearest
+neighbours. Many moves of each block are tried at once, and the accepted one with the largest margin is made. At high
+temperature this takes a third of the steps that taking the first accepted move does; at low temperature nearly all
+moves are refused, so that it is nearly the same as one move after the other.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _NEIGHBOURS = 10
-"""Nearest stops beside which a stop is tried."""
+"""Number of nearest stops beside which a stop is tried."""
 _TRIES_AT_ONCE = 512
-"""Moves tried in one step, over all blocks: then numpy's overhead of a call is small against its work."""
+"""Moves tried in one step, over all blocks: enough that numpy's overhead of a call is small against its work."""
 _TRIES_A_STOP = 2
-"""Moves tried in one step at most for each stop of a block: the best of more is nearly the best of all, which no
-temperature would ever leave for a worse one."""
+"""Upper limit of the moves tried in one step, for each stop of a block. With more, the best one would nearly always be
+a gain, and no temperature would ever accept a loss."""
 _HOT, _COLD = 0.04, 0.012
-"""First and last temperature over the mean time between two stops: the first order is near already, and a hotter start
-would lose it; at last only gains are accepted."""
+"""First and last temperature, relative to the mean time between two stops. The first order is nearly good: a hotter
+start would lose it. At the end only gains are accepted."""
 _RANDOM_SHARE = 0.2
-"""Share of moves of random positions; the others bring near neighbours together."""
+"""Share of moves with random positions; the others bring near neighbours together."""
 _LONGEST_SHIFT = 3
-"""Most positions that are shifted together."""
+"""Largest number of positions that are shifted together."""
 _POWER = 6
-"""Power of correlations that is charged: the largest ones rule, and a change by one exchange is foreseen well."""
+"""Power of the correlations in the cost: the largest dominate, and the effect of one exchange is predicted well."""
 _BEND = 0.35 * _POWER * (_POWER - 1)
-"""Bend of the charge in one exchange: less than at its beginning, or exchanges that halve a correlation would seem to
-save nothing."""
+"""Curvature assumed for that cost within one exchange: less than its initial value, with which exchanges that halve a
+correlation would seem to save nothing."""
 _CHECK_EVERY = 50
 """Steps between two looks at the cancel token."""
 
@@ -64,9 +64,9 @@ class TourTask:
     postures : sequence of arrays, shape (B, m, p)
         Variables of each arm with mean 0 and standard deviation 1; 0 beyond the size of a block.
     correlation_goal : float
-        Correlations of variables of two arms up to this cost nothing,
+        Correlation between variables of two arms that costs ``correlation_cost``; smaller ones cost much less.
     correlation_cost : float
-        and beyond it this times the square of the excess [s].
+        Cost at the goal [s]; it grows with the power ``_POWER`` of the correlation.
     """
 
     sizes: NDArray[np.intp]
@@ -78,7 +78,7 @@ class TourTask:
 
 
 def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: CancelToken) -> Order:
-    """Order (K, B, m) of the stops: their numbers within each block; -1 beyond its size.
+    """Find a fast order (K, B, m) of the stops: their indices within each block, -1 beyond its size.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
 
 
 def _near_order(task: TourTask, rng: np.random.Generator) -> Order:
-    """An order (K, B, m + 2) of each arm alone, from a random stop to the nearest one that is left, and so on.
+    """Build a first order (K, B, m + 2) of each arm alone: from a random stop always to the nearest one that is left.
 
-    Positions of no stop (number m) are before the first and after the last stop.
+    The index m (no stop) stands at the positions before the first and after the last stop.
     """
     arms, blocks, m, _ = task.time_s.shape
     order = np.full((arms, blocks, m + 2), m, dtype=np.intp)
@@ -118,15 +118,15 @@ def _near_order(task: TourTask, rng: np.random.Generator) -> Order:
 
 
 Step = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
-"""Present positions: the end of a step that the move removes, then start and end of a step that it adds instead."""
+"""Current positions: the end of a step that the move removes, then start and end of the step that replaces it."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """Moves of one kind of the positions ``low`` to ``high``; of one ``arm`` alone where it is not None.
+    """Moves of one kind on the positions ``low`` to ``high``, of one ``arm`` alone if that is not None.
 
-    ``reverse`` turns the part round; ``shift`` brings its last ``shift`` positions before its others; ``exchange``
-    exchanges its two ends.
+    ``reverse`` reverses the part; ``shift`` puts its last ``shift`` positions before its others; ``exchange`` exchanges
+    its two ends.
     """
 
     kind: Literal["reverse", "shift", "exchange"]
@@ -136,14 +136,14 @@ class Move:
     arm: int | None = None
 
     def steps(self) -> tuple[Step, ...]:
-        """The steps that the move removes, each with the one that it adds; as many of either."""
+        """Return the steps that the move removes, each with the one that replaces it."""
         low, high = self.low, self.high
         if self.kind == "reverse":
             return (low, low - 1, high), (high + 1, low, high + 1)
         if self.kind == "shift":
             cut = high - self.shift
             return (low, low - 1, cut + 1), (cut + 1, high, low), (high + 1, cut, high + 1)
-        beside = high == low + 1  # then there is one step between them, not two
+        beside = high == low + 1  # then one step lies between them, not two
         return (
             (low, low - 1, high),
             (low + 1, high, np.where(beside, low, low + 1)),
@@ -152,7 +152,7 @@ class Move:
         )
 
     def source(self, position: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Where the stops stand now that the move brings to ``position``."""
+        """Return the current positions of the stops that the move brings to ``position``."""
         low, high = self.low, self.high
         if self.kind == "exchange":
             return np.where(position == low, high, np.where(position == high, low, position))
@@ -162,23 +162,23 @@ class Move:
         return np.where((position >= low) & (position <= high), moved, position)
 
     def take(self, rows: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Move:
-        """Some of the moves, each on an axis of its own."""
+        """Select some of the moves, each with an axis of its own."""
         shift = self.shift if isinstance(self.shift, int) else self.shift[rows][:, None]
         return Move(self.kind, self.low[rows][:, None], self.high[rows][:, None], shift, self.arm)
 
 
 class _Tours:
-    """The orders of all blocks. Positions 1 to size hold stops, position 0 and those beyond an end without cost.
+    """The orders of all blocks. Positions 1 to size hold stops; position 0 and those beyond mark an end, without cost.
 
-    Numpy takes from flat arrays much faster than from several axes: positions, stops and pairs of stops are numbers in
-    flat arrays over all blocks.
+    Numpy takes from flat arrays much faster than from several axes: positions, stops and pairs of stops are therefore
+    indices into flat arrays over all blocks.
     """
 
     def __init__(self, task: TourTask, order: Order) -> None:
         arms, blocks, m, _ = task.time_s.shape
         self._task, self._sizes, self._m = task, task.sizes[:, None], m
         self._order = order
-        """Stop within its block (K, B, m + 2) at each position."""
+        """Index within its block of the stop at each position (K, B, m + 2)."""
         self._at = order.reshape(arms, -1)
         self._first = np.arange(blocks)[:, None]
         self._first_pair = self._first * (m + 1) ** 2
@@ -193,7 +193,7 @@ class _Tours:
         self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
         self._step_s = np.zeros((blocks, m + 2))
         self._arm_step_s = np.zeros((arms, blocks, m + 2))
-        """Time to each position from the one before it: of the slowest arm, and of each."""
+        """Time of the step to each position from the one before it: of the slowest arm, and of each arm."""
         self._update(range(arms), np.arange(blocks))
         self._total = max(int(task.sizes.sum()), 1)
         ordered = [one[self._first * (m + 1) + of_arm] for one, of_arm in zip(self._postures, order, strict=True)]
@@ -206,7 +206,7 @@ class _Tours:
         return np.where(stops == self._m, -1, stops)
 
     def step(self, temperature: float, rng: np.random.Generator) -> None:
-        """Try many moves of one kind in each block; of those that are accepted make the one with most to spare."""
+        """Try many moves of one kind in each block; of the accepted ones make the one with the largest margin."""
         move = self._propose(rng)
         spare = self._gain(move) - temperature * np.log(rng.random(move.low.shape))
         spare = np.where(move.high > move.low, spare, 0.0)
@@ -224,7 +224,7 @@ class _Tours:
         self._update(moved, blocks)
 
     def _propose(self, rng: np.random.Generator) -> Move:
-        """Moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
+        """Propose moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
         arms, blocks = len(self._at), len(self._sizes)
         shape = blocks, max(1, min(_TRIES_AT_ONCE // blocks, _TRIES_A_STOP * self._m))
         arm = int(rng.integers(arms))
@@ -248,7 +248,7 @@ class _Tours:
         return Move("shift", low, high, np.minimum(int(rng.integers(1, _LONGEST_SHIFT + 1)), high - low))
 
     def _gain(self, move: Move) -> Array:
-        """Time that each move saves (B, R) [s]."""
+        """Compute the time that each move saves (B, R) [s]."""
         steps = np.array(move.steps())  # (steps, 3, B, R)
         steps += self._first * (self._m + 2)
         position, before, here = steps[:, 0], steps[:, 1], steps[:, 2]
@@ -268,7 +268,7 @@ class _Tours:
         return gain
 
     def _saved_on_pairs(self, move: Move, arm: int) -> Array:
-        """Cost of pairs and of correlations that exchanges of stops of one arm save (B, R) [s]."""
+        """Compute the cost of pairs and of correlations that exchanges of stops of one arm save (B, R) [s]."""
         saved: Array = np.zeros(move.low.shape)
         base, width = self._first * (self._m + 2), self._m + 1
         low, high = ([at.take(base + end) for at in self._at] for end in (move.low, move.high))
@@ -293,14 +293,14 @@ class _Tours:
         return saved
 
     def _changes(self, arm: int, blocks: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]) -> Array:
-        """Differences of the postures of an arm's stops ``high`` and ``low`` of some blocks."""
+        """Return the differences of posture between an arm's stops ``high`` and ``low`` in some blocks."""
         first = blocks * (self._m + 1)
         return np.asarray(
             self._postures[arm].take(first + high, axis=0) - self._postures[arm].take(first + low, axis=0)
         )
 
     def _update_correlation(self, made: Move, arm: int, blocks: NDArray[np.intp]) -> None:
-        """Take over what exchanges in some blocks change, before they are made."""
+        """Update the correlations for exchanges in some blocks, before these are made."""
         low, high = (self._at[:, blocks * (self._m + 2) + end] for end in (made.low, made.high))
         for number, other, flipped in self._pairs_of(arm):
             own, theirs = (self._changes(k, blocks, low[k], high[k])[:, 0] for k in (arm, other))
@@ -308,13 +308,13 @@ class _Tours:
             self._correlation[number] -= less.T if flipped else less
 
     def _pairs_of(self, arm: int) -> Iterator[tuple[int, int, bool]]:
-        """Number of each pair with this arm, the other arm, and whether that comes first."""
+        """Yield of each pair with this arm: its index, the other arm, and whether the other arm comes first."""
         for number, pair in enumerate(self._pairs):
             if arm in pair:
                 yield number, sum(pair) - arm, pair[1] == arm
 
     def _update(self, arms: Iterable[int], blocks: NDArray[np.intp]) -> None:
-        """Compute anew what follows from the order of some arms in some blocks."""
+        """Recompute what depends on the order of some arms in some blocks."""
         rows, width = blocks[:, None], self._m + 1
         for arm in arms:
             of_arm = self._order[arm, blocks]
@@ -325,7 +325,7 @@ class _Tours:
 
 
 def _nearest(task: TourTask) -> Order:
-    """The nearest stops of each stop (K, B, m, neighbours), nearest first."""
+    """Find the nearest stops of each stop (K, B, m, neighbours), nearest first."""
     m = task.time_s.shape[2]
     near = np.where(np.eye(m, dtype=bool), np.inf, task.time_s)
     for block, size in enumerate(task.sizes.tolist()):

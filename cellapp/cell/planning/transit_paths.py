@@ -1,8 +1,8 @@
-"""Ways that the gate accepts where it refuses the straight one, the shortest in time of those found.
+"""Paths that the gate accepts where it refuses the straight motion; of those found, the shortest in time.
 
-Tried are: one arm after the other; through positions of an arm, in which some joints are still where they began, some
-already where they end and some at home, or on its roadmap; through home; a random tree in the joint space of all arms.
-Every motion of a way has passed the gate.
+Candidates, in this order: one arm after the other; through positions of an arm, in which each joint is at its start,
+its end or its home position, or on the arm's roadmap; through home; a random tree in the joint space of all arms. The
+gate has accepted every motion of a path.
 """
 
 from __future__ import annotations
@@ -22,47 +22,47 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _MIXTURES = 2500
-"""Most positions looked at for an arm: all combinations of start, end and home for up to seven joints."""
+"""Most intermediate positions of an arm: all combinations of start, end and home for up to seven joints."""
 _LOOKED_AT = 200
-"""Of these the shortest detours are looked at."""
+"""Number of these, with the shortest detours, that are checked for the arm alone."""
 _PASSED_ON = 12
-"""Positions of an arm that are clear and that the gate is asked about."""
+"""Number of clear positions of an arm that the gate is asked about."""
 _MOST_ASKED = 60
-"""Ways of one kind that the gate is asked about: less than a tenth of a second."""
+"""Upper limit of the paths of one kind that the gate is asked about: less than a tenth of a second."""
 _ASKED_TOGETHER = 8
-"""Of these that many are looked at together."""
+"""Number of these that the gate is asked about at once."""
 _MOST_ORDERED = 4
-"""Arms of which all orders are tried."""
+"""Largest number of arms of which all orders are tried."""
 _TREE_NODES = 300
-"""Nodes of a random tree before it is given up: less than a second."""
+"""Nodes after which a random tree is given up: less than a second."""
 _TREE_STEP = 0.6
 """Longest motion of a joint along an edge of the tree [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class TransitPath:
-    """Motions that lead to a configuration, without the last one, which ends there; and the time of all [s]."""
+    """The motions to a configuration without the last one, which ends there, and the time of all of them [s]."""
 
     legs: Route
     seconds: float
 
 
 class TransitPlanner:
-    """Finds ways in one cell."""
+    """Search for paths in one cell."""
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
         self._profile, self._cell, self._rng = profile, cell, rng
         self.gate = FreeMotions(cell)
-        """Of all arms, for those who plan with these ways, too."""
+        """Answers of the gate for all arms; other planning steps share them."""
         self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
-        """Of each arm alone."""
+        """Roadmap of each arm alone."""
 
     def seconds(self, here: Configuration, there: Configuration) -> float:
-        """Time of a motion of all arms at once [s]."""
+        """Compute the time of a motion of all arms at once [s]."""
         return route_s(self._profile, here, (there,))
 
     def find(self, here: Configuration, there: Configuration) -> TransitPath | str:
-        """The shortest way found from ``here`` to ``there`` (all arms); the gate's reason if there is none."""
+        """Find the shortest path from ``here`` to ``there`` (all arms); return the gate's reason if there is none."""
         if self.gate.free(here, there):
             return TransitPath((), self.seconds(here, there))
         if no_standing := refuse_motion(self._cell, there, there):
@@ -81,7 +81,7 @@ class TransitPlanner:
     def _first_free(
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
     ) -> TransitPath | None:
-        """The shortest way through some of the configurations ``between`` that the gate accepts."""
+        """Find the shortest accepted path through one of the sequences ``between``; None if there is none."""
         ways = [list(pairwise([here, *through, there])) for through in between]
         shortest = [ways[k] for k in np.argsort(self._ways_s(ways), kind="stable")[:_MOST_ASKED].tolist()]
         for number, way in enumerate(shortest):
@@ -92,7 +92,7 @@ class TransitPlanner:
         return None
 
     def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> TransitPath:
-        """The way as legs of the arms that move."""
+        """Convert a path to legs, each with the arms that move in it."""
         legs = []
         for before, after in pairwise([here, *through]):
             legs.append({name: q for name, q in after.items() if not np.array_equal(q, before[name])})
@@ -100,7 +100,7 @@ class TransitPlanner:
         return TransitPath(tuple(leg for leg in legs if leg), float(self._ways_s([way])[0]))
 
     def _ways_s(self, ways: Sequence[Sequence[tuple[Configuration, Configuration]]]) -> Array:
-        """Time of the motions of each way, of which each takes as long as its slowest arm (n,) [s]."""
+        """Compute the time of each path (n,) [s]; each motion takes as long as its slowest arm."""
         steps = [step for way in ways for step in way]
         if not steps:
             return np.zeros(0)
@@ -112,7 +112,7 @@ class TransitPlanner:
         return np.bincount(of_way, np.max(of_arms, axis=0)).astype(np.float64)
 
     def _one_after_the_other(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """The arms in each order, if there are several and not too many."""
+        """Yield each order of the arms, if there are several and not too many."""
         if 1 < len(there) <= _MOST_ORDERED:
             for order in permutations(there):
                 yield [
@@ -121,7 +121,7 @@ class TransitPlanner:
                 ]
 
     def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Through positions of one arm while the others have moved or wait; through positions of all arms."""
+        """Yield paths through positions of one arm, while the others have moved or wait, and of all arms."""
         alone = {name: self._detours_of_arm(name, here[name], there[name]) for name in there}
         for name, detours in alone.items():
             others = [other for other in there if other != name]
@@ -134,7 +134,7 @@ class TransitPlanner:
                 yield [dict(zip(alone, q, strict=True)) for q in zip(*together, strict=True)]
 
     def _detours_of_arm(self, name: str, start: Array, end: Array) -> list[list[Array]]:
-        """Positions (N,) between two others through which an arm alone is clear; the shortest ones found."""
+        """Find short sequences of positions (N,) between ``start`` and ``end`` that keep the arm alone clear."""
         arm, roadmap = self._profile.arms[name], self.roadmaps[name]
         values, joints = np.stack([start, end, roadmap.rest]), len(start)
         if 3**joints <= _MIXTURES:
@@ -151,7 +151,7 @@ class TransitPlanner:
         return [[one] for one in q[clear][:_PASSED_ON]] + ([path] if path else [])
 
     def _by_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Through home, there and back at once or one arm after the other; with one arm at home while others move."""
+        """Yield paths through home, all arms at once or one after the other, and with one arm at home meanwhile."""
         home = {name: self.roadmaps[name].rest for name in there}
         for first in ([], *self._one_after_the_other(here, home)):
             for second in ([], *self._one_after_the_other(home, there)):
@@ -163,9 +163,9 @@ class TransitPlanner:
 def random_tree_path(
     cell: CellBodies, here: Configuration, there: Configuration, rng: np.random.Generator
 ) -> list[Configuration] | None:
-    """Configurations of all arms between two others along a random tree that grows from both; None if none is found.
+    """Connect two configurations of all arms by random trees grown from both.
 
-    Source: RRT-Connect, Kuffner, LaValle, ICRA 2000.
+    Return the configurations between them; None if no path is found. Source: RRT-Connect, Kuffner, LaValle, ICRA 2000.
     """
     space = _JointSpace(cell, tuple(there))
     trees = _Tree(space.vector(here)), _Tree(space.vector(there))
@@ -183,7 +183,7 @@ def random_tree_path(
 
 @dataclass(frozen=True, eq=False)
 class _JointSpace:
-    """All joints of all arms as one vector."""
+    """The joint space of all arms: their joint positions as one vector."""
 
     cell: CellBodies
     names: tuple[str, ...]
@@ -195,27 +195,27 @@ class _JointSpace:
         return low, high
 
     def vector(self, q: Configuration) -> Array:
-        """Joint positions of all arms in a row."""
+        """Concatenate the joint positions of all arms."""
         return np.concatenate([q[name] for name in self.names])
 
     def configuration(self, q: Array) -> dict[str, Array]:
-        """The opposite of ``vector``."""
+        """Split a vector into the positions of each arm, the inverse of ``vector``."""
         ends = np.cumsum([self.cell.arms[name].geometry.joints for name in self.names])[:-1]
         return dict(zip(self.names, np.split(q, ends), strict=True))
 
     def is_free(self, here: Array, there: Array) -> bool:
-        """Whether the gate accepts the straight way."""
+        """Return whether the gate accepts the straight motion."""
         return not refuse_motion(self.cell, self.configuration(here), self.configuration(there))
 
 
 class _Tree:
-    """Nodes with their parents; the first is the root."""
+    """Nodes and their parents; the first is the root."""
 
     def __init__(self, root: Array) -> None:
         self.nodes, self._parents = [root], [-1]
 
     def extend(self, space: _JointSpace, towards: Array) -> int | None:
-        """Number of a new node one step from the nearest one; None if the way is not free."""
+        """Add a node one step from the nearest one and return its index; None if the gate refuses the motion."""
         nearest = int(np.argmin(np.abs(np.array(self.nodes) - towards).max(axis=1)))
         way = towards - self.nodes[nearest]
         longest = float(np.abs(way).max())
@@ -227,14 +227,14 @@ class _Tree:
         return len(self.nodes) - 1
 
     def connect(self, space: _JointSpace, target: Array) -> int | None:
-        """Number of a node at ``target`` to which the tree grew step by step; None if something is in the way."""
+        """Grow the tree step by step to ``target`` and return the index of its node; None if the way is blocked."""
         while (new := self.extend(space, target)) is not None:
             if self.nodes[new] is target:
                 return new
         return None
 
     def path(self, node: int) -> list[Array]:
-        """From a node to the root."""
+        """Return the nodes from ``node`` to the root."""
         found = []
         while node >= 0:
             found.append(self.nodes[node])
@@ -243,7 +243,7 @@ class _Tree:
 
 
 def _shortened(space: _JointSpace, path: list[Array]) -> list[Array]:
-    """The path without nodes that can be passed by."""
+    """Remove the nodes that a straight motion can skip."""
     kept, here = [path[0]], 0
     while here < len(path) - 1:
         here = next(k for k in range(len(path) - 1, here, -1) if k == here + 1 or space.is_free(path[here], path[k]))

@@ -1,4 +1,4 @@
-"""Which configurations of one arm can be measured: one condition after the other, the cheap and telling ones first."""
+"""Selection of the configurations of one arm that can be measured: cheap and selective conditions come first."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from cellapp.robot.kinematics.transforms import Array
 
 FLOOR, CEILING, OWN_BODIES = "floor", "ceiling", "own bodies"
 OWN_BEAM, MOUNTED = "own arm in the beam", "mounted obstacle in the beam"
-"""Constraints that bodies set; each obstacle sets two more under its name."""
+"""Constraints that bodies set; each obstacle adds two more, under its name."""
 INCIDENCE = "incidence"
-"""Name under which configurations are counted that could be measured, but are left out to prefer others."""
+"""Name under which measurable configurations are counted that are left out to prefer smaller angles of incidence."""
 GATE = "gate"
-"""Name under which configurations are counted that all named constraints admit and the safety gate does not."""
+"""Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def usable(
     draws: JointDraws,
     keep: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> Usable:
-    """The usable configurations among ``draws``; ``keep`` says which to keep by their incidence (n,) [rad]."""
+    """Select the usable configurations among ``draws``; ``keep`` decides by incidence (n,) [rad] what to keep."""
     rejected: dict[str, int] = {}
     seen = np.ones(draws.sight.distance.shape, dtype=bool)
     count = seen.size
@@ -88,7 +88,7 @@ def usable(
 
 
 def together(batches: Sequence[Usable]) -> Usable:
-    """The configurations of several draws as one draw."""
+    """Merge the configurations of several draws into one."""
     q, smr_M, incidence = (
         np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")
     )
@@ -97,14 +97,14 @@ def together(batches: Sequence[Usable]) -> Usable:
 
 
 def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:
-    """Those configurations that the safety gate finds visible and clear too: it has the last word on a plan."""
+    """Select the configurations that the safety gate, too, finds visible and clear: its answer is final."""
     admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
     rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
     return Usable(found.drawn, found.q[admitted], found.smr_M[admitted], found.incidence[admitted], rejected)
 
 
 def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[str, Callable[[Placed], Array]]:
-    """Constraint -> how far an arm is from offending it [m] at n configurations, shape (n,); negative where it does.
+    """Map each constraint to the margin of an arm [m] at n configurations, shape (n,); negative where it is violated.
 
     Infinite where there is no distance: without bodies, and for what is mounted beside the SMR.
     """

@@ -1,4 +1,4 @@
-"""The map of what the tracker sees of each arm's workspace, before anything is planned."""
+"""Map of what the tracker sees of each arm's workspace, before anything is planned."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
 _BATCHES = 80
-"""Draws of some 12 000 configurations for the map: about a thousand in a cube, a share of 1 % to a third of itself."""
+"""Draws of some 12 000 configurations for the map: a thousand per cube, a share of 1 % known to a third of itself."""
 _CHANGE_BATCHES = 6
-"""Draws for the share after a change of the cell, of the same configurations each time: to some percent of itself."""
+"""Draws for the share after a change of the cell, always the same configurations: known to some percent of itself."""
 _CUBES_ALONG = 7
-"""Cubes along the length of the stretched arm: some hundred millimetres for the arms of a calibration cell."""
+"""Number of cubes along the stretched arm: some hundred millimetres each for the arms of a calibration cell."""
 _EDGE_UNIT = 0.05
 """Edges of cubes are multiples of this length [m]."""
 _SEED = 0x51E
@@ -40,14 +40,14 @@ _TRACKER_STEPS = {
     "the tracker 1 m to its left": (0.0, -1.0, 0.0),
     "the tracker 1 m to its right": (0.0, 1.0, 0.0),
 }
-"""Displacements that are tried [m]: from the arm's base to the tracker along the ground, across to it, up."""
+"""Displacements that are tried [m]: away from the arm's base along the ground, across to that, up."""
 _NORMALS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _SAME_DIRECTION = math.cos(math.radians(20.0))
-"""Viewing directions nearer than this to the SMR's are not tried."""
+"""Viewing directions closer than this to the SMR's own are not tried (cosine of the angle)."""
 
 
 def view_workspace(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> ViewResult:
-    """What the tracker sees of the workspace of every arm for itself: no other arm stands in its way.
+    """Map what the tracker sees of each arm's workspace, as if no other arm could be in its way.
 
     Configurations are uniform in the plan's joint ranges.
 
@@ -69,7 +69,7 @@ def view_workspace(profile: Profile, listener: Listener = ignore, cancel: Cancel
 
 
 def arm_view(cell: CellBodies, profile: Profile, name: str, cancel: CancelToken) -> ArmView:
-    """What the tracker sees of one arm's workspace, which constraints exclude most, and which changes would help."""
+    """Map what the tracker sees of one arm's workspace, what excludes most, and which changes would help."""
     if cell.field is None:
         raise InputError(f"view: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
     arm, rng = cell.arms[name], np.random.default_rng([profile.seed, _SEED])
@@ -100,7 +100,7 @@ def arm_view(cell: CellBodies, profile: Profile, name: str, cancel: CancelToken)
 
 
 def _changes(cell: CellBodies, field: TrackerField, name: str, ranges: Array, cancel: CancelToken) -> list[ViewChange]:
-    """Shares of configurations that could be measured after each change; the best first, and the cell as it is."""
+    """Compute the share of measurable configurations after each change and in the cell as it is; the best first."""
     changes = {"as it is": cell, **dict(_moved_trackers(cell, field, name)), **dict(_turned_smrs(cell, name))}
     found = []
     for words, changed in changes.items():
@@ -131,7 +131,7 @@ def _turned_smrs(cell: CellBodies, name: str) -> Iterator[tuple[str, CellBodies]
 
 
 def _share(cell: CellBodies, field: TrackerField, name: str, ranges: Array) -> float:
-    """Share of configurations that could be measured in a cell; always from the same ones."""
+    """Compute the share of configurations that can be measured in a cell; always from the same ones."""
     rng = np.random.default_rng(_SEED)
     batches = [
         usable(cell, field, name, draw_joints(cell.arms[name], field.T_C_M, ranges, rng))
@@ -142,7 +142,7 @@ def _share(cell: CellBodies, field: TrackerField, name: str, ranges: Array) -> f
 
 @dataclass(frozen=True, eq=False)
 class _Cubes:
-    """Cubes along the axes of the cell frame C: edge and first corner (3,) [m], their number along each axis."""
+    """Cubes along the axes of the cell frame C: edge and first corner (3,) [m], number along each axis."""
 
     edge: float
     low: Array
@@ -150,7 +150,7 @@ class _Cubes:
 
     @classmethod
     def around(cls, geometry: Geometry) -> _Cubes:
-        """The cubes that hold all points that the SMR can reach: the path along the chain does not depend on q."""
+        """Enclose all points that the SMR can reach: the length of the chain does not depend on q."""
         origins = frame_poses(geometry, np.zeros((1, geometry.joints)))[1][:, 0]
         reach = float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum() + np.linalg.norm(geometry.tool))
         edge = _EDGE_UNIT * max(1, round(reach / _CUBES_ALONG / _EDGE_UNIT))
@@ -163,13 +163,13 @@ class _Cubes:
         return self.along**3
 
     def counts(self, T_C_M: Array, p_M: Array) -> NDArray[np.intp]:
-        """Number of the points ``p_M`` (3, n) [m] of the tracker frame in each cube, shape (count,)."""
+        """Count the points ``p_M`` (3, n) [m], given in the tracker frame, in each cube, shape (count,)."""
         p = (T_C_M[:3, :3] / self.edge) @ p_M + ((T_C_M[:3, 3] - self.low) / self.edge)[:, None]
         x, y, z = p.astype(np.intp)  # none is negative
         return np.bincount((x * self.along + y) * self.along + z, minlength=self.count)
 
     def cells(self, reachable: NDArray[np.intp], seen: NDArray[np.intp]) -> Iterator[SeenCell]:
-        """The cubes that are reached."""
+        """Yield the cubes that are reached."""
         for number in np.flatnonzero(reachable).tolist():
             place = np.array(np.unravel_index(number, (self.along,) * 3))
             x, y, z = np.round(self.low + self.edge * (place + 0.5), 6).tolist()

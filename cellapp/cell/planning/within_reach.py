@@ -1,7 +1,8 @@
-"""Which candidates of an arm can be reached with ease: straight ways from home and from other candidates are free.
+"""Selection of the candidates of an arm that are easy to reach: straight motions from home and others are free.
 
-Poses that tell most lie at the ends of the joints' ranges, and some of these in pockets (folded, behind an obstacle,
-the wrong way round) to which hardly any way leads. Ways are sampled, without regard to other arms; the gate decides.
+The most informative poses lie at the ends of the joints' ranges, and some of these in pockets (folded, behind an
+obstacle, the wrong way round) to which hardly any motion leads. Motions are sampled, without regard to other arms; the
+gate decides.
 """
 
 from __future__ import annotations
@@ -14,17 +15,17 @@ from cellapp.cell.safety.gate import CellBodies, clear_alone
 from cellapp.robot.kinematics.transforms import Array
 
 _HUBS = 8
-"""Configurations beside home from which ways are tried."""
+"""Number of configurations besides home from which motions are checked."""
 _LEAST_WAYS = 2
-"""Ways that must be free of those tried: an isolated pose rarely fits into an order of stops."""
+"""Number of these motions that must be free: an isolated pose rarely fits into an order of stops."""
 _SAMPLES = 10
-"""Of a way, without its ends: a tenth of a turn apart on a way of one turn."""
+"""Number of samples of a motion, without its ends: a tenth of a turn apart on a motion of one turn."""
 _AT_ONCE = 250
-"""Configurations that are placed at once; they fit in the cache."""
+"""Number of configurations whose bodies are placed at once; they fit in the cache."""
 
 
 def within_reach(cell: CellBodies, name: str, q: Array, hubs: Array) -> NDArray[np.bool_]:
-    """Whether configurations ``q`` (n, N) [rad] of an arm can be reached with ease from its ``hubs``, shape (n,)."""
+    """Return whether an arm reaches configurations ``q`` (n, N) [rad] from enough of its ``hubs``, shape (n,)."""
     least = min(_LEAST_WAYS, len(hubs))
     ways = np.zeros(len(q), dtype=np.intp)
     for hub in hubs:
@@ -34,8 +35,8 @@ def within_reach(cell: CellBodies, name: str, q: Array, hubs: Array) -> NDArray[
 
 
 def hubs_of(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
-    """Where ways begin (k, N) [rad]: ``home`` (N,), and the first of the configurations ``q`` (n, N), which stand in
-    random order, that can be reached from there; without home the first ones."""
+    """Choose the hubs (k, N) [rad] from which motions are checked: ``home`` (N,), and the first of the configurations
+    ``q`` (n, N), in random order, that can be reached from there; without home the first ones."""
     if home is None:
         return q[: _HUBS + 1]
     nearby = q[: 16 * _HUBS]
@@ -43,9 +44,9 @@ def hubs_of(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
 
 
 def free_ways(cell: CellBodies, name: str, start: Array, q: Array) -> NDArray[np.bool_]:
-    """Whether the straight ways from ``start`` (N,) to ``q`` (n, N) [rad] are free at their samples, shape (n,)."""
+    """Return whether straight motions from ``start`` (N,) to ``q`` (n, N) [rad] are clear at their samples, (n,)."""
     free = np.ones(len(q), dtype=np.bool_)
-    # the middle first: most ways that are blocked are blocked there
+    # the middle first: most blocked motions are blocked there
     shares = np.arange(1, _SAMPLES + 1) / (_SAMPLES + 1)
     for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
         for rows in np.array_split(np.flatnonzero(free), max(1, int(free.sum()) // _AT_ONCE)):

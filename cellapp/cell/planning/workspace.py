@@ -1,4 +1,4 @@
-"""Configurations that stand for the workspace: where targets will be, whichever way the SMR looks there."""
+"""Configurations that represent the workspace: where targets will be, whichever way the SMR faces."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_BATCHES = 50
-"""Batches that are drawn where hardly any configuration is clear."""
+"""Number of batches after which drawing ends where hardly any configuration is clear."""
 
 
 def workspace_configurations(
     profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator
 ) -> Array:
-    """``count`` configurations (count, N) [rad], uniform in the joint ranges of the plan where the arm is clear.
+    """Draw ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
 
     The tracker need not see them: targets are work, not measurements. Fewer where hardly any is clear.
     """

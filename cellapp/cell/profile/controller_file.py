@@ -1,6 +1,6 @@
-"""The calibration of a UR controller as a file: the section ``[mounting]`` of its ``calibration.conf``.
+"""The calibration file of a UR controller: the section ``[mounting]`` of its ``calibration.conf``.
 
-``cellapp export --as ur-calibration`` writes such a file for a controller, ``doctor --controllers`` what one has.
+``cellapp export --as ur-calibration`` writes such a file for a controller, ``doctor --controllers`` the one it has.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ degrees, nine digits lose 0.5 um in the median and 8 um at most, twelve 0.01 um 
 
 
 def controller_table(text: str, path: Path) -> dict[str, object]:
-    """The values of a profile's section ``factory`` from the text of a ``calibration.conf``; its other keys are left.
+    """Return the values of a profile's section ``factory`` from a ``calibration.conf``, ignoring its other keys.
 
     Raises
     ------
     InputError
-        If it is no such file, or a list is missing or holds something else than numbers.
+        If it is no such file, or a list is missing or holds anything but numbers.
     """
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     try:
@@ -46,7 +46,7 @@ def controller_table(text: str, path: Path) -> dict[str, object]:
 
 
 def controller_file_text(deltas: Sequence[Sequence[float]], checksum: str, comment: Sequence[str] = ()) -> str:
-    """The text of a ``calibration.conf`` of rows of deltas of theta, d, a, alpha [rad, m], one a joint."""
+    """Compose a ``calibration.conf`` from rows of deltas of theta, d, a, alpha [rad, m], one row per joint."""
     columns = dict(zip(("delta_theta", "delta_d", "delta_a", "delta_alpha"), zip(*deltas, strict=True), strict=True))
     lines = [f"# {line}" for line in comment] + [f"[{_SECTION}]"]
     lines += [f"{name} = [ {', '.join(f'{value:.{_DIGITS}g}' for value in columns[name])}]" for name in _LISTS]

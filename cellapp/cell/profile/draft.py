@@ -1,4 +1,4 @@
-"""A profile while a person writes it: the texts of a form, and the commented YAML that they make."""
+"""A profile while a person edits it: the texts of a form, and the commented YAML that is made of them."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from drivers.arms.registry import ARMS
 from drivers.trackers.registry import TRACKERS
 
 SURVEYED = "From tracker points:"
-"""How the comment begins that says where a base pose comes from."""
+"""Beginning of the comment that says where a base pose comes from."""
 _WIDTH = 118
-"""Longest line of YAML with a comment behind it; else the comment stands above."""
+"""Longest line of YAML with its comment after it; if longer, the comment stands above."""
 
 
 @dataclass(frozen=True)
 class ArmDraft:
-    """The fields of one arm, as typed; ``draft_fields.ARM_FIELDS`` says what each is.
+    """The fields of one arm, as typed; see ``draft_fields.ARM_FIELDS``.
 
-    ``source`` is the arm's name in the file that is edited, empty for a new arm. ``note`` says where the base pose
-    comes from; it becomes a comment.
+    ``source`` is the arm's name in the edited file, empty for a new arm. ``note`` names the source of the base pose; it
+    becomes a comment.
     """
 
     name: str = ""
@@ -124,7 +124,7 @@ class Filled:
 def fields_of(draft: ProfileDraft) -> Iterator[Filled]:
     """Yield all fields that the draft's kinds of devices and shapes have, in the order of the form.
 
-    Names of arms and of obstacles are no fields: they are keys.
+    Names of arms and of obstacles are not fields: they are keys.
     """
     yield Filled("name", NAME_FIELD, ("name",), draft.name)
     for index, arm in enumerate(draft.arms):
@@ -187,7 +187,7 @@ def obstacle_keys(shape: str) -> frozenset[str]:
 
 
 def needs_plant(draft: ProfileDraft) -> bool:
-    """Whether a device of the draft belongs to the simulated cell."""
+    """Return whether a device of the draft belongs to the simulated cell."""
     arms = [ARMS[arm.kind] for arm in draft.arms if arm.kind in ARMS]
     tracker = TRACKERS.get(draft.tracker.kind)
     return any(arm.needs_plant for arm in arms) or (tracker is not None and tracker.needs_plant)
@@ -208,7 +208,7 @@ def draft_of(text: str, path: Path) -> ProfileDraft:
 
 
 def draft_of_data(data: dict[str, Any], where: str) -> ProfileDraft:
-    """Return the draft of a profile's plain data; ``where`` begins a refusal."""
+    """Return the draft of a profile's plain data; ``where`` is the beginning of error messages."""
     arms = _mapping(data, "arms", where)
     for name in arms:
         if not isinstance(_mapping(arms, name, f"{where}: arms").get("type", ""), str):
@@ -286,7 +286,7 @@ plant:
 
 
 def draft_to_yaml(draft: ProfileDraft) -> str:
-    """Return the draft as commented YAML; empty fields are left out. ``load_profile`` reads it if the fields hold."""
+    """Return the draft as commented YAML without empty fields. ``load_profile`` reads it if the fields are valid."""
     filled = [item for item in fields_of(draft) if item.text.strip() or item.id == "name"]
     notes: dict[KeyPath, str] = {("arms", arm.name, "base"): arm.note for arm in draft.arms if arm.note}
     top, sections = filled[:1], filled[1:]

@@ -1,4 +1,4 @@
-"""Judging a draft by the profile's own rules: each problem is told at the field that it concerns."""
+"""Validation of a draft by the profile's own rules: each problem is reported at the field that it concerns."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OBSTACLE: TypeAdapter[AnyObstacle] = TypeAdapter(AnyObstacle)
 
 @dataclass(frozen=True)
 class FieldProblem:
-    """What is wrong with one field.
+    """A problem of one field.
 
     Attributes
     ----------
@@ -46,15 +46,15 @@ class FieldProblem:
 
 @dataclass(frozen=True)
 class Checked:
-    """A judged draft: its problems, the profile if there are none, and those poses that hold even so.
+    """A validated draft: its problems, the profile if there are none, and those poses that are valid anyway.
 
     Attributes
     ----------
     bases : mapping
-        Arm -> pose of its base; None where that does not hold.
+        Arm -> pose of its base; None if that is not valid.
     tracker : Pose or None
     obstacles : mapping
-        Name -> obstacle, of those that hold.
+        Name -> obstacle, of those that are valid.
     """
 
     problems: tuple[FieldProblem, ...]
@@ -65,13 +65,13 @@ class Checked:
 
 
 def check_draft(draft: ProfileDraft, path: Path) -> Checked:
-    """Judge a draft that is to be written to ``path``; types of arms may also be those that come with the program."""
+    """Validate a draft that is to be written to ``path``; types of arms may also come with the program."""
     wrong = wrong_names(draft)
     return Checked(wrong) if wrong else check_text(draft_to_yaml(draft), path, draft)
 
 
 def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
-    """Judge the text of a profile for ``path``, as ``load_profile`` does; ``draft`` holds its fields."""
+    """Validate the text of a profile for ``path``, as ``load_profile`` does; ``draft`` holds its fields."""
     fields = tuple(fields_of(draft))
     wrong = wrong_names(draft)
     if wrong:
@@ -96,12 +96,12 @@ def check_text(text: str, path: Path, draft: ProfileDraft) -> Checked:
 
 
 def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[Arm, Pose]:
-    """Return one arm without its base, and the tracker's pose, of a draft that need not hold elsewhere.
+    """Return one arm without its base, and the tracker's pose, of a draft that may be invalid elsewhere.
 
     Raises
     ------
     InputError
-        If the arm or the tracker's pose do not hold.
+        If the arm or the tracker's pose are not valid.
     """
     unplaced = with_text(with_text(draft, f"arms.{index}.position", ""), f"arms.{index}.rpy", "")
     document = read_document(draft_to_yaml(unplaced), path)
@@ -121,7 +121,7 @@ def arm_and_tracker_pose(draft: ProfileDraft, index: int, path: Path) -> tuple[A
 
 
 def wrong_names(draft: ProfileDraft) -> tuple[FieldProblem, ...]:
-    """Return names of arms and obstacles that are empty or given twice: as keys they cannot even be written."""
+    """Return names of arms and obstacles that are empty or given twice: they cannot be written as keys."""
     arms, obstacles = ([one.name for one in several] for several in (draft.arms, draft.obstacles))
     return (*_wrong_keys("arms", "arm", "left", arms), *_wrong_keys("obstacles", "obstacle", "table", obstacles))
 
@@ -135,7 +135,7 @@ def _wrong_keys(section: str, what: str, example: str, names: Sequence[str]) -> 
 
 
 def _obstacles(data: Any) -> Obstacles:
-    """Those obstacles of a profile's data that hold."""
+    """Return the valid obstacles of a profile's data."""
     found: Obstacles = {}
     for name, one in data.items() if isinstance(data, dict) else ():
         with contextlib.suppress(ValidationError):
@@ -144,7 +144,7 @@ def _obstacles(data: Any) -> Obstacles:
 
 
 def _pose(data: Any, path: Sequence[str]) -> Pose | None:
-    """A pose of a profile's data; None if it is missing or does not hold."""
+    """Return a pose of a profile's data; None if it is missing or not valid."""
     for key in path:
         data = data.get(key) if isinstance(data, dict) else None
     try:
@@ -154,7 +154,7 @@ def _pose(data: Any, path: Sequence[str]) -> Pose | None:
 
 
 def _at_field(at: KeyPath, words: str, draft: ProfileDraft, fields: Sequence[Filled]) -> FieldProblem:
-    """The field whose key contains the key of a problem, else the first one inside it, else none."""
+    """Report a problem at the field whose key contains its key, else at the first field inside it, else at none."""
     around = (item for item in fields if at[: len(item.path)] == item.path)
     inside = (item for item in fields if item.path[: len(at)] == at and len(at) > 1)
     found = next(around, None) or next(inside, None)

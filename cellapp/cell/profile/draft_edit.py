@@ -1,4 +1,4 @@
-"""Bringing an edited draft into the text of its profile: only what was edited changes; comments and other keys stay."""
+"""Merging of an edited draft into the text of its profile: only edits change it; comments and other keys stay."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _COMMENT = re.compile(r"(?:^|\s)#(.*)$", re.MULTILINE)
 
 @dataclass(frozen=True)
 class EditedText:
-    """The new text of a profile, and the comments that went with keys that the form removed."""
+    """The new text of a profile, and the comments that were lost with keys that the form removed."""
 
     text: str
     lost_comments: tuple[str, ...]
@@ -79,7 +79,7 @@ def edited_text(text: str, path: Path, draft: ProfileDraft) -> EditedText:
 
 
 def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
-    """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind does not have."""
+    """Remove, rename and add arms; where the kind of driver changes, remove keys that the new kind lacks."""
     listed = document.setdefault("arms", CommentedMap())
     names = {arm.source: arm.name for arm in arms if arm.source}
     _rename_keys(listed, names)
@@ -91,7 +91,7 @@ def _edit_arms(document: CommentedMap, arms: Sequence[ArmDraft]) -> None:
 
 
 def _edit_obstacles(document: CommentedMap, obstacles: Sequence[ObstacleDraft]) -> None:
-    """Remove, rename and add obstacles; where the shape changes, remove keys that the new one does not have."""
+    """Remove, rename and add obstacles; where the shape changes, remove keys that the new one lacks."""
     if not obstacles:
         document.pop("obstacles", None)
         return
@@ -108,7 +108,7 @@ def _edit_obstacles(document: CommentedMap, obstacles: Sequence[ObstacleDraft]) 
 
 
 def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None:
-    """Give keys their new names, all at once as two may change places; remove those that have none."""
+    """Rename keys, all at once as two may change places; remove those without a new name."""
     if not isinstance(section, CommentedMap):
         return
     order = list(section)
@@ -119,11 +119,11 @@ def _rename_keys(section: CommentedMap | None, names: Mapping[str, str]) -> None
 
 
 def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -> str:
-    """Say above each base that was changed where it comes from now; what was said of a surveyed one goes."""
+    """Comment each changed base with its new source; the comment on a surveyed one is removed."""
     before = {arm.name: (arm.position, arm.rpy) for arm in _renamed(old, draft).arms}
     arms = _load(text, path)["arms"]
     lines = text.split("\n")
-    for arm in reversed(draft.arms):  # from the end: the numbers of earlier lines stay
+    for arm in reversed(draft.arms):  # from the end, so that the numbers of earlier lines stay valid
         section = arms[arm.name]
         if before.get(arm.name) == (arm.position, arm.rpy) or "base" not in section or section.fa.flow_style():
             continue
@@ -134,7 +134,7 @@ def _with_notes(text: str, path: Path, old: ProfileDraft, draft: ProfileDraft) -
 
 
 def _renamed(old: ProfileDraft, new: ProfileDraft) -> ProfileDraft:
-    """The draft of the file as if arms and obstacles had their new names already; without those that were removed."""
+    """Return the file's draft with the new names of arms and obstacles, without those that were removed."""
     arms = {one.name: one for one in old.arms}
     obstacles = {one.name: one for one in old.obstacles}
     return replace(
@@ -153,7 +153,7 @@ def _drop_keys(driver: CommentedMap | None, known: frozenset[str]) -> None:
 
 
 def _set(document: CommentedMap, path: KeyPath, form: FormField, text: str) -> None:
-    """Set a key, add it, or remove it where the text is empty."""
+    """Set or add a key, or remove it if the text is empty."""
     *parents, last = path
     section = document
     for key in parents:
@@ -176,7 +176,7 @@ def _set(document: CommentedMap, path: KeyPath, form: FormField, text: str) -> N
 
 
 def _set_items(old: CommentedSeq, new: CommentedSeq) -> None:
-    """Set the items that differ, so that the others keep how they are written."""
+    """Set the items that differ, so that the others keep their notation."""
     for index, value in enumerate(new):
         inner = old[index]
         if isinstance(inner, CommentedSeq) and isinstance(value, CommentedSeq) and len(inner) == len(value):
@@ -186,7 +186,7 @@ def _set_items(old: CommentedSeq, new: CommentedSeq) -> None:
 
 
 def _add(section: CommentedMap, key: str, value: Any) -> None:
-    """Add a key before the last one: comments behind the last one belong to what follows the section."""
+    """Add a key before the last one, as comments after the last one belong to what follows the section."""
     block = section.fa.flow_style() is not True
     section.insert(len(section) - 1 if block and len(section) > 1 else len(section), key, value)
 
@@ -208,7 +208,7 @@ def _dump(document: CommentedMap) -> str:
 
 
 def _yaml() -> YAML:
-    """A round-trip reader and writer, with the layout of the profiles that come with the program."""
+    """Create a round-trip reader and writer with the layout of the profiles that come with the program."""
     yaml = YAML(typ="rt")
     yaml.preserve_quotes = True
     yaml.width = 10**6

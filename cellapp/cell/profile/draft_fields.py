@@ -1,6 +1,6 @@
-"""The fields of a profile's form: which key each one fills, how its text becomes a value, what a person reads.
+"""Fields of a profile's form: the key that each one fills, how its text becomes a value, its label and help.
 
-A field holds the text that a person typed, wrong or right. ``draft_check`` judges it by the profile's own rules.
+A field holds the text that a person typed, wrong or right. ``draft_check`` validates it by the profile's own rules.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from cellapp.cell.profile.loader import is_number, is_word
 from cellapp.cell.profile.messages import KeyPath
 
 Shape = Literal["text", "value", "vector", "ranges"]
-"""text: a word; value: a number or a number with its unit; vector: values, a comma between; ranges: pairs of values
+"""text: a word; value: a number, with a unit or without; vector: values separated by commas; ranges: pairs of values,
 with a semicolon between the pairs."""
 
 
 @dataclass(frozen=True)
 class FormField:
-    """One field.
+    """One field of the form.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ def yaml_pairs(text: str) -> list[str]:
 
 
 def form_text(value: object) -> str:
-    """Return a value of a profile as a field shows it; ``yaml_value`` makes the same value of it again."""
+    """Return a value of a profile as a field shows it; ``yaml_value`` converts it back to the same value."""
     match value:
         case None:
             return ""
@@ -197,7 +197,7 @@ def form_text(value: object) -> str:
 
 
 def yaml_text(text: str) -> str:
-    """Return a text as YAML: plain if it is one word, else in quotes with what must be escaped."""
+    """Return a text as YAML: plain if it is one word, else in quotes, escaped where necessary."""
     if is_word(text):
         return text
     return str(yaml.safe_dump(text, default_style='"', allow_unicode=True, width=10**6)).rstrip("\n")
@@ -211,7 +211,7 @@ def _yaml_vector(text: str) -> str:
 
 
 def _yaml_scalar(text: str) -> str:
-    """Return a number as a number. YAML reads 010 as eight and 1_0 as ten: those go in quotes and are refused."""
+    """Return a number plain. YAML reads 010 as eight and 1_0 as ten: those are quoted, and refused later."""
     octal = text.lstrip("+-").startswith("0") and text.lstrip("+-")[1:2].isalnum() and text[-1:] != "."
     plain = is_number(text) and not octal and not set(text) & set("_:xX")
     return text if plain else yaml_text(text)

@@ -24,7 +24,7 @@ from cellapp.ground.errors import InputError
 
 @dataclass(frozen=True)
 class OpenProfile:
-    """A profile that is being written.
+    """A profile that is being edited.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class OpenProfile:
     text : str or None
         The file's text when it was opened or last saved; None for a new profile.
     draft : ProfileDraft
-        The fields that this text has; of a new profile, those that the form starts with.
+        The fields of this text; for a new profile, those that the form starts with.
     """
 
     path: Path
@@ -42,9 +42,9 @@ class OpenProfile:
 
 @dataclass(frozen=True)
 class NewText:
-    """What saving would write, with the comments that would go, and its judgement.
+    """The text that saving would write, the comments that would be lost, and its validation.
 
-    ``text`` is None where names of arms are missing or given twice: YAML cannot hold them.
+    ``text`` is None if names of arms are missing or given twice: YAML cannot hold them.
     """
 
     text: str | None
@@ -71,7 +71,7 @@ def blank_draft() -> ProfileDraft:
 
 
 def open_profile(path: Path) -> OpenProfile:
-    """Open the file of a profile. Raises ``InputError`` if it cannot be read or is no profile of the form."""
+    """Open the file of a profile. Raise ``InputError`` if it cannot be read or is no profile that the form can edit."""
     text = _text(path)
     if text is None:
         raise InputError(f"{path}: file not found; give the path of a profile")
@@ -79,12 +79,12 @@ def open_profile(path: Path) -> OpenProfile:
 
 
 def changed_on_disk(opened: OpenProfile) -> bool:
-    """Whether the file is not what it was when it was opened or saved: saving would overwrite another's work."""
+    """Return whether the file changed since it was opened or saved: saving would overwrite another's work."""
     return _text(opened.path) != opened.text
 
 
 def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
-    """Return what saving would write. Raises ``InputError`` if the opened text cannot be edited."""
+    """Return the text that saving would write. Raise ``InputError`` if the opened text cannot be edited."""
     wrong = wrong_names(draft)
     if wrong:
         return NewText(None, (), Checked(wrong))
@@ -97,9 +97,9 @@ def new_text(opened: OpenProfile, draft: ProfileDraft) -> NewText:
 
 
 def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[str, ...]:
-    """Return what a person must agree to before the text is written, in sentences; none for a new file that holds.
+    """Return what a person must agree to before the text is written, in sentences; none for a new valid file.
 
-    ``changed`` is what ``changed_on_disk`` says.
+    ``changed`` is the result of ``changed_on_disk``.
     """
     if new.text is None:
         return ()
@@ -122,9 +122,9 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
 
 
 def save(opened: OpenProfile, draft: ProfileDraft, new: NewText) -> OpenProfile:
-    """Write the text of a draft, and beside it the arm types that come with the program and are not there yet.
+    """Write the text of a draft, and beside it those arm types of the program that are not there yet.
 
-    It overwrites: ``changed_on_disk`` comes before. Raises ``InputError`` if a file cannot be written.
+    An existing file is overwritten: call ``changed_on_disk`` before. Raises ``InputError`` if a file cannot be written.
     """
     if new.text is None:
         raise InputError(f"{opened.path} cannot be written: {new.checked.problems[0]}")
@@ -147,7 +147,7 @@ def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
     Raises
     ------
     InputError
-        If a field does not hold, the file exists already, or it cannot be written; nothing was written then.
+        If a field is not valid, the file exists already, or it cannot be written; nothing was written then.
     """
     opened = OpenProfile(folder / name, None, draft)
     new = new_text(opened, draft)
@@ -160,7 +160,7 @@ def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
 
 
 def _text(path: Path) -> str | None:
-    """The text of a file with its line ends as they are; None if there is none."""
+    """Return the text of a file with its line ends as they are; None if there is no file."""
     try:
         return path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Writing profiles: whole or not at all, and never over what a person wrote without a question."""
+"""Writing of profiles: completely or not at all, and never over a person's file without asking."""
 
 from __future__ import annotations
 
@@ -38,13 +38,12 @@ def write_new(files: dict[Path, str], outputs: Outputs = NEW_ONLY) -> tuple[Path
 
 
 def write_new_bytes(files: dict[Path, bytes], outputs: Outputs = NEW_ONLY) -> tuple[Path, ...]:
-    """Write files, and the folders that they lack; return their paths. One that has the same content is left as it is.
+    """Write files and their missing folders; return their paths. A file with the same content is left as it is.
 
     Raises
     ------
     InputError
-        If a file may not be written, as one with other content that is there, or cannot. In the first case nothing was
-        written.
+        If a file must not be written, as one with other content exists (nothing was written then), or cannot be.
     """
     changed = {path: data for path, data in files.items() if not path_exists(path) or _content_of(path) != data}
     for path in changed:
@@ -61,7 +60,7 @@ def write_new_bytes(files: dict[Path, bytes], outputs: Outputs = NEW_ONLY) -> tu
 
 
 def path_exists(path: Path) -> bool:
-    """Whether something is at ``path``. Raises ``InputError`` if the system cannot tell."""
+    """Return whether something is at ``path``. Raise ``InputError`` if the system cannot tell."""
     try:
         return path.exists()
     except OSError as error:
@@ -69,7 +68,7 @@ def path_exists(path: Path) -> bool:
 
 
 def _content_of(path: Path) -> bytes | None:
-    """The content of a file; None if it cannot be read, or is none on a disk."""
+    """Return the content of a file; None if it cannot be read, or is not a regular file."""
     try:
         if not path.is_file():
             return None

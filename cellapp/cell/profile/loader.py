@@ -1,4 +1,4 @@
-"""Read a profile from YAML, keeping file and line of every value, or from the JSON that a run stores."""
+"""Reading of a profile from YAML, with file and line of every value, or from the JSON that a run stores."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 
 _MOST_LEVELS = 50
-"""A profile has about eight; more come from an alias that contains itself."""
+"""Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
 _MOST_VALUES = 100_000
-"""A profile has some hundreds; more come from aliases of aliases, which multiply."""
+"""Limit of values: a profile has some hundreds; aliases of aliases multiply to more."""
 _LARGEST_INT = 2**63
-"""Larger integers fit neither numpy nor SQLite."""
+"""Limit of integers: larger ones fit neither numpy nor SQLite."""
 _SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
-"""Halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
+"""Surrogates, halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
 
 
 EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
@@ -48,7 +48,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _FastLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """The same by libyaml, ten times as fast; some installations of PyYAML lack it."""
+    """The same loader on libyaml, ten times as fast; some installations of PyYAML lack it."""
 
 
 for _loader in (_Loader, _FastLoader):
@@ -71,7 +71,7 @@ def load_profile(path: Path) -> Profile:
 
 
 def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Profile:
-    """Check a profile that is no file: the keys and values of one, tuples and arrays as lists.
+    """Check a profile that is not a file: the keys and values of one, tuples and arrays as lists.
 
     Paths of arm types and meshes are relative to ``folder``.
 
@@ -87,7 +87,7 @@ def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Prof
 
 
 def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
-    """Enter the place of a value of a profile that is no file, and of all below it."""
+    """Enter the place of a value, and of all values below it, for a profile that is not a file."""
     document.places[at] = Place("profile", 0, at)
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inside:
@@ -95,7 +95,7 @@ def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
 
 
 def _checked(document: Document, folder: Path) -> Profile:
-    """The profile that a document says; files that it names are in ``folder``."""
+    """Validate a document as a profile; files that it names are in ``folder``."""
     read_arm_types(document, (folder,))
     locate_meshes(document, (folder,))
     try:
@@ -105,7 +105,7 @@ def _checked(document: Document, folder: Path) -> Profile:
 
 
 def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile:
-    """A profile completed by a YAML file that holds some of its sections; keys of the file come before the profile's.
+    """Complete a profile by a YAML file that holds some of its sections; keys of the file override the profile's.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile
 
 
 def _completed(stored: Any, given: Any) -> Any:
-    """Keys of ``given`` beside and instead of those that are stored, at every level."""
+    """Merge ``given`` into ``stored``, key by key at every level; ``given`` wins."""
     if not isinstance(stored, dict) or not isinstance(given, dict):
         return given
     return stored | {key: _completed(stored.get(key), value) for key, value in given.items()}
@@ -148,14 +148,14 @@ def read_document(text: str, path: Path) -> Document:
 
 
 def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
-    """Replace the paths of arm types by what those files hold: the first in ``folders``, else that of a plug-in.
+    """Replace the paths of arm types by the contents of the files: from the first of ``folders``, else from a plug-in.
 
-    So are the paths of the controllers' own calibrations.
+    The paths of the controllers' own calibrations are replaced, too.
 
     Raises
     ------
     InputError
-        If none has it, or it cannot be read.
+        If no such file exists, or it cannot be read.
     """
     arms = document.data.get("arms")
     for name, arm in (arms if isinstance(arms, dict) else {}).items():
@@ -169,7 +169,7 @@ def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
 
 
 def arm_type_of_text(text: str, path: Path) -> ArmType:
-    """The arm type that a text says, whose file is ``path``. Raises ``InputError`` with file and line."""
+    """Parse the text of an arm type whose file is ``path``. Raise ``InputError`` with file and line."""
     document = _parse_yaml(text, path)
     try:
         return ArmType.model_validate(document.data)
@@ -183,7 +183,7 @@ def locate_meshes(document: Document, folders: Sequence[Path]) -> None:
     Raises
     ------
     InputError
-        If none has it.
+        If none of them has it.
     """
     obstacles = document.data.get("obstacles")
     for name, obstacle in (obstacles if isinstance(obstacles, dict) else {}).items():
@@ -250,7 +250,7 @@ def _read_controller(folders: Sequence[Path], name: str, place: Place) -> dict[s
 
 
 def _first_file(folders: Sequence[Path], name: str) -> Path | None:
-    """The path of the first of ``folders`` that has a file of that name; None if none has."""
+    """Return the path of the first of ``folders`` that has a file of that name; None if none has."""
     for path in (folder / name for folder in folders):
         with contextlib.suppress(OSError, ValueError):  # a name too long for the file system, or with a null character
             if path.is_file():
@@ -262,12 +262,12 @@ def _first_file(folders: Sequence[Path], name: str) -> Path | None:
 
 
 def is_number(text: str) -> bool:
-    """Whether YAML reads a text without quotes as a number."""
+    """Return whether YAML reads a text without quotes as a number."""
     return _tag(text) in ("int", "float")
 
 
 def is_word(text: str) -> bool:
-    """Whether YAML reads a text without quotes as that text."""
+    """Return whether YAML reads a text without quotes as that text."""
     return re.fullmatch(r"[./+-]*\w[\w./+-]*", text, re.ASCII) is not None and _tag(text) == "str"
 
 
@@ -277,7 +277,7 @@ def _tag(text: str) -> str:
 
 
 def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:
-    """The document as nodes with their lines, and what read it. Python's own loader says what is wrong, if anything."""
+    """Parse the document to nodes with their lines; return also the loader. Python's own loader reports errors."""
     with contextlib.suppress(yaml.YAMLError):
         fast = _FastLoader(text)
         return fast.get_single_node(), fast
@@ -309,7 +309,7 @@ def _parse_yaml(text: str, path: Path) -> Document:
 
 
 def _read_text(path: Path) -> str:
-    if path.is_fifo():  # reading would wait for a writer, without end
+    if path.is_fifo():  # reading would wait endlessly for a writer
         raise InputError(f"{path}: is a pipe, not a file; save the profile as a file and give its path")
     try:
         raw = path.read_bytes()

@@ -21,9 +21,9 @@ Key = str | int
 KeyPath = tuple[Key, ...]
 
 _MOST_SHOWN = 5
-"""Errors in one refusal; further ones often follow from these, so they are only counted."""
+"""Errors in one message; further ones often follow from these, so they are only counted."""
 _LONGEST = 600
-"""Characters of one error; a plug-in that cannot be used needs 500."""
+"""Largest number of characters of one error; that of an unusable plug-in needs 500."""
 _MISSING = ": missing; it must be given"
 _EXPECTED = {
     "int_type": "a whole number",
@@ -40,19 +40,19 @@ _EXPECTED = {
     "model_type": "keys with values",
     "model_attributes_type": "keys with values",
 }
-"""What pydantic's type errors expected."""
+"""What was expected, by pydantic's type of error."""
 _BOUNDS = {
     "greater_than": ("gt", "more than"),
     "greater_than_equal": ("ge", "at least"),
     "less_than": ("lt", "less than"),
     "less_than_equal": ("le", "at most"),
 }
-"""Error of a range -> key of its bound in the error's context, and its words."""
+"""pydantic's error of a range -> key of its bound in the error's context, and words for it."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value is written: file, line (0: it is no file), and its path inside that file."""
+    """Where a value is written: file, line (0: not in a file), and its path inside that file."""
 
     file: str
     line: int
@@ -81,7 +81,7 @@ class Document:
 
 
 def dotted(path: Sequence[Key]) -> str:
-    """Return a path as people write it: "arms.left.home[2]"."""
+    """Return a path in the usual notation: "arms.left.home[2]"."""
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{short(key)}" for key in path)
     return text.removeprefix(".")
 
@@ -93,7 +93,7 @@ def short(text: str, most: int = 60) -> str:
 
 
 def described(value: object) -> str:
-    """Return what a person would call a value."""
+    """Describe a value in a person's words."""
     match value:
         case yaml.SequenceNode():
             return "a list"
@@ -123,7 +123,7 @@ def validation_message(error: ValidationError, document: Document) -> str:
 
 
 def problems(error: ValidationError, document: Document) -> list[tuple[KeyPath, str]]:
-    """Return the key of each error and what is wrong there; a key that is missing ends the path where it belongs."""
+    """Return the key of each error and what is wrong there; a missing key is appended to the path where it belongs."""
     listed: list[tuple[KeyPath, str]] = []
     for at, texts in _found(error, document):
         words = _joined(texts)
@@ -165,7 +165,7 @@ def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, li
 
 
 def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Place]) -> Iterator[ErrorDetails]:
-    """Drop "expected the word 'unknown', got a list" where another error concerns the same list."""
+    """Drop "expected the word 'unknown', got a list" if another error concerns the same list."""
     paths = [_walk(details["loc"], places)[0] for details in errors]
     for index, (at, details) in enumerate(zip(paths, errors, strict=True)):
         others = paths[:index] + paths[index + 1 :]
@@ -230,7 +230,7 @@ def _expected(details: ErrorDetails, at: KeyPath, document: Document) -> str:
         return f"expected {_EXPECTED[kind]}, got {got}{hint}"
     if kind in _BOUNDS:
         key, words = _BOUNDS[kind]
-        unit = " (SI)" if isinstance(value, str) else ""  # the bound is in SI, the value has another unit
+        unit = " (SI)" if isinstance(value, str) else ""  # the bound is in SI, the value in another unit
         return f"expected {words} {context[key]:g}{unit}, got {got}"
     match kind:
         case "literal_error":
@@ -248,9 +248,9 @@ def _expected(details: ErrorDetails, at: KeyPath, document: Document) -> str:
 
 
 def _walk(location: Sequence[Key], places: dict[KeyPath, Place]) -> tuple[KeyPath, list[Key]]:
-    """Return the written path nearest to pydantic's location, and the keys that remain.
+    """Return the longest part of pydantic's location that is written in the file, and the keys that remain.
 
-    The location also contains the names of a union's branches, which nobody wrote.
+    The location also contains the names of a union's branches, which are not written in the file.
     """
     at: KeyPath = ()
     rest: list[Key] = []

@@ -15,9 +15,9 @@ from cellapp.ground.starters import offered_profiles, starters_folder
 TWIN_SMALL = "twin-small"
 """The twin with fewer stops."""
 FOLDER = "profiles"
-"""Folder of a person's profiles, below the folder where they work."""
+"""Name of the folder of a person's profiles, below their working folder."""
 READINGS = "readings"
-"""Folder of readings that were recorded elsewhere, beside it."""
+"""Name of the folder, beside that one, of readings that come with a profile."""
 _SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[A-Z])")
 
 
@@ -48,13 +48,13 @@ def write_starter(name: str, folder: Path) -> Path:
 def copy_starter(name: str, profiles: Path) -> Path:
     """Copy a starter profile and the arm types that it names into a folder; return its path.
 
-    Where it names targets, all example lists of targets and paths are copied with it; a measured series brings its
-    readings and their licence, in ``readings`` beside the folder of profiles.
+    If it names targets, all example lists of targets and paths are copied, too. A measured series brings its readings
+    and their licence, in ``readings`` beside the folder of profiles.
 
     Raises
     ------
     InputError
-        If there is no such starter, a file exists already with another text, or one cannot be written.
+        If there is no such starter, a file with another text exists already, or one cannot be written.
     """
     known = [starter.name for starter in starter_profiles()]
     if name not in known:
@@ -69,12 +69,12 @@ def copy_starter(name: str, profiles: Path) -> Path:
 
 
 def readings_of(name: str, profiles: Path) -> Path:
-    """Where the readings of a measured series stand that was copied beside the folder ``profiles``."""
+    """Return where the readings of a measured series are, if it was copied beside the folder ``profiles``."""
     return profiles.parent / READINGS / name / "readings.csv"
 
 
 def _series_files(name: str) -> tuple[Path, ...]:
-    """The files of a measured series: readings, licence, description; empty for any other profile."""
+    """Return the files of a measured series: readings, licence, description; empty for any other profile."""
     package = Path(str(files("cellapp")))
     for folder in (package / "starters" / READINGS, package.parent / "tests" / "fixtures"):
         if (folder / name / "readings.csv").is_file():

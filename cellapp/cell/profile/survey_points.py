@@ -1,4 +1,4 @@
-"""Points that fix where a base stands: one place, known in the tracker frame M and at the arm."""
+"""Points that determine the pose of a base: each is known in the tracker frame M and at the arm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.quantities import Turn
 from drivers.settings import Section
 
 _COORDINATES = 3
-"""Values of a point; no arm of this program has as few joints."""
+"""Number of coordinates of a point; no arm of this program has as few joints."""
 
 
 class SurveyPoint(Section):
@@ -36,7 +36,7 @@ class SurveyPoint(Section):
 
 
 def points_of_text(text: str) -> tuple[SurveyPoint, ...]:
-    """Return the points of a text with a line for each: "at the arm ; in the tracker frame".
+    """Parse points from a text with a line for each: "at the arm ; in the tracker frame".
 
     Three values at the arm are coordinates in the base frame, more are joint positions.
 
@@ -65,5 +65,5 @@ def _points_of(text: str) -> Iterator[SurveyPoint]:
 
 
 def _values(text: str) -> list[Any]:
-    """The values of a list with commas: numbers, and texts with a unit."""
+    """Split a list at commas into numbers, and texts with a unit."""
     return [float(item) if is_number(item) else item for item in map(str.strip, text.split(","))]

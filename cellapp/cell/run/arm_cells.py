@@ -1,4 +1,4 @@
-"""The rows of one arm in a table of readings, column by column: numbers, words, and what is wrong in them, by line."""
+"""The rows of one arm in a table of readings, column by column: numbers and words are parsed, errors noted by line."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from cellapp.estimation.readings.readings import Readings, readings_from_columns
 POINT = "point"
 """Column that names a fixed but unknown point in place of a measured position."""
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
-"""What no number of a column has: one search over all cells is much faster than one in each."""
+"""Characters that no number has: one search over all cells of a column is much faster than one per cell."""
 
 
 def is_known(name: str) -> bool:
-    """Whether a CSV column is one of ``COLUMNS`` or the arm."""
+    """Return whether a CSV column is one of ``COLUMNS`` or the arm."""
     return name == "arm" or stem_and_joint(name) is not None or any(name in column.csv for column in not_per_joint())
 
 
 def not_per_joint() -> list[Column]:
-    """The columns of ``COLUMNS`` that a reading has once."""
+    """Return the columns of ``COLUMNS`` that a reading has once."""
     return [column for column in COLUMNS if column.shape != "joints"]
 
 
 def stem_and_joint(name: str) -> tuple[str, int] | None:
-    """Stem and number of a column that belongs to one joint."""
+    """Split the name of a column that belongs to one joint into stem and number; None for other columns."""
     match = re.fullmatch(r"(\w*?)([1-9][0-9]*)", name)
     if match and any(column.shape == "joints" and column.csv == (match.group(1),) for column in COLUMNS):
         return match.group(1), int(match.group(2))
@@ -42,7 +42,7 @@ def stem_and_joint(name: str) -> tuple[str, int] | None:
 
 @dataclass(frozen=True)
 class ArmCells:
-    """The rows of one arm, column by column; notes what is wrong in ``problems``."""
+    """The rows of one arm, column by column; errors are noted in ``problems``."""
 
     table: CsvTable
     rows: Sequence[int]
@@ -59,7 +59,7 @@ class ArmCells:
         self.problems.add(self.line(index), name, text)
 
     def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
-        """A column as (n,), NaN for an empty cell that is not required; notes its first wrong cell."""
+        """Parse a column to (n,), NaN for an empty cell that is not required; note its first wrong cell."""
         texts = [text.strip() for text in self.texts(name)]
         # float() accepts more than decimal numbers (nan, 1_000, digits of other scripts); one search over the whole
         # column is much faster than one over each cell.
@@ -86,7 +86,7 @@ class ArmCells:
         return result
 
     def whole_numbers(self, name: str) -> NDArray[np.int64]:
-        """A column of integers as (n,); not by way of floats, which would round large ones."""
+        """Parse a column of integers to (n,), not via floats, which would round large ones."""
         texts = [text.strip() for text in self.texts(name)]
         for index, text in enumerate(texts):
             if not WHOLE.fullmatch(text):
@@ -101,7 +101,7 @@ class ArmCells:
         return POINT in self.table.cells and any(text.strip() for text in self.texts(POINT))
 
     def words(self, column: Column) -> tuple[str | None, ...] | None:
-        """A column of words; None for an empty cell, and for the column if all are empty or the file lacks it."""
+        """Return a column of words, None for an empty cell; None if all are empty or the file lacks the column."""
         (name,) = column.csv
         if name not in self.table.cells:
             return None
@@ -113,7 +113,7 @@ class ArmCells:
         return tuple(word or None for word in words) if any(words) else None
 
     def matrix(self, column: Column, joints: int) -> NDArray[Any] | None:
-        """A column as (n, w), NaN where a value is missing; None where the file has none of it."""
+        """Parse a quantity to (n, w), NaN where a value is missing; None if the file has none of it."""
         names = column.csv_names(joints)
         if names[0] not in self.table.cells:
             return None
@@ -127,7 +127,7 @@ class ArmCells:
         return None if np.all(np.isnan(matrix)) else matrix
 
     def check(self, column: Column, matrix: NDArray[Any], joints: int, limits: NDArray[np.float64] | None) -> None:
-        """Note the first implausible value; of joint positions the first of each joint."""
+        """Note the first implausible value; for joint positions, the first of each joint."""
         fault = None if column.check is None else column.check(matrix)
         faults = [] if fault is None else [fault]
         if column.name == "q" and limits is not None and fault is None:
@@ -139,7 +139,7 @@ class ArmCells:
 
 
 def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64] | None) -> Readings | None:
-    """The readings of one arm in the order of the rows; None if a problem was found."""
+    """Parse the readings of one arm in the order of the rows; None if a problem was found."""
     problems, before = cells.problems, cells.problems.count
     _check_joint_columns(cells, arm, joints)
     if problems.count > before:
@@ -166,7 +166,7 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
 
 
 def _check_points(cells: ArmCells, points: Sequence[str | None], measured: NDArray[Any] | None) -> None:
-    """Check that every reading of an arm names a point, none has a measured position too, and no point is alone."""
+    """Check that every reading names a point, none has a measured position too, and no point occurs only once."""
     counts = Counter(points)
     for index, point in enumerate(points):
         if measured is not None and not np.isnan(measured[index]).all():
@@ -205,7 +205,7 @@ def _check_once(
     arm: str,
     words: Mapping[str, tuple[str | None, ...] | None],
 ) -> None:
-    """Check that an arm has one row per stop, or one by nest and station where these are named."""
+    """Check that an arm has one row per stop, or one per nest and station where these are named."""
     named = [its for name in ("smr", "station") if (its := words[name]) is not None]
     once = "give one row per stop" + (", nest and station" if named else "")
     first: dict[tuple[int | str | None, ...], int] = {}

@@ -1,4 +1,4 @@
-"""Which arm a run measured: by serial numbers where they are known, else by names."""
+"""Identity of the arms that a run measured: by serial numbers where known, else by names."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _CONTROLLERS = TypeAdapter(dict[str, _Controller])
 
 @dataclass(frozen=True)
 class ArmIdentity:
-    """``key`` is the same in all runs of one arm; ``serial`` is empty where only names are known."""
+    """Identity of an arm; ``key`` is the same in all its runs, ``serial`` is empty where only names are known."""
 
     key: str
     known_by: IdentityBasis
     serial: str = ""
 
     def is_other_than(self, other: ArmIdentity) -> bool:
-        """Whether serial numbers prove two arms to be different ones."""
+        """Return whether serial numbers prove two arms to be different ones."""
         return self.known_by == other.known_by and bool(self.serial) and self.serial != other.serial
 
 
 def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:
-    """Identity of every arm of the run's profile: serial of its controller, of the arm in the profile, or names.
+    """Identify every arm of the run's profile: by its controller's serial, by the profile's, or by names.
 
     A simulated arm has no serial number of its own: all of them report the same one.
     """
@@ -59,7 +59,7 @@ def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:
 
 
 def _recorded(run: RunFile) -> Mapping[str, _Controller]:
-    """Controllers by arm; none where the record is missing or damaged: names identify the arms then."""
+    """Return controllers by arm; empty if the record is missing or damaged, as names then identify the arms."""
     text = run.read_result(CONTROLLERS_RESULT)
     try:
         return {} if text is None else _CONTROLLERS.validate_json(text)

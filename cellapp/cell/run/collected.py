@@ -1,4 +1,4 @@
-"""What the readings of a run lack, and how its reference measurements drifted; everything here only reads."""
+"""What the readings of a run lack, and how its reference measurements drifted; nothing is written."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.cell.run.records import MissingReading, ReferenceDrift
 
 
 def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
-    """Planned readings that a run lacks, with the reason; reserve stops that were not needed are not missing."""
+    """List the planned readings that a run lacks, with reasons; reserve stops that were not needed are not missing."""
     plan = run.read_plan()
     total = len(next(iter(plan.values()))) if plan else 0
     outcomes = {(one.stop, one.arm): one for one in run.outcomes()}
@@ -33,14 +33,14 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
 
 
 def missing_share(run: RunFile, missing: Sequence[MissingReading]) -> float:
-    """Share of the asked readings that is missing: a reserve stop that was measured replaces one that is missing."""
+    """Return the share of the required readings that is missing; a measured reserve stop replaces a missing one."""
     asked = sum(len(q) - len(run.profile.plan.reserves(len(q))) for q in run.read_plan().values())
     measured = sum(len(run.readings(name)) for name in run.read_plan())
     return max(asked - measured, 0) / asked if asked and missing else 0.0
 
 
 def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
-    """Distance of every reference measurement from the first one of its name in the run."""
+    """Compute the distance of every reference measurement from the first one of its name in the run."""
     first: dict[str, NDArray[np.float64]] = {}
     return tuple(
         ReferenceDrift(
@@ -53,6 +53,6 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
 
 
 def late_readings(run: RunFile) -> set[tuple[int, str]]:
-    """Stops and arms that were measured at a later visit only; how many visits there were is not kept."""
+    """Return the stops and arms that were only measured at a later visit; the number of visits is not stored."""
     with run.look() as connection:
         return select_late(connection)

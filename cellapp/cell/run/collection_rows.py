@@ -15,7 +15,7 @@ from cellapp.cell.run.schema import schema_version
 from cellapp.ground.grouping import grouped
 
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
-"""How a collecting session ended; "accurate enough": the asked standard errors were reached early."""
+"""How a collecting session ended; "accurate enough": the required standard errors were reached early."""
 OutcomeKind = Literal["not measured", "left out"]
 _SINCE, _SINCE_AGAIN = 4, 9
 
@@ -24,8 +24,8 @@ _SINCE, _SINCE_AGAIN = 4, 9
 class Session:
     """One session of collecting; ``ended``, ``outcome`` and ``reason`` are None if the program died in it.
 
-    ``requests`` lists what persons asked and what suspended it, oldest first: (UTC, "pause" | "resume" | ..., reason).
-    ``again`` lists the stops that it measured again, as people count them; empty of one that collects what is left.
+    ``requests`` lists requests of persons and interruptions, oldest first: (UTC, "pause" | "resume" | ..., reason).
+    ``again`` lists the stops that were measured again, counted from 1; empty in a session that collects what is left.
     """
 
     number: int
@@ -65,7 +65,7 @@ def insert_session(connection: sqlite3.Connection, began: str, again: str = "") 
 
 
 def insert_request(connection: sqlite3.Connection, session: int, written: str, kind: str, reason: str) -> None:
-    """Add what happened in a session."""
+    """Add a request or an event of a session."""
     connection.execute("INSERT INTO request VALUES (?, ?, ?, ?)", (session, written, kind, reason))
 
 
@@ -98,7 +98,7 @@ def insert_reference(connection: sqlite3.Connection, row: ReferenceRow) -> None:
 
 
 def select_sessions(connection: sqlite3.Connection) -> list[Session]:
-    """All sessions, oldest first; none in a file of an older schema."""
+    """Read all sessions, oldest first; none in a file of an older schema."""
     version = schema_version(connection)
     if version < _SINCE:
         return []
@@ -115,7 +115,7 @@ def select_sessions(connection: sqlite3.Connection) -> list[Session]:
 
 
 def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
-    """Outcomes of stops and arms without a reading, by stop; none in a file of an older schema."""
+    """Read the outcomes of stops and arms without a reading, by stop; none in a file of an older schema."""
     if schema_version(connection) < _SINCE:
         return []
     rows = connection.execute(
@@ -127,7 +127,7 @@ def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
 
 
 def select_late(connection: sqlite3.Connection) -> set[tuple[int, str]]:
-    """Stops and arms that have a reading now and had none when they were visited before."""
+    """Return stops and arms that have a reading now and had none when they were visited before."""
     if schema_version(connection) < _SINCE:
         return set()
     rows = connection.execute(
@@ -138,7 +138,7 @@ def select_late(connection: sqlite3.Connection) -> set[tuple[int, str]]:
 
 
 def select_references(connection: sqlite3.Connection) -> list[ReferenceRow]:
-    """All reference measurements, oldest first; none in a file of an older schema."""
+    """Read all reference measurements, oldest first; none in a file of an older schema."""
     if schema_version(connection) < _SINCE:
         return []
     rows = connection.execute("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid")

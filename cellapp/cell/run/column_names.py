@@ -1,7 +1,7 @@
-"""What the columns of somebody else's readings and recordings are: names, and units that stand in them.
+"""Meaning of columns in readings and recordings of other programs: their names, and units that stand in them.
 
-``actual_q_0`` beside ``target_q_0`` is q1, ``ROBOT_ACTUAL_JOINT_POSITIONS (J1)`` too, ``Joint 1 [deg]`` in degrees,
-``timestamp_ns`` a stamp of nanoseconds, ``X [mm]`` x_m. Cellapp's own names mean what they mean there.
+Examples: ``actual_q_0`` beside ``target_q_0`` is q1, as is ``ROBOT_ACTUAL_JOINT_POSITIONS (J1)``; ``Joint 1 [deg]`` is
+q1 in degrees, ``timestamp_ns`` a timestamp in nanoseconds, ``X [mm]`` x_m. Cellapp's own names keep their meaning.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Literal, get_args
 
 Kind = Literal["joints", "points"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-"""Of a recording of motion."""
+"""Streams of a recording of motion."""
 EXAMPLES: Mapping[Kind | Literal["readings"], str] = {
     "joints": "time_s,q1,q2,q3",
     "points": "time_s,x_m,y_m,z_m",
     "readings": "q1,q2,q3,q4,q5,q6,x,y,z",
 }
-"""Rows of names for messages."""
+"""Example header rows for messages."""
 
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {
@@ -47,20 +47,20 @@ _POSITION |= {"angle", "angles", "achse", "gelenk"}
 _MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current"}
 _COMMANDED = {"target", "desired", "commanded", "command", "cmd", "ref", "reference", "setpoint", "soll", "planned"}
 _COMMAND = 2
-"""Rank of what was commanded."""
+"""Rank of commanded values."""
 _BESIDE = {"robot", "arm", "state", "states", "msg", "field", "data", "value", "encoder", "motor", "controller"}
 _OF_READINGS = {"robot": "arm", "temperature": "temperature_c", "temp": "temperature_c", "payload": "payload_kg"}
-"""Columns that readings at rest have beside joint positions and points."""
+"""Columns of readings at rest besides joint positions and points."""
 _POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 _LEAST_FAMILY = 4
-"""Columns that differ in their last number only, from which these are the joints' positions if no others may be."""
+"""Least number of columns that differ only in their last number to be taken as joint positions, if no others can be."""
 _LAST_NUMBER = re.compile(r"(.*?)(\d+)([^\d]*)")
 _PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
-"""Joints of a UR arm in its controller's order: messages of ROS name them, in another order, and the pendant does."""
+"""Joints of a UR arm in its controller's order, as on the pendant; messages of ROS name them in another order."""
 _OF_ROBOT = {"tcp", "robot", "flange", "tool"}
-"""Points of these are the controller's, not the tracker's."""
+"""Points of these belong to the controller, not to the tracker."""
 
 
 @dataclass(frozen=True)
@@ -70,15 +70,15 @@ class Understood:
     Attributes
     ----------
     names : tuple of str
-        As cellapp calls them, each once; those that it does not know as they stand in the file.
+        Cellapp's names, each once; unknown columns keep their name in the file.
     factors : mapping
-        Of those whose unit stands in their name: what turns their values to SI.
+        Factor to SI of each column whose name states a unit.
     others : mapping
-        Name in the file of each column that cellapp calls otherwise.
+        Cellapp's name -> name in the file, where they differ.
     doubled : mapping
-        Quantity that is left out -> the columns in the file which may be it.
+        Quantity that is left out -> the columns in the file that may be it.
     commanded : bool
-        Positions are those that were commanded, as there are no measured ones.
+        Whether positions are the commanded ones, as there are no measured ones.
     """
 
     names: tuple[str, ...]
@@ -89,12 +89,12 @@ class Understood:
 
     @property
     def said(self) -> tuple[str, ...]:
-        """In words: "q1 = actual_q_0" of each column under another name."""
+        """Description of each column under another name, as "q1 = actual_q_0"."""
         lag = ("positions that were commanded, as there are no measured ones: their lag is part of the delay",)
         return (*(f"{name} = {other}" for name, other in self.others.items()), *(lag if self.commanded else ()))
 
     def unsaid(self, name: str) -> bool:
-        """Whether the file has this column under another name, which says nothing of its unit."""
+        """Return whether the file has this column under another name that states no unit."""
         return name in self.others and name not in self.factors
 
 
@@ -103,19 +103,19 @@ class _Read:
     name: str
     factor: float | None = None
     rank: int = 0
-    """Smaller ones are preferred: measured, not commanded."""
+    """Smaller ranks are preferred: measured to commanded."""
 
 
 def understood(
     names: Sequence[str], kind: Kind | Literal["readings"], own: Collection[str], orientation: Collection[str] = ()
 ) -> Understood:
-    """Read the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` those that are read elsewhere.
+    """Interpret the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` are read elsewhere.
 
-    A quantity that two columns may be is left out, unless one of them is the measured one.
+    A quantity with two candidate columns is left out, unless one of them is the measured one.
     """
     nothing = _Read("")
     if kind == "joints" and any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
-        own = [name for name in own if name.rstrip("0123456789") == name]  # joints from 0 are none of cellapp's names
+        own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
     read = [
         _Read(name, None, -1) if name in own else nothing if name in orientation else _read(name, kind) or nothing
         for name in names
@@ -154,7 +154,7 @@ def understood(
 
 
 def _read(name: str, kind: str) -> _Read | None:
-    """What a name means; indices of joints as they stand in it."""
+    """Interpret one name; joint indices are left as they stand in it."""
     for quantity in ("time", "angle", "length", None):
         stem, factor = _without_unit(name, quantity)
         if quantity is not None and factor is None:
@@ -171,7 +171,7 @@ def _read(name: str, kind: str) -> _Read | None:
 
 
 def _family(names: Sequence[str]) -> Mapping[str, str]:
-    """What the columns that differ in their last number only are as joints, if one such family may be that."""
+    """Map columns that differ only in their last number to joints, if only one family of them can be positions."""
     families: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         if match := _LAST_NUMBER.fullmatch(name.strip().lower()):
@@ -188,7 +188,7 @@ def _family(names: Sequence[str]) -> Mapping[str, str]:
 
 
 def _without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:
-    """A name in small letters without the unit of this quantity at its end, and its factor."""
+    """Remove the unit of this quantity from the end of a name, in lower case; return also its factor or None."""
     low = name.strip().lower()
     if quantity is None or (match := _OF_UNIT.search(low)) is None:
         return low, None
@@ -230,5 +230,5 @@ def _joint(stem: str, factor: float | None) -> _Read | None:
         return None
     rank = _COMMAND if set(words) & _COMMANDED else 0 if set(words) & _MEASURED else 1
     if rank == _COMMAND and kinds:
-        return None  # speeds and torques are worth something as they were measured only
+        return None  # speeds and torques are only useful as measured
     return _Read(f"{kinds[0] if kinds else 'q'}{numbers[0] if named is None else named}", factor, rank)

@@ -1,4 +1,4 @@
-"""Units of somebody else's values: by the names of their columns, else where only one unit is possible."""
+"""Units of columns in files of other programs: from their names, else from values where only one is possible."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _DEG = math.pi / 180.0
 AngleUnit = Literal["rad", "deg"]
 LengthUnit = Literal["m", "mm", "um"]
 _SURELY_RAD, _SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
-"""Joint positions [rad] within the first and over more than ``_WIDE`` are radians; beyond the second are degrees."""
+"""Joint positions within the first limit [rad] and over more than ``_WIDE`` are radians, beyond the second degrees."""
 _WIDE = 0.3
 _SURELY_M, _SURELY_MM = 20.0, 100.0
-"""No cell is wider than the first [m]; no tracker measures beyond the second [m]."""
+"""No cell is wider than the first limit [m]; beyond the second, which no tracker reaches, values are millimetres."""
 _LEAST_M = 0.05
-"""Points that lie closer together [m] may be in another unit."""
+"""Range of coordinates [m] up to which these may be in a unit other than metres."""
 
 
 def angle_unit(q: NDArray[np.float64]) -> AngleUnit | None:
-    """The unit of joint positions (n, N) by their size; None where it does not decide."""
+    """Return the unit of joint positions (n, N) by their size; None if it is ambiguous."""
     largest, widest = _largest_and_widest(q)
     if largest > _SURELY_DEG:
         return "deg"
@@ -35,7 +35,7 @@ def angle_unit(q: NDArray[np.float64]) -> AngleUnit | None:
 
 
 def length_unit(p: NDArray[np.float64]) -> LengthUnit | None:
-    """The unit of points (n, 3) by their size; None where it does not decide."""
+    """Return the unit of points (n, 3) by their size; None if it is ambiguous."""
     largest, widest = _largest_and_widest(p)
     if largest > _SURELY_MM:
         return "mm"
@@ -43,7 +43,7 @@ def length_unit(p: NDArray[np.float64]) -> LengthUnit | None:
 
 
 def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
-    """The table in SI units, and a sentence about columns that stand under other names."""
+    """Convert the table to SI units; return also a sentence about columns with other names."""
     if not known.others:
         return table, []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
@@ -75,7 +75,7 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
 
 
 def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[str]]:
-    """The table without orientations that not every row has, and a sentence about it: a fit uses points only."""
+    """Drop orientations if rows lack them, as a fit then uses points only; return also a sentence about it."""
     if any(name not in table.columns for name in QUATERNION):
         return table, []
     turned = np.column_stack([table.columns[name] for name in QUATERNION])
@@ -90,7 +90,7 @@ def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[s
 def _speeds(
     columns: dict[str, NDArray[np.float64]], factors: dict[str, float], positions: list[str], speeds: list[str]
 ) -> list[str]:
-    """Speeds are in degrees a second where they are nearer to the motion of the positions then."""
+    """Convert speeds from degrees per second if that agrees better with the motion of the positions."""
     names = [(f"q{speed[2:]}", speed) for speed in speeds if f"q{speed[2:]}" in positions]
     if not names:
         return []
@@ -107,7 +107,7 @@ def _speeds(
 
 
 def _largest_and_widest(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The largest size of values (n, k), and the widest range of a column, without NaN."""
+    """Return the largest absolute value in (n, k), and the widest range of a column, ignoring NaN."""
     values = values[:, np.isfinite(values).any(axis=0)]
     if not values.size:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Readings to CSV, in the columns of ``columns.COLUMNS``; see ``csv_import`` for the format."""
+"""Export of readings to CSV, in the columns of ``columns.COLUMNS``; see ``csv_import`` for the format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cellapp.ground.outputs import NEW_ONLY, Outputs
 
 
 def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
-    """Write all readings of a run, ordered by configuration, numbers in the shortest form that is exact.
+    """Write all readings of a run, ordered by configuration, numbers in their shortest exact form.
 
     The file is written completely or not at all; ``outputs`` says whether an existing one is replaced.
 
@@ -42,7 +42,7 @@ def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) ->
 
 
 def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
-    """Columns that any arm has values for and columns of the imported file; unknown ones last."""
+    """Return the columns that any arm has values for and those of the imported file; unknown ones last."""
     joints = max(readings.joints for readings in arms.values())
     names: list[str] = []
     for column in COLUMNS:
@@ -55,7 +55,7 @@ def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
 
 
 def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """The cells of one arm's readings in the columns ``names``; empty where it has no value."""
+    """Return the cells of one arm's readings in the columns ``names``; empty where it has no value."""
     n = len(readings)
     texts: dict[str, Sequence[str]] = {
         "arm": [arm] * n,

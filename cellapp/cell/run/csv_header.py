@@ -1,6 +1,6 @@
-"""How a CSV file is written: the row with the names, the sign between cells, decimal commas, comments, the encoding.
+"""Format of a CSV file: header row, separator, decimal commas, comments, encoding.
 
-Readings and recordings of other programs are read by what is found here.
+Readings and recordings of other programs are read in the format that is detected here.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from cellapp.ground.errors import InputError
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 ROW = "rows of numbers"
 _INDEX = "index"
-"""Name of a first column without one: numbers of rows, as data frames are written."""
+"""Name of a first column without one: row numbers, as data frames are written."""
 _LOOKED_AT_BYTES = 1_000_000
 _LOOKED_AT = 80
-"""Lines at the beginning of a file among which the names and the first numbers are."""
+"""Number of lines at the beginning of a file within which header and first numbers must be."""
 _UNIT_ALONE = re.compile(r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|(?:deg|rad)/s|A|Nm|°C?")
-"""A cell of a row of units below the names."""
+"""A cell of a row of units below the header."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
-"""What programs write where there is no value."""
+"""Texts that programs write for a missing value."""
 
 
 @dataclass(frozen=True)
 class CsvFile:
-    """How a file is written: the line of its header, names as they stand there, sign between cells, decimal commas."""
+    """Format of a file: line of its header, names as they stand there, separator, decimal commas."""
 
     path: Path
     what: str
@@ -59,7 +59,7 @@ class CsvFile:
         return (self.separator, self.head, self.trailing, self.encoding) == (",", 1, False, "utf-8-sig")
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line and cells of each row below the header; as ``csv_rows``, which raises the same."""
+        """Yield line and cells of each row below the header. Raises as ``csv_rows``."""
         if self.plain:
             below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
             yield from ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
@@ -73,7 +73,7 @@ class CsvFile:
             yield line, cells[: len(self.names)]
 
     def texts(self) -> Iterator[str]:
-        """The rows below the header as numpy reads them."""
+        """Yield the rows below the header as text for numpy."""
         for _, text in self._numbered():
             yield text
 
@@ -86,12 +86,12 @@ class CsvFile:
 
 
 def read_header(path: Path, what: str, example: str) -> CsvFile:
-    """How a file of ``what`` is written; messages give an ``example`` of a row of names.
+    """Detect the format of a file of ``what``; messages give an ``example`` of a header row.
 
     Raises
     ------
     InputError
-        If it cannot be read, is no text, has no row of names, or a name is missing or there twice.
+        If it cannot be read, is not text, has no header row, or a name is missing or there twice.
     """
     encoding = _encoding(path, what)
     with opened_text(path, what, encoding) as file:
@@ -111,7 +111,7 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
 
 
 def _encoding(path: Path, what: str) -> str:
-    """UTF-8, or what programs of Windows write: UTF-16 with its mark, else Latin-1 where that gives text."""
+    """Detect the encoding: UTF-8, UTF-16 with its mark, or Latin-1 (both from Windows) where that gives text."""
     with opened_text(path, what, "latin-1") as file:
         begin = file.read(_LOOKED_AT_BYTES).encode("latin-1")
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -127,7 +127,7 @@ def _encoding(path: Path, what: str) -> str:
 
 
 def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: str) -> CsvFile | None:
-    """How the first row of numbers and the names above it are written; None for plain CSV, and where there are none."""
+    """Detect the format of the first row of numbers and the header above it; None for plain CSV or without numbers."""
     for place, (line, text) in enumerate(lines):
         separator, comma = _separator(text)
         cells = split_row(text, separator)
@@ -138,7 +138,7 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
         above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
         above = [
             (n, row) for n, row in above if not any(math.isfinite(stamp_seconds(cell)) for cell in row)
-        ]  # no names
+        ]  # a row with dates is no header
         above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
         if not above:
             raise InputError(
@@ -154,7 +154,7 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
 
 
 def _separator(text: str) -> tuple[str, bool]:
-    """The sign between the cells of a row of numbers, and whether they have decimal commas."""
+    """Detect the separator in a row of numbers, and whether these have decimal commas."""
     for sign in (";", "\t", "|"):
         if sign in text:
             return sign, "," in text
@@ -167,7 +167,7 @@ def _separator(text: str) -> tuple[str, bool]:
 
 
 def stamp_seconds(cell: str) -> float:
-    """A date with a time, or a time of day, as seconds since 1970 or midnight; NaN for other texts."""
+    """Convert a date with time, or a time of day, to seconds since 1970 or midnight; NaN for other texts."""
     text = cell.strip()
     try:
         if re.match(r"\d{4}-", text):
@@ -182,11 +182,11 @@ def stamp_seconds(cell: str) -> float:
 
 
 def is_empty(cell: str) -> bool:
-    """Whether a cell says that there is no value, as programs write it."""
+    """Return whether a cell holds what programs write for a missing value."""
     return cell.strip().lower() in _EMPTY
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell holds a finite number or nothing."""
+    """Return whether a cell holds a finite number or nothing."""
     text = cell.strip()
     return not text or (NUMBER.fullmatch(text) is not None and math.isfinite(float(text)))

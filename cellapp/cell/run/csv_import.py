@@ -1,9 +1,9 @@
-"""Readings from CSV: header row, SI units, one row per arm per stop. The one door for readings measured elsewhere.
+"""Readings from CSV: header row, SI units, one row per arm per stop. All readings measured elsewhere are checked here.
 
-Columns are those of ``columns.COLUMNS``: ``configuration``, ``arm``, ``q1`` ... ``qN`` and ``x_m, y_m, z_m`` have a
-value in every row; the others are optional and an empty cell is a missing value, but a covariance has all six numbers
-or none. A file without times gives NaN as time: the order of rows is not a clock. Whether it is the order of
-measurement, which gives each joint's last motion, the caller says (``in_order``). Unknown columns are kept as text.
+Columns are those of ``columns.COLUMNS``. ``configuration``, ``arm``, ``q1`` ... ``qN`` and ``x_m, y_m, z_m`` have a
+value in every row. The others are optional, and an empty cell is a missing value; a covariance has all six numbers or
+none. Without times the time is NaN: the order of rows is not a clock. The caller says whether it is the order of
+measurement, which gives each joint's last motion (``in_order``). Unknown columns are kept as text.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def import_csv(
     """Make a run from a file of readings, after the whole file was read and checked.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets.
+    run then stores what was derived. ``distances`` is a file of known distances between points in sockets.
 
     Raises
     ------
@@ -114,12 +114,13 @@ def readings_from_csv(
     reference_nests: Path | None = None,
     on_flange: Path | None = None,
 ) -> Callable[[RunFile], None]:
-    """Read and check a whole file of readings; returns what puts them into a new run.
+    """Read and check a whole file of readings; return a function that stores them in a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets,
+    run then stores what was derived. ``distances`` is a file of known distances between points in sockets,
     ``reference_nests`` one of nests that tie tracker stations, ``on_flange`` one of touches of sockets on the other
     arm's flange. Arms that are ``recorded`` in motion need no readings.
+
     Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
@@ -158,7 +159,7 @@ def readings_from_csv(
 def readings_of_table(
     profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = ()
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
-    """Check the readings of a cell, from a file or from ``table_in_memory``: the one door for all of them.
+    """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
 
     Returns
     -------
@@ -206,14 +207,14 @@ def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Re
 
 
 def _lines_of(table: CsvTable, arm: str) -> list[int]:
-    """Lines of the rows of an arm, in the order of its readings: by configuration."""
+    """Return the lines of an arm's rows, in the order of its readings: by configuration."""
     numbers = table.cells[CONFIGURATION.csv[0]]
     own = zip(table.cells["arm"], numbers, table.lines, strict=True)
     return [line for _, line in sorted((int(n), line) for name, n, line in own if name.strip() == arm)]
 
 
 def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
-    """Limits (N, 2) [rad] of each arm's joints: of its type, which no cell widens."""
+    """Return the joint limits (N, 2) [rad] of each arm's type, which no cell widens."""
     return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
 
 
@@ -223,9 +224,9 @@ def _read(
     in_order: bool,
     limits: Mapping[str, NDArray[np.float64]],
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
-    """Readings, what their order of measurement gave, and notes."""
+    """Read the readings; return also what their order of measurement gave, and notes."""
     problems = Problems(table.place)
-    check_names(table, problems)  # of all columns: those of an orientation are replaced
+    check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]

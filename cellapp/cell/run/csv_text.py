@@ -1,4 +1,4 @@
-"""A CSV file as text: cells by column, with the line of each row, and the problems found in it."""
+"""A CSV file as text: cells by column with the line of each row, and a list of the errors in it."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
-"""A whole number; ``int`` would accept more (1_000, digits of other scripts)."""
+"""Pattern of a whole number; ``int`` would accept more (1_000, digits of other scripts)."""
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-"""A decimal number; ``float`` would accept more (nan, 1_000)."""
+"""Pattern of a decimal number; ``float`` would accept more (nan, 1_000)."""
 COMMENTS = ("#", "%", "//")
-"""What a line that is no row begins with."""
+"""Beginnings of lines that are comments."""
 _SHOWN = 5
 """Problems per message: enough to see a pattern, few enough to read."""
 _LONGEST_SHOWN = 40
-"""Characters of a wrong cell that a message shows."""
+"""Number of characters of a wrong cell that a message shows."""
 _FORMULA = ("=", "+", "-", "@")
-"""Characters with which spreadsheets let a formula begin."""
+"""Characters with which a formula begins in spreadsheets."""
 
 
 @dataclass(frozen=True)
 class CsvTable:
     """The cells of a file by column; ``lines`` are the numbers of the lines in which the rows end.
 
-    ``row_places`` say where each row is found if the table is no file: "the data frame, row 7".
+    ``row_places`` say where each row is if the table is not a file: "the data frame, row 7".
     """
 
     path: Path
@@ -42,13 +42,13 @@ class CsvTable:
     row_places: tuple[str, ...] | None = None
 
     def place(self, line: int) -> str:
-        """Where a line is found: "file:line", or the row of a table that is no file."""
+        """Return where a line is: "file:line", or the row of a table that is not a file."""
         if self.row_places is None:
             return f"{self.path}:{line}"
         return self.row_places[self.lines.index(line)] if line in self.lines else str(self.path)
 
     def row_words(self, line: int) -> str:
-        """A line as a sentence about another one of the same table names it."""
+        """Return the reference to a line in a sentence about another line of the same table."""
         return f"line {line}" if self.row_places is None else self.place(line)
 
 
@@ -56,7 +56,7 @@ class CsvTable:
 class Problems:
     """Problems of one file, reported together in the order of lines, so that they can be corrected in one go.
 
-    ``place`` says where a line is found.
+    ``place`` returns the location of a line.
     """
 
     place: Callable[[int], str]
@@ -64,7 +64,7 @@ class Problems:
     count: int = 0
 
     def add(self, line: int, column: str, text: str) -> None:
-        """Note a problem; only the first is kept of several with one cell (a column that both arms lack)."""
+        """Note a problem; of several at one cell only the first is kept (a column that both arms lack)."""
         self.count += 1
         self.found.setdefault((line, column), f"{self.place(line)}: {column}: {text}")
 
@@ -77,17 +77,17 @@ class Problems:
 
 
 def short(text: str, longest: int = _LONGEST_SHOWN) -> str:
-    """A wrong cell, or another text of a file, as a message shows it."""
+    """Shorten a wrong cell, or another text of a file, for a message."""
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
 def quoted_text(text: str) -> str:
-    """A text cell that no spreadsheet takes for a formula: with an apostrophe before = + - @; numbers stay."""
+    """Prefix a text with an apostrophe if spreadsheets would take it for a formula (= + - @); numbers stay."""
     return f"'{text}" if text.lstrip("'").startswith(_FORMULA) and not NUMBER.fullmatch(text) else text
 
 
 def unquoted_text(text: str) -> str:
-    """What ``quoted_text`` was given."""
+    """Return what ``quoted_text`` was given."""
     return text[1:] if text.startswith("'") and text.lstrip("'").startswith(_FORMULA) else text
 
 
@@ -97,13 +97,13 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], 
     Raises
     ------
     InputError
-        If it cannot be written, or may not.
+        If it cannot or must not be written.
     """
     outputs.write_text(path, table_text(header, rows))
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table as CSV."""
+    """Format a table as CSV."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return within a text only if the line terminator contains one.
     writer = csv.writer(text, lineterminator="\r\n")
@@ -115,7 +115,7 @@ def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm per stop") -> CsvTable:
     """Read a UTF-8, comma-separated file; blank rows are skipped.
 
-    ``what`` it should hold, and what a ``row`` is, is said in messages.
+    Messages name ``what`` it should hold and what a ``row`` is.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm
 
 
 def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]:
-    """Line and cells of each row of a UTF-8, comma-separated file that is not blank; the first is the header.
+    """Yield line and cells of each row of a UTF-8, comma-separated file, the header first; blank rows are skipped.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]
 
 @contextmanager
 def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[TextIO]:
-    """A file of ``what`` in the body of a ``with``. Raises ``InputError`` if it cannot be read, or is not UTF-8."""
+    """Open a file of ``what`` as a context manager. Raise ``InputError`` if it cannot be read, or is not UTF-8."""
     try:
         with path.open(encoding=encoding, newline="") as file:
             yield file
@@ -154,7 +154,7 @@ def opened_text(path: Path, what: str, encoding: str = "utf-8-sig") -> Iterator[
 
 
 def split_row(line: str, separator: str) -> list[str]:
-    """The cells of a line of text; a blank as separator stands for any number of them."""
+    """Split a line of text into cells; a blank as separator stands for any number of them."""
     if separator == " ":
         return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
@@ -170,9 +170,9 @@ def check_names(table: CsvTable, problems: Problems) -> None:
 
 
 def read_table_of(path: Path, what: str, one: str, row: str, columns: Sequence[str], optional: str = "") -> CsvTable:
-    """Read a file that must have ``columns`` and a row or more; it may have the ``optional`` one.
+    """Read a file that must have ``columns`` and at least one row; it may have the ``optional`` column.
 
-    Messages say ``what`` it should hold, ``one`` of which a ``row`` is.
+    Messages name ``what`` it should hold, and the ``one`` thing that a ``row`` describes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Known distances between points in sockets: from a CSV file, checked against the readings, and stored in the run."""
+"""Known distances between points in sockets: read from a CSV file, checked against the readings, stored in the run."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ DISTANCES_RESULT = "distances"
 """Name of the document in which a run keeps known distances; it is part of the file format."""
 _COLUMNS = ("point_a", "point_b", "distance_m", "sigma_m")
 _LONGEST_M = 20.0
-"""No arm reaches over more between two sockets."""
+"""Longest distance [m]: no arm reaches farther between two sockets."""
 _LARGEST_SIGMA_M = 0.1
 
 
 def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Readings]) -> dict[str, Readings]:
-    """The readings of each arm with the known distances of a file, both checked against the published arms.
+    """Return the readings of each arm with the known distances of a file, both checked against the nominal arms.
 
     Raises
     ------
     InputError
-        Names file, line and column of what is missing, no number, repeated, unknown or contradicts the arm.
+        Names file, line and column of a value that is missing, not a number, repeated, unknown or contradicts the arm.
     """
     if not any(in_sockets(its) for its in readings.values()):
         raise InputError(f"{path}: known distances are between points; no reading names one: add the column 'point'")
@@ -70,29 +70,29 @@ def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Read
 
 
 def published_arm(profile: Profile, name: str, readings: Readings) -> Geometry:
-    """The published chain of an arm, with the ball where most readings want it if its offset is unknown."""
+    """Return the nominal chain of an arm; if the ball's offset is unknown, with the one that most readings agree on."""
     arm = profile.arms[name]
     return with_ball(nominal_arm(arm), readings, unknown=arm.smr.offset == "unknown")
 
 
 def swapped_points(profile: Profile, name: str, readings: Readings) -> list[tuple[int, str]]:
-    """Rows of one arm whose point is another one by the published arm, with what is wrong."""
+    """Return the rows of one arm that are at another point by the nominal arm, with a message for each."""
     return list(misplaced_readings(published_arm(profile, name, readings), readings))
 
 
 def swapped_between(profile: Profile, readings: Mapping[str, Readings]) -> tuple[str, list[tuple[int, str]]]:
-    """The second of two arms in common sockets, and its rows whose point the first arm has elsewhere."""
+    """Return the second of two arms in common sockets, and its rows whose point the first arm has elsewhere."""
     geometries, both = _both(profile, readings)
     return list(readings)[1], list(swapped_between_arms(geometries, both))
 
 
 def _both(profile: Profile, readings: Mapping[str, Readings]) -> tuple[list[Geometry], list[Readings]]:
-    """The published chains of two arms in sockets, and their readings."""
+    """Return the nominal chains of two arms in sockets, and their readings."""
     return [published_arm(profile, name, its) for name, its in readings.items()], list(readings.values())
 
 
 def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Readings]) -> dict[int, Distance]:
-    """The distances by line; what is wrong is noted."""
+    """Parse the distances by line; errors are noted."""
     arms_of = grouped((point or "", arm) for arm, its in readings.items() for point in dict.fromkeys(its.point or ()))
     rows: dict[int, Distance] = {}
     seen: dict[frozenset[str], int] = {}
@@ -131,12 +131,12 @@ def _number(problems: Problems, line: int, column: str, text: str, most: float) 
 
 
 def distances_text(readings: Mapping[str, Readings]) -> str:
-    """The document that a run keeps."""
+    """Compose the document that a run keeps."""
     return json.dumps([asdict(one) for one in dict.fromkeys(d for its in readings.values() for d in its.distances)])
 
 
 def with_distances(connection: sqlite3.Connection, readings: Readings) -> Readings:
-    """The readings of one arm with the stored distances between their points."""
+    """Add the stored distances between their points to the readings of one arm."""
     if readings.point is None:
         return readings
     document = select_document(connection, DISTANCES_RESULT)

@@ -91,7 +91,7 @@ class RunFile:
     def __init__(
         self, folder: Path, connection: sqlite3.Connection, profile: Profile, writable: bool, journal: str
     ) -> None:
-        """For ``create`` and ``open`` only."""
+        """Initialise; only ``create``, ``open`` and ``peek`` call this."""
         self.folder = folder
         self.profile = profile
         self.writable = writable
@@ -101,14 +101,14 @@ class RunFile:
 
     @property
     def path(self) -> Path:
-        """The SQLite file."""
+        """The path of the SQLite file."""
         return self.folder / FILE_NAME
 
     # -- create, open, close -----------------------------------------------------------------------------------------
 
     @classmethod
     def create(cls, folder: Path, profile: Profile, fill: Callable[[RunFile], None] | None = None) -> RunFile:
-        """Make a run in ``folder``, which is created if missing and must be empty otherwise.
+        """Create a run in ``folder``, which is made if missing and must be empty otherwise.
 
         ``fill`` writes the first content (a plan, an import). The file gets its final name after that: a run exists
         completely or not at all.
@@ -168,7 +168,7 @@ class RunFile:
 
     @classmethod
     def peek(cls, folder: Path) -> Self:
-        """Open an existing run for a look at single values: its pages are not checked, a locked file is not waited for.
+        """Open an existing run to read single values, without checking its pages or waiting for a locked file.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class RunFile:
         return cls(folder, connection, profile, False, "unknown")
 
     def close(self) -> None:
-        """Merge the log into the one file and close it; closing twice does no harm."""
+        """Merge the write-ahead log into the one file and close it; closing twice does no harm."""
         with self._lock:
             if self.writable and self._journal == "wal":
                 # SQLite refuses while another program reads: the log then stays beside the file, and nothing is lost.
@@ -211,8 +211,8 @@ class RunFile:
     def write_plan(self, plans: Mapping[str, NDArray[np.float64]], documents: Mapping[str, str] | None = None) -> None:
         """Store the plan, arm -> q (n, N) [rad], in place of an earlier one; row k of all arms is stop k.
 
-        ``documents`` (name -> text) belong to it and are stored with it, or not at all. Outcomes of stops whose joint
-        positions change are removed: they belong to stops that are no longer planned.
+        ``documents`` (name -> text) are stored with it in one transaction. Outcomes of stops whose joint positions
+        change are removed: they belong to stops that are no longer planned.
 
         Raises
         ------
@@ -238,12 +238,12 @@ class RunFile:
                 insert_document(connection, name, text)
 
     def read_plan(self) -> dict[str, NDArray[np.float64]]:
-        """The plan, arm -> q (n, N) [rad]; empty without a plan."""
+        """Read the plan, arm -> q (n, N) [rad]; empty without a plan."""
         with self.look() as connection:
             return select_plan(connection, list(self.profile.arms))
 
     def planned_counts(self) -> dict[str, int]:
-        """Number of planned stops of each arm, reserves included; empty without a plan."""
+        """Return the number of planned stops of each arm, reserves included; empty without a plan."""
         with self.look() as connection:
             counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
@@ -259,7 +259,7 @@ class RunFile:
     ) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
-        ``further`` are readings of further nests of arms that have one in ``rows``.
+        ``further`` are readings of further nests, for arms that have a reading in ``rows``.
 
         Raises
         ------
@@ -292,15 +292,15 @@ class RunFile:
                 insert_outcome(connection, outcome)
 
     def readings(self, arm: str) -> Readings:
-        """The readings of one arm, one a stop, ordered by configuration; n is 0 if there are none.
+        """Return the readings of one arm, one per stop, ordered by configuration; n is 0 if there are none.
 
-        Rows of several nests are one reading, with the orientation that follows from them; those of several tracker
-        stations come in the frame of the first one.
+        Rows of several nests are merged into one reading, with the orientation that follows from them. Rows of several
+        tracker stations are transformed into the frame of the first one.
         """
         return one_a_stop(self.profile, arm, self._in_one_frame(self.rows(arm)))
 
     def rows(self, arm: str) -> Readings:
-        """All rows of one arm as they were measured or imported, one a nest; ordered by configuration."""
+        """Return all rows of one arm as measured or imported, one per nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
             found = with_distances(
@@ -315,13 +315,13 @@ class RunFile:
             return in_one_frame(readings, select_stations(connection))
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
-        """Number of readings of each arm that has some, by split; None is no split."""
+        """Count the readings of each arm that has some, by split; None is no split."""
         with self.look() as connection:
             counts = count_splits(connection)
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     def mean_temperatures(self) -> dict[str, dict[str, float]]:
-        """Mean temperatures [degC] of the readings of each arm: of the "air" and of each "joint N", where known."""
+        """Return mean temperatures [degC] of each arm's readings: of the "air" and of each "joint N", where known."""
         with self.look() as connection:
             return mean_temperatures(connection)
 
@@ -332,12 +332,12 @@ class RunFile:
             return read_meta(connection, "created") or ""
 
     def arms(self) -> list[str]:
-        """Names of the arms that have readings, in the profile's order."""
+        """Return the names of the arms that have readings, in the profile's order."""
         with self.look() as connection:
             return self._in_profile_order({name for (name,) in connection.execute("SELECT DISTINCT arm FROM reading")})
 
     def stops_done(self) -> set[int]:
-        """Numbers of the stored configurations; each was stored for all of its arms at once."""
+        """Return the numbers of the stored configurations; each was stored for all of its arms at once."""
         with self.look() as connection:
             return select_stops_done(connection)
 
@@ -369,32 +369,32 @@ class RunFile:
             insert_event(connection, level, text, time_s)
 
     def events(self) -> list[Event]:
-        """The run's log, oldest first."""
+        """Return the run's log, oldest entry first."""
         with self.look() as connection:
             return select_events(connection)
 
     def write_result(self, name: str, json_text: str) -> None:
-        """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
+        """Store a document that is not the result of a verb; it replaces an earlier one of that name."""
         with self.change() as connection:
             insert_document(connection, name, json_text)
 
     def read_result(self, name: str) -> str | None:
-        """The text of a stored document, or None."""
+        """Return the text of a stored document, or None."""
         document = self.read_document(name)
         return None if document is None else document.text
 
     def read_document(self, name: str) -> Document | None:
-        """A stored document, or None."""
+        """Return a stored document, or None."""
         with self.look() as connection:
             return select_document(connection, name)
 
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
-        """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
+        """Append what a verb produced: its result, its model (JSON) if it made one, and what they rest on."""
         with self.change() as connection:
             insert_stage(connection, name, program_of(self.profile), basis, text, model)
 
     def stage_rows(self) -> list[StageRow]:
-        """All stages, oldest first; none in a file of schema 1 or 2."""
+        """Return all stages, oldest first; none in a file of schema 1 or 2."""
         with self.look() as connection:
             return [] if schema_version(connection) < 3 else select_stages(connection)
 
@@ -406,7 +406,7 @@ class RunFile:
             return insert_session(connection, utc_now(), again)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
-        """Record a request of a person, or what suspended or resumed a session."""
+        """Record a request of a person, or an event that suspended or resumed a session."""
         with self.change() as connection:
             insert_request(connection, session, utc_now(), kind, reason)
 
@@ -421,17 +421,17 @@ class RunFile:
             insert_reference(connection, row)
 
     def sessions(self) -> list[Session]:
-        """All sessions of collecting, oldest first."""
+        """Return all sessions of collecting, oldest first."""
         with self.look() as connection:
             return select_sessions(connection)
 
     def outcomes(self) -> list[Outcome]:
-        """Why arms have no reading at stops that were tried, by stop."""
+        """Return why arms have no reading at stops that were tried, by stop."""
         with self.look() as connection:
             return select_outcomes(connection)
 
     def references(self) -> list[ReferenceRow]:
-        """All reference measurements, oldest first."""
+        """Return all reference measurements, oldest first."""
         with self.look() as connection:
             return select_references(connection)
 
@@ -439,13 +439,13 @@ class RunFile:
 
     @contextlib.contextmanager
     def look(self) -> Iterator[sqlite3.Connection]:
-        """The database for reading, for the modules of this package that keep a table each."""
+        """Give the database connection for reading, to the modules of this package that own a table each."""
         with self._lock, sentences(self.folder):
             yield self._connection
 
     @contextlib.contextmanager
     def change(self) -> Iterator[sqlite3.Connection]:
-        """The database within a transaction, which ends with the block; undone if that raises."""
+        """Give the database connection within a transaction, committed with the block and undone if that raises."""
         with self._lock, sentences(self.folder):
             if not self.writable:
                 raise InputError(f"{self.path} is open for reading only; open it for writing")
@@ -470,7 +470,7 @@ class RunFile:
 
 
 def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile], None] | None) -> None:
-    """Write a complete run file at ``path``."""
+    """Write a complete run file to ``path``."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
     try:
         write_new(connection, profile)

@@ -1,6 +1,6 @@
-"""Touches of sockets on the other arm's flange: from a CSV file, checked against the published arms, and stored.
+"""Touches of sockets on the other arm's flange: read from a CSV file, checked against the nominal arms, and stored.
 
-They stand in a document of the run: readings are of a ball in points that stand still.
+They are stored as a document of the run, as readings are of a ball in points that stand still.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from cellapp.robot.model.nominal import pose_matrix
 FLANGE_TOUCHES_RESULT = "flange_touches"
 """Name of the document in which a run keeps them; it is part of the file format."""
 OFF_M = 0.03
-"""Distance from where the others have its socket from which a touch is mistaken: two published arms are off by less."""
+"""Distance from the socket by the other touches above which a touch is refused: two nominal arms are off by less."""
 _FULL_TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
 class FlangeTouch:
-    """One touch: the arm with the ball, the socket, and both arms' joints [rad]."""
+    """One touch: the arm with the ball, the socket, and both arms' joint positions [rad]."""
 
     arm: str
     socket: str
@@ -43,12 +43,12 @@ class FlangeTouch:
 
 
 def read_flange_touches(path: Path, profile: Profile, readings: Mapping[str, Readings]) -> list[FlangeTouch]:
-    """The touches of a file, checked against the published arms; ``readings`` are those of each arm in sockets.
+    """Read the touches of a file, checked against the nominal arms; ``readings`` are those of each arm in sockets.
 
     Raises
     ------
     InputError
-        Names file, line and column of what is missing, no number, out of the joints' reach, or contradicts the arms.
+        Names file, line and column of a value that is missing, not a number, out of reach, or contradicts the arms.
     """
     joints = require_pair(profile, str(path))
     columns = [f"{prefix}{joint}" for prefix in ("q", "other_q") for joint in range(1, joints + 1)]
@@ -70,7 +70,7 @@ def read_flange_touches(path: Path, profile: Profile, readings: Mapping[str, Rea
 
 
 def require_pair(profile: Profile, place: str) -> int:
-    """The number of joints of both arms of a pair. Raises ``InputError`` if there is no pair."""
+    """Return the number of joints of both arms of a pair. Raise ``InputError`` if there is no pair."""
     counts = {len(arm.type.joints) for arm in profile.arms.values()}
     if len(profile.arms) != 2 or len(counts) != 1:
         raise InputError(
@@ -81,20 +81,20 @@ def require_pair(profile: Profile, place: str) -> int:
 
 
 def flange_touches_text(touches: Sequence[FlangeTouch]) -> str:
-    """The document that a run keeps."""
+    """Compose the document that a run keeps."""
     return json.dumps(
         [{"arm": t.arm, "socket": t.socket, "q": t.q.tolist(), "other_q": t.other_q.tolist()} for t in touches]
     )
 
 
 def flange_touches_of(text: str | None) -> list[FlangeTouch]:
-    """The touches of a document; none without one."""
+    """Parse the touches of a document; none without one."""
     rows = [] if text is None else json.loads(text)
     return [FlangeTouch(t["arm"], t["socket"], np.array(t["q"]), np.array(t["other_q"])) for t in rows]
 
 
 def with_flange_touches(connection: sqlite3.Connection, arm: str, readings: Readings) -> Readings:
-    """The readings of one arm in sockets with the stored touches of its ball on the other arm's flange."""
+    """Add the stored touches of an arm's ball on the other arm's flange to its readings in sockets."""
     if readings.point is None:
         return readings
     document = select_document(connection, FLANGE_TOUCHES_RESULT)
@@ -110,7 +110,7 @@ def _joined(arm: str, readings: Readings, touches: Sequence[FlangeTouch]) -> Rea
 
 
 def _checked(table: CsvTable, problems: Problems, profile: Profile) -> Iterator[tuple[int, FlangeTouch]]:
-    """The touches by line; what is wrong is noted."""
+    """Yield the touches by line; errors are noted."""
     for row, line in enumerate(table.lines):
         before = problems.count
         name, socket = table.cells["arm"][row].strip(), table.cells["socket"][row].strip()
@@ -139,7 +139,7 @@ def _joints(table: CsvTable, problems: Problems, row: int, prefix: str, limits: 
 
 
 def off_m(profile: Profile, readings: Mapping[str, Readings], touches: Sequence[FlangeTouch]) -> Array:
-    """How far each touch lies from where the others have its socket (n,) [m]; zero where too few were recorded."""
+    """Compute how far each touch is from its socket by the others (n,) [m]; zero where too few were recorded."""
     if not touches:
         return np.zeros(0)
     if not all(name in readings and in_sockets(readings[name]) for name in profile.arms):

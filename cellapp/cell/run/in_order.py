@@ -1,4 +1,4 @@
-"""Order of measurement of imported readings, and what follows from it: each joint's last motion before a stop."""
+"""Order of measurement of imported readings, and each joint's last motion before a stop, which follows from it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.errors import InputError
 
 MOVED_RAD = 1e-4
-"""Smaller steps are noise of the encoders and rounding: the joint does not move. Joints at rest were seen to read
-0.04 mrad more or less from one stop to the next."""
+"""Steps up to this are encoder noise and rounding: the joint does not move. Joints at rest were seen to read 0.04 mrad
+more or less from one stop to the next."""
 IN_ORDER_RESULT = "in-order"
 """Name of the document in which a run keeps what an import derived; it is part of the file format."""
 _DOCUMENT = TypeAdapter(dict[str, ArmOrder])
@@ -25,9 +25,9 @@ _ORDER_WORDS = {"rows": "the rows", "sequence": "the column sequence", "time": "
 
 
 def order_fault(readings: Readings) -> tuple[int, str, str] | None:
-    """Row, column and text of the first contradiction about the order of measurement; None if there is none.
+    """Return row, column and text of the first contradiction about the order of measurement; None if there is none.
 
-    Times are given for all readings or for none; a given ``sequence`` agrees with them.
+    Times must be given for all readings or for none; a given ``sequence`` must agree with them.
     """
     timed = np.isfinite(readings.time_s)
     if timed.any() and not timed.all():
@@ -44,12 +44,12 @@ def order_fault(readings: Readings) -> tuple[int, str, str] | None:
 
 
 def in_measured_order(readings: Readings) -> tuple[Readings, ArmOrder]:
-    """Readings of one arm with its order of measurement, and the approach and step that follow from the row before.
+    """Derive the order of measurement of one arm, and approach and step from the row before.
 
-    The order is that of ``sequence`` where given, else of time (equal times: of the rows), else of the rows. Values
-    that are given stay. A joint that does not move has the step 0 and keeps the sign of its motion before. Before the
-    first row nothing is known: approach 0, step NaN. The step is NaN too where a given approach contradicts the motion
-    from the row before: the arm then made a detour.
+    The order is that of ``sequence`` if given, else of time (equal times: of the rows), else of the rows. Given values
+    are kept. A joint that does not move has the step 0 and keeps the sign of its previous motion. Before the first row
+    nothing is known: approach 0, step NaN. The step is also NaN where a given approach contradicts the motion from
+    the row before: the arm then made a detour.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def write_in_order(run: RunFile, orders: Mapping[str, ArmOrder]) -> None:
 
 
 def read_in_order(run: RunFile) -> dict[str, ArmOrder]:
-    """What the import of this run derived from the order of the rows, by arm; empty if nothing.
+    """Read what the import of this run derived from the order of the rows, by arm; empty if nothing.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def read_in_order(run: RunFile) -> dict[str, ArmOrder]:
 
 
 def order_sentences(orders: Mapping[str, ArmOrder]) -> list[str]:
-    """What was derived from the order of the rows, in words, a sentence for each arm."""
+    """Say what was derived from the order of the rows, in one sentence for each arm."""
     said = []
     for name, order in orders.items():
         sentence = (
@@ -130,13 +130,13 @@ def _order(readings: Readings) -> tuple[Literal["rows", "sequence", "time"], NDA
 
 
 def _last_known(signs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signs (n, N) in order of measurement, each 0 replaced by the last other one before it."""
+    """Replace each 0 in signs (n, N), in order of measurement, by the last nonzero one before it."""
     rows = np.where(signs != 0.0, np.arange(len(signs))[:, np.newaxis], 0)
     return np.asarray(np.take_along_axis(signs, np.maximum.accumulate(rows, axis=0), axis=0))
 
 
 def _first_of_stop(configuration: NDArray[np.int64]) -> NDArray[np.intp]:
-    """The row at which the arm came to each row's stop: nests are measured one after another at rest."""
+    """Return the first row of each row's stop, when the arm arrived: nests are measured one by one at rest."""
     first = np.ones(len(configuration), dtype=np.bool_)
     first[1:] = np.diff(configuration) != 0
     return np.asarray(np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)))

@@ -1,4 +1,4 @@
-"""Stops that were measured again: the newest reading counts, and those that it replaced are kept as they were."""
+"""Stops that were measured again: the newest reading counts; replaced readings are kept unchanged."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cellapp.cell.run.schema import reading_columns, schema_version
 from cellapp.estimation.readings.readings import Reading, Readings
 
 _SINCE = 9
-"""The schema from which on a stop may be measured again."""
+"""Schema version from which on a stop may be measured again."""
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """The readings of one arm that later ones replaced, by stop, the oldest first.
+    """The replaced readings of one arm, by stop, the oldest first.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ def replace_stop(
 ) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
-    The reading before is kept beside, and the new one takes its split: measuring again moves no stop between
-    identification and validation. An arm that gave no reading keeps the one that it has; ``outcomes`` of arms that have
-    none are stored.
+    The previous reading is kept, and the new one takes its split: measuring again moves no stop between identification
+    and validation. An arm without a new reading keeps its previous one; ``outcomes`` are stored for arms that have
+    neither.
 
     Raises
     ------
@@ -67,13 +67,13 @@ def replace_stop(
 
 
 def withdraw_reading(run: RunFile, stop: int, arm: str) -> None:
-    """Take the reading of an arm at a stop back: it no longer counts, and is kept beside as one that was replaced."""
+    """Withdraw the reading of an arm at a stop: it no longer counts, but is kept as a replaced one."""
     with run.change() as connection:
         _set_aside(connection, arm, stop)
 
 
 def earlier_readings(run: RunFile, arm: str) -> Earlier:
-    """The readings of an arm that later ones replaced; none in a file of an older schema."""
+    """Return the replaced readings of an arm; none in a file of an older schema."""
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
             return Earlier(run.readings(arm).take([]), ())
@@ -87,7 +87,7 @@ def earlier_readings(run: RunFile, arm: str) -> Earlier:
 
 
 def replaced_counts(run: RunFile) -> dict[str, int]:
-    """Number of readings of each arm that later ones replaced; arms without one lack."""
+    """Count the replaced readings of each arm; arms without one are left out."""
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
             return {}
@@ -100,7 +100,7 @@ def _has_reading(connection: sqlite3.Connection, arm: str, stop: int) -> bool:
 
 
 def _set_aside(connection: sqlite3.Connection, arm: str, stop: int) -> tuple[str | None, ...] | None:
-    """Move a reading to those that were replaced; its split, None where there was no reading."""
+    """Move a reading to the replaced ones; return its split as a tuple, None if there was no reading."""
     where, key = "WHERE arm = ? AND configuration = ?", (arm, stop)
     row = connection.execute(f"SELECT split FROM reading {where}", key).fetchone()
     if row is None:

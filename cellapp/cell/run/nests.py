@@ -1,4 +1,4 @@
-"""Rows of several nests on a flange: checked against each other and the profile, and read as one reading a stop."""
+"""Rows of several nests on a flange: checked against each other and the profile, and merged to one reading per stop."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from cellapp.robot.kinematics.transforms import Array, mean_rotation, register, 
 from cellapp.robot.model.nominal import nominal_arm
 
 _SAME_STOP_RAD = 1e-3
-"""Joint positions of one stop differ by less: encoders read 0.04 mrad more or less."""
+"""Largest difference of joint positions within one stop: encoders read 0.04 mrad more or less."""
 _OFFSET_M, _DISTANCE_M = 0.01, 0.0005
-"""Errors of distances between nests by offsets and by stated distances, from which the profile is wrong [m]."""
+"""Errors of distances between nests, by offsets and by stated distances, above which the profile is wrong [m]."""
 _SIGMAS = 5.0
 _TURNED_RAD = 0.35
-"""Rotation of the nests in the flange, by the published arm, from which they are mirrored or exchanged: 20 degrees."""
+"""Rotation of the nests relative to the nominal flange above which they are mirrored or exchanged: 20 degrees."""
 
 
 def has_nests(readings: Readings) -> bool:
-    """Whether rows name several nests."""
+    """Return whether rows name several nests."""
     return readings.smr is not None and len(set(readings.smr)) > 1
 
 
 def nest_offsets(smr: Smr) -> Array:
-    """Offsets (K, 3) in F [m] of the SMRs of a flange, NaN where unknown; the one of the profile first."""
+    """Return the offsets (K, 3) in F [m] of a flange's SMRs, NaN where unknown; the profile's main SMR first."""
     offsets = [smr.offset, *(nest.offset for nest in smr.nests.values())]
     return np.array([(np.nan,) * 3 if one == "unknown" else one for one in offsets])
 
 
 def nest_stops(profile: Profile, arm: str, rows: Readings) -> NestStops:
-    """Rows of nests of one arm as one reading a stop. Raises ``InputError`` for a nest that the profile has not."""
+    """Group rows of nests of one arm by stop. Raise ``InputError`` for a nest that the profile lacks."""
     smr = profile.arms[arm].smr
     unknown = sorted({word for word in rows.smr or () if word is not None} - set(smr.names))
     if unknown:
@@ -47,12 +47,12 @@ def nest_stops(profile: Profile, arm: str, rows: Readings) -> NestStops:
 
 
 def one_a_stop(profile: Profile, arm: str, rows: Readings) -> Readings:
-    """The rows of one arm, where they are of several nests as one reading a stop."""
+    """Return the rows of one arm; those of several nests merged to one reading per stop."""
     return nest_stops(profile, arm, rows).readings if has_nests(rows) else rows
 
 
 def nest_faults(profile: Profile, arm: str, rows: Readings) -> Iterator[tuple[int, str, str]]:
-    """Row, column and text of what contradicts that rows are of the nests of an arm."""
+    """Yield row, column and text of each contradiction to rows being of the nests of an arm."""
     if rows.smr is None or (not has_nests(rows) and not profile.arms[arm].smr.nests):
         return
     names = profile.arms[arm].smr.names
@@ -98,7 +98,7 @@ def _not_one_stop(rows: Readings, groups: StopGroups) -> Iterator[tuple[int, str
 
 
 def _against_the_profile(profile: Profile, arm: str, rows: Readings, shape: NestShape) -> Iterator[str]:
-    """What the profile says about the nests and the readings contradict."""
+    """Yield the contradictions between the readings and the profile about the nests."""
     smr, place = profile.arms[arm].smr, {name: number for number, name in enumerate(shape.names)}
     offsets, where = nest_offsets(smr), f"arms.{arm}.smr"
     stated: dict[tuple[str, str], tuple[float, float, str]] = {}
@@ -123,7 +123,7 @@ def _against_the_profile(profile: Profile, arm: str, rows: Readings, shape: Nest
 
 
 def _mirrored(profile: Profile, arm: str, one: Readings) -> Iterator[str]:
-    """Whether the nests are turned in the flange by the published arm: exchanged in all rows, or mirrored offsets."""
+    """Check by the nominal arm whether nests are rotated in the flange: exchanged in all rows, or offsets mirrored."""
     if one.quaternion_M is None:
         return
     nominal = nominal_arm(profile.arms[arm]).with_T_M_B(np.eye(4))
@@ -140,5 +140,5 @@ def _mirrored(profile: Profile, arm: str, one: Readings) -> Iterator[str]:
 
 
 def all_one_a_stop(profile: Profile, rows: Mapping[str, Readings]) -> dict[str, Readings]:
-    """The rows of every arm, as ``one_a_stop``."""
+    """Return the rows of every arm, merged as by ``one_a_stop``."""
     return {arm: one_a_stop(profile, arm, its) for arm, its in rows.items()}

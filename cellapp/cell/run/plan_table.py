@@ -26,7 +26,7 @@ def check_plan(plans: Plan, joints: Mapping[str, int]) -> None:
 
 
 def changed_stops(before: Plan, after: Plan) -> set[int]:
-    """Numbers of the stops at which an arm has other joint positions in two plans, or that only one of them has."""
+    """Return the stops at which an arm's joint positions differ between two plans, or that only one of them has."""
     changed: set[int] = set()
     for arm in before.keys() | after.keys():
         old, new = before.get(arm, np.empty((0, 1))), after.get(arm, np.empty((0, 1)))
@@ -37,7 +37,7 @@ def changed_stops(before: Plan, after: Plan) -> set[int]:
 
 
 def select_plan(connection: sqlite3.Connection, arms: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """The plan of those of ``arms`` that have one."""
+    """Read the plan of those of ``arms`` that have one."""
     texts: dict[str, list[str]] = grouped(connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"))
     return {arm: vectors_from_json(texts[arm]) for arm in arms if arm in texts}
 

@@ -1,4 +1,4 @@
-"""Where the file of a run's profile was: what is recorded beside the profile is found from there."""
+"""Location of the profile's file of a run: from there, records beside the profile are found."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ _STORED = "profile file"
 
 
 def rehearsals_path(profile: Path) -> Path:
-    """The file beside a profile that records its rehearsals."""
+    """Return the file beside a profile that records its rehearsals."""
     return profile.with_name(f"{profile.stem}.rehearsals.json")
 
 
 def note_profile(run: RunFile, path: Path) -> None:
-    """Keep in a run where its profile's file is."""
+    """Store in a run where its profile's file is."""
     run.write_result(_STORED, str(path.resolve()))
 
 
 def noted_profile(run: RunFile) -> Path | None:
-    """Where the file of the profile was when the run was planned; None if that is not known."""
+    """Return where the profile's file was when the run was planned; None if that is not known."""
     text = run.read_result(_STORED)
     return None if text is None else Path(text)

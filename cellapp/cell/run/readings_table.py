@@ -1,4 +1,4 @@
-"""Readings as rows of the run file, made from the table of columns."""
+"""Readings as rows of the run file, derived from the table of columns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cellapp.estimation.readings.readings import Reading, Readings, joined, read
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
-    """Add readings, inside the caller's transaction. Raises ``sqlite3.IntegrityError`` for a stop that is stored."""
+    """Insert readings, inside the caller's transaction. Raise ``sqlite3.IntegrityError`` for a stop that is stored."""
     names = reading_columns()
     places = ", ".join("?" * len(names))
     connection.executemany(
@@ -28,7 +28,7 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
 def stop_rows(
     configuration: int, rows: Mapping[str, Reading], further: Mapping[str, Sequence[Reading]]
 ) -> dict[str, Readings]:
-    """Readings of each arm at one stop, behind those in ``rows`` the ``further`` ones of other nests."""
+    """Collect the readings of each arm at one stop: those in ``rows``, then the ``further`` ones of other nests."""
     found = {arm: reading.as_readings(configuration) for arm, reading in rows.items()}
     for arm, nests in further.items():
         found[arm] = joined([found[arm], *(one.as_readings(configuration) for one in nests)])
@@ -36,7 +36,7 @@ def stop_rows(
 
 
 def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
-    """Number of readings of each arm, by split; None is no split."""
+    """Count the readings of each arm, by split; None is no split."""
     counts: dict[str, dict[str | None, int]] = {}
     for arm, split, n in connection.execute(
         "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
@@ -46,7 +46,7 @@ def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, i
 
 
 def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, float]]:
-    """Mean temperatures [degC] of the readings of each arm: of the "air", and of "joint 1" and so on, where known."""
+    """Return mean temperatures [degC] of each arm's readings: of the "air", "joint 1" and so on, where known."""
     air = connection.execute("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
     joints = connection.execute(
         "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
@@ -62,9 +62,9 @@ def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, flo
 def select_readings(
     connection: sqlite3.Connection, arm: str, joints: int, table: Literal["reading", "earlier_reading"] = "reading"
 ) -> Readings:
-    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
+    """Read all readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
 
-    Those of the table ``earlier_reading`` of one configuration stand in the order in which they were replaced.
+    In the table ``earlier_reading``, those of one configuration are in the order in which they were replaced.
     """
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
@@ -80,7 +80,7 @@ def select_readings(
 
 
 def select_stops_done(connection: sqlite3.Connection) -> set[int]:
-    """Numbers of the configurations that are stored."""
+    """Return the numbers of the stored configurations."""
     return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
 
 
@@ -90,7 +90,7 @@ def check_readings(arm: str, joints: int, readings: Readings) -> None:
     Raises
     ------
     ValueError
-        If the number of joints differs, a required value is not finite, or a value is none of those allowed.
+        If the number of joints differs, a required value is not finite, or a value is not one of those allowed.
     """
     if readings.joints != joints:
         raise ValueError(f"{readings.joints} joint positions for the {joints} joints of arm {arm}")
@@ -105,7 +105,7 @@ def check_readings(arm: str, joints: int, readings: Readings) -> None:
 
 
 def _named_instead(column: Column, readings: Readings) -> bool:
-    """Whether readings have the names of points in place of this quantity, all of them."""
+    """Return whether all readings name points in place of this quantity."""
     return column.name == MEASURED_POINT and all(readings.point or (None,)) and bool(np.isnan(readings.p_M).all())
 
 
@@ -125,7 +125,7 @@ def update_splits(connection: sqlite3.Connection, arm: str, names: Mapping[int, 
 
 
 def vectors_from_json(texts: Sequence[str]) -> NDArray[np.float64]:
-    """A matrix from the JSON texts of its rows; null is NaN."""
+    """Build a matrix from the JSON texts of its rows; null is NaN."""
     return np.array(json.loads("[" + ",".join(texts) + "]"), dtype=np.float64)
 
 
@@ -140,7 +140,7 @@ def _rows(readings: Readings) -> Iterator[tuple[Any, ...]]:
 
 
 def _to_cells(column: Column, values: Values | None, n: int) -> Sequence[Any]:
-    """One cell per reading: NULL where there is no value, null within JSON where one of several numbers is missing."""
+    """Convert to one cell per reading: NULL without a value, null within JSON where one number is missing."""
     if values is None:
         return [None] * n
     if isinstance(values, tuple):

@@ -1,7 +1,7 @@
-"""Readings that somebody recorded without cellapp: other names, separators, decimal commas, degrees, millimetres.
+"""Readings recorded by other programs: other names, separators, decimal commas, degrees, millimetres.
 
-``read_recorded`` finds out what each column is and in which units, and says where it is not sure; ``converted`` gives
-the same rows as ``read_readings_csv`` reads them. Nothing is written here.
+``read_recorded`` detects what each column is and in which unit, and says where that is ambiguous; ``converted`` gives
+the same rows in the format of ``read_readings_csv``. Nothing is written here.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _ANGLES: Mapping[AngleUnit, float] = {"rad": 1.0, "deg": math.pi / 180.0}
 _LENGTHS: Mapping[LengthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _Unit = TypeVar("_Unit")
 _OWN = {name for column in not_per_joint() for name in column.csv} | {"arm"}
-"""Cellapp's own names mean what they mean there; those of joint positions say nothing of a unit."""
+"""Cellapp's own column names keep their meaning; names of joint positions state no unit."""
 _LEAST_ROWS = 3
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recorded file, understood as far as it says.
+    """A recorded file, interpreted as far as it is unambiguous.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Recorded:
         In words.
     decimal_comma : bool
     table : CsvTable
-        Columns by cellapp's names, those that it does not know by theirs; numbers with a decimal point, not yet in SI.
+        Columns by cellapp's names, unknown ones by their own; numbers with a decimal point, not yet in SI.
     known : Understood
     angles, lengths : unit or None
-        None where neither names nor values decide.
+        None if neither names nor values decide.
     notes : tuple of str
-        How columns of an orientation were understood.
+        How columns of an orientation were interpreted.
     """
 
     path: Path
@@ -78,12 +78,12 @@ class Recorded:
         return tuple(name for name in self.table.names if not is_known(name))
 
     def in_si(self, angles: AngleUnit, lengths: LengthUnit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Joint positions (n, N) [rad] and points (n, 3) [m]."""
+        """Return joint positions (n, N) [rad] and points (n, 3) [m]."""
         return _values(self.table, self.joints) * _ANGLES[angles], _values(self.table, POINT) * _LENGTHS[lengths]
 
 
 def read_recorded(path: Path) -> Recorded:
-    """Read a file of joint positions and points in whatever columns, and find out what they are.
+    """Read a file of joint positions and points in any columns, and detect what these are.
 
     Raises
     ------
@@ -118,9 +118,9 @@ def read_recorded(path: Path) -> Recorded:
 def converted(
     recorded: Recorded, angles: AngleUnit, lengths: LengthUnit, arm: str
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and rows of the same readings, as ``read_readings_csv`` reads them.
+    """Return header and rows of the same readings in the format of ``read_readings_csv``.
 
-    Rows get numbers and the name of the ``arm`` where the file has none. Columns that nobody knows are left out.
+    Rows get numbers and the name of the ``arm`` if the file has none. Unknown columns are left out.
     """
     table = recorded.table
     columns = {name: table.cells[name] for name in table.names if is_known(name)}
@@ -170,7 +170,7 @@ def _check_numbers(table: CsvTable) -> None:
 
 
 def _stated(path: Path, known: Understood, names: Sequence[str], units: Mapping[_Unit, float]) -> _Unit | None:
-    """The unit that the names of columns state; cellapp's own names state SI."""
+    """Return the unit that the names of columns state; cellapp's own names state SI."""
     factors = {known.factors[name] for name in names if name in known.factors}
     factors |= {1.0 for name in names if name not in known.others}
     if len(factors) > 1:

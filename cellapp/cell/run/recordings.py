@@ -23,11 +23,11 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 
 _SINCE = 6
-"""Schema of the run file that introduced recordings."""
+"""Schema version of the run file that introduced recordings."""
 
 
 def store_recording(run: RunFile, recorded: RecordedStreams) -> None:
-    """Add a recording; on return it is on disk. Raises ``InputError`` if the arm has one of this name."""
+    """Add a recording; on return it is on disk. Raise ``InputError`` if the arm has one of this name."""
     state, digest = recorded.state, hashlib.sha256()
     rows = []
     for kind, table in (("joints", recorded.joints), ("points", recorded.points)):
@@ -51,7 +51,7 @@ def store_recording(run: RunFile, recorded: RecordedStreams) -> None:
 def recordings_from_csv(
     profile: Profile, joints: Sequence[Path], points: Sequence[Path], arm: str | None = None
 ) -> tuple[frozenset[str], Callable[[RunFile], None]]:
-    """Read and check files of recordings; returns the arms that have one, and what puts them into a new run.
+    """Read and check files of recordings; return the arms that have one, and a function that stores them in a new run.
 
     Raises ``InputError`` as ``read_recordings``.
     """
@@ -73,19 +73,19 @@ def recordings_from_csv(
 
 
 def recording_states(run: RunFile) -> tuple[RecordingState, ...]:
-    """What is said of each recording of a run, arm by arm; none in a file of an older schema."""
+    """Return the description of each recording of a run, arm by arm; none in a file of an older schema."""
     return tuple(state for state, _ in _listed(run))
 
 
 def recordings_digest(run: RunFile, arm: str) -> tuple[int, str]:
-    """Number of points of an arm's recordings, and a SHA-256 of their values; 0 and "" if there are none."""
+    """Return the number of points of an arm's recordings, and a SHA-256 of their values; 0 and "" if there are none."""
     its = [(state.points.n, sha) for state, sha in _listed(run) if state.arm == arm]
     digest = hashlib.sha256(" ".join(sha for _, sha in its).encode()).hexdigest() if its else ""
     return sum(n for n, _ in its), digest
 
 
 def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
-    """The recordings in the order of arms, then of their import; with the hash of each."""
+    """List the recordings in the order of arms, then of their import, with the hash of each."""
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
             return []
@@ -96,7 +96,7 @@ def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
 
 
 def read_recordings_of(run: RunFile, arm: str) -> tuple[Recording, ...]:
-    """The recordings of one arm, as estimation takes them; those of a session as one, in the order of time."""
+    """Return the recordings of one arm for estimation; those of one session are joined in the order of time."""
     joints = len(run.profile.arms[arm].type.joints)
     sessions = grouped((state.session or state.name, state) for state in recording_states(run) if state.arm == arm)
     found = []
@@ -109,7 +109,7 @@ def read_recordings_of(run: RunFile, arm: str) -> tuple[Recording, ...]:
 
 
 def _in_order(parts: Sequence[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
-    """Columns that all parts have, one part after the other by the time at which it begins."""
+    """Concatenate the columns that all parts have, in the order of the parts' first timestamps."""
     parts = sorted(parts, key=lambda part: float(part["time_s"][0]))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if all(name in p for p in parts)}
 
@@ -117,7 +117,7 @@ def _in_order(parts: Sequence[dict[str, NDArray[np.float64]]]) -> dict[str, NDAr
 def read_stream(
     run: RunFile, state: RecordingState, kind: Kind
 ) -> tuple[dict[str, NDArray[np.float64]], dict[str, tuple[str, ...]]]:
-    """Columns of a stream in the order of its file, each (n,), and the texts of those that hold texts."""
+    """Read the columns of a stream in the order of its file, each (n,), and the texts of those that hold texts."""
     n = state.joints.n if kind == "joints" else state.points.n
     with run.look() as connection:
         rows = connection.execute(

@@ -1,9 +1,9 @@
-"""Recordings of motion from CSV: files of joints and of points, each with a clock of its own. Their one door.
+"""Recordings of motion from CSV: files of joints and of points, each with its own clock. All imports pass here.
 
-Columns are ``time_s, q1..qN`` with ``qd``, ``tau``, ``current`` and ``joint_temperature`` of each joint where they are
-known, and ``time_s, x_m, y_m, z_m`` with ``sigma_m``, ``quat_w..z`` and ``split``; both may have ``arm`` and
-``recording``. Rows keep their order: stamps that repeat or go back are counted, not sorted. Points without coordinates
-are left out and counted: the beam was lost. Unknown columns are kept.
+Columns are ``time_s, q1..qN``, with ``qd``, ``tau``, ``current`` and ``joint_temperature`` of each joint where known,
+and ``time_s, x_m, y_m, z_m`` with ``sigma_m``, ``quat_w..z`` and ``split``; both may have ``arm`` and ``recording``.
+Rows keep their order: timestamps that repeat or go back are counted, not sorted. Points without coordinates are left
+out and counted: the beam was lost. Unknown columns are kept.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
 _LONGEST_HEADER = 200
-"""Characters of a header that a message shows."""
+"""Number of characters of a header that a message shows."""
 
 Key = tuple[str, str]
 """Arm and name of a recording."""
@@ -50,7 +50,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class RecordedStreams:
-    """The columns of one recording of an arm, and what is said of them."""
+    """The columns of one recording of an arm, and their description."""
 
     state: RecordingState
     joints: StreamTable
@@ -62,13 +62,14 @@ def read_recordings(
 ) -> tuple[list[RecordedStreams], list[str]]:
     """Read and check pairs of files; the k-th file of joints belongs to the k-th of points.
 
-    ``arm`` is that of files without such a column; it may be left out where the profile has one arm. Returns notes too:
-    unknown columns, stamps that are not steady, clocks that share no time.
+    ``arm`` is that of files without such a column; it may be left out if the profile has one arm. Returns notes too:
+    unknown columns, irregular timestamps, clocks that share no time.
 
     Raises
     ------
     InputError
-        Names file, line and column of what is missing, no number or implausible; if files do not belong together.
+        Names file, line and column of a value that is missing, not a number or implausible; if files do not belong
+        together.
     """
     if len(joints) != len(points) or not joints:
         raise InputError(
@@ -94,7 +95,7 @@ def read_recordings(
 def _read_pair(
     profile: Profile, joints: Path, points: Path, arm: str | None, number: int
 ) -> tuple[list[RecordedStreams], list[str]]:
-    """The recordings in one pair of files, and how these were understood."""
+    """Read the recordings in one pair of files; return also how these were interpreted."""
     counts = [len(its.type.joints) for its in profile.arms.values()]
     tables, said = dict[Kind, StreamTable](), list[str]()
     paths: dict[Kind, Path] = {"joints": joints, "points": points}
@@ -123,19 +124,19 @@ def _read_pair(
 
 
 def _sole(tables: Mapping[Kind, StreamTable], column: str, otherwise: str | None) -> str | None:
-    """The arm or name of a file without such a column: the only one of the other file, else ``otherwise``."""
+    """Return the arm or name of a file without such a column: the only one in the other file, else ``otherwise``."""
     words = [table.words[column] for table in tables.values() if column in table.words]
     return words[0][0] if len(words) == 1 and len(words[0]) == 1 else otherwise
 
 
 def _name_of_files(joints: Path, points: Path, number: int) -> str:
-    """What the names of both files begin with, else their number."""
+    """Return the common beginning of both file names, else their number."""
     pairs = itertools.takewhile(lambda two: two[0] == two[1], zip(joints.stem, points.stem, strict=False))
     return "".join(first for first, _ in pairs).strip("_-. ") or str(number)
 
 
 def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTable, list[str]]:
-    """The columns of a file in SI units, and how names and units of others were understood."""
+    """Read the columns of a file in SI units; return also how foreign names and units were interpreted."""
     what = "joint positions" if kind == "joints" else "points"
     file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
     numbers = {name for its in quantities.values() for name in its}
@@ -153,7 +154,7 @@ def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTab
 
 
 def _with_quaternions(table: StreamTable, written: Written) -> StreamTable:
-    """The table with the orientation of a probe as a quaternion. Raises ``InputError`` by row."""
+    """Replace the orientation of a probe by a quaternion. Raise ``InputError`` by row."""
     found, fault = written.quaternions(np.column_stack([table.columns[name] for name in written.columns]))
     if fault is not None:
         _refuse(table, [Implausible(fault.row, written.columns[fault.place or 0], fault.text)])
@@ -162,7 +163,7 @@ def _with_quaternions(table: StreamTable, written: Written) -> StreamTable:
 
 
 def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Mapping[str, tuple[str, ...]]) -> None:
-    """Refuse a file that lacks what every row needs, and quantities of which only some columns are there."""
+    """Refuse a file that lacks a required column, or has only some columns of a quantity."""
     path, names, main = file.path, known.names, quantities["q" if kind == "joints" else "p_M"]
     needed = ("time_s", *(main if kind == "points" else main[:1]))
     other: Kind = "points" if kind == "joints" else "joints"
@@ -193,7 +194,7 @@ def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Map
 
 
 def _check_words(table: StreamTable, column: str, allowed: Sequence[str], text: str) -> None:
-    """Refuse a text that is not ``allowed``; with none allowed, an empty one."""
+    """Refuse a text that is not ``allowed``; if none is listed, an empty one."""
     for code, word in enumerate(table.words.get(column, ())):
         if (word not in allowed) if allowed else not word:
             row = int(np.flatnonzero(table.columns[column] == code)[0])
@@ -203,7 +204,7 @@ def _check_words(table: StreamTable, column: str, allowed: Sequence[str], text: 
 
 
 def _by_recording(table: StreamTable, arm: str, name: str) -> dict[Key, StreamTable]:
-    """The rows of each arm and name, in the order of the file; ``arm`` and ``name`` of a file without them."""
+    """Split the rows by arm and name, in the order of the file; ``arm`` and ``name`` if the file has none."""
     given = [column for column in ("arm", "recording") if column in table.words]
     if not given:
         return {(arm, name): table}
@@ -220,9 +221,9 @@ def _by_recording(table: StreamTable, arm: str, name: str) -> dict[Key, StreamTa
 def checked_recording(
     profile: Profile, key: Key, joints: StreamTable, points: StreamTable, session: str = ""
 ) -> RecordedStreams:
-    """One recording whose values are plausible, without the points at which the beam was lost.
+    """Check that the values of one recording are plausible, and drop the points at which the beam was lost.
 
-    Raises ``InputError`` with what is not.
+    Raises ``InputError`` with what is not plausible.
     """
     known_limits = joint_limits(profile)
     limits, others = known_limits[key[0]], [name for name in known_limits if name != key[0]]
@@ -258,7 +259,7 @@ def checked_recording(
 
 
 def _check_joints(table: StreamTable, arms: Mapping[str, str], quantities: Mapping[str, tuple[str, ...]]) -> None:
-    """A quantity has a column for each joint of its arm, or none."""
+    """Check that a quantity has a column for each joint of its arm, or none."""
     line, problems = 1 if table.file is None else table.file.head, Problems(lambda line: f"{table.path}:{line}")
     for stem, names in quantities.items():
         if stem == "q" or any(name in table.columns for name in names):
@@ -273,7 +274,7 @@ def _check_joints(table: StreamTable, arms: Mapping[str, str], quantities: Mappi
 
 
 def _refuse(table: StreamTable, faults: Iterable[Implausible]) -> None:
-    """Raise ``InputError`` with the lines of what is implausible, if anything is."""
+    """Raise ``InputError`` with the lines of implausible values, if there are any."""
     found = [*faults]
     lines = table.lines([fault.row for fault in found if fault.row is not None])
     problems = Problems(lambda line: f"{table.path}:{line}" if line else f"{table.path}")
@@ -283,7 +284,7 @@ def _refuse(table: StreamTable, faults: Iterable[Implausible]) -> None:
 
 
 def _notes(recorded: RecordedStreams) -> list[str]:
-    """What a person should know of a recording that was taken."""
+    """Return what a person should know of a recording that was accepted."""
     state = recorded.state
     where = f"recording '{state.name}' of arm {state.arm}"
     notes = [f"{where}: {sentence}" for kind in KINDS for sentence in stamp_words(state, kind)]
@@ -301,7 +302,7 @@ def _notes(recorded: RecordedStreams) -> list[str]:
 
 
 def stamp_words(state: RecordingState, kind: Kind) -> list[str]:
-    """Where the stamps of a stream are not steady, as sentences."""
+    """Describe irregular timestamps of a stream, in sentences."""
     its = state.joints if kind == "joints" else state.points
     sentences = []
     if its.gaps:

@@ -1,4 +1,4 @@
-"""Recordings of motion to CSV, as ``recordings_csv`` reads them."""
+"""Export of recordings of motion to CSV, as ``recordings_csv`` reads them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _KEY = ("arm", "recording")
 
 
 def write_recordings_csv(run: RunFile, kind: Kind, path: Path, outputs: Outputs = NEW_ONLY) -> None:
-    """Write the joints or the points of all recordings into one file, numbers in the shortest form that is exact.
+    """Write the joints or the points of all recordings to one file, numbers in their shortest exact form.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Records of what a run holds: what its order of measurement gave, readings that are missing, references."""
+"""Records of the contents of a run: what its order of measurement gave, missing readings, references."""
 
 from __future__ import annotations
 

@@ -40,12 +40,12 @@ class Document:
 
 
 def utc_now() -> str:
-    """The present time as rows have it (ISO 8601, UTC)."""
+    """Return the current time in the format of rows (ISO 8601, UTC)."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 def select_document(connection: sqlite3.Connection, name: str) -> Document | None:
-    """A stored document, or None."""
+    """Return a stored document, or None."""
     row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
     return None if row is None else Document(*row)
 
@@ -62,7 +62,7 @@ def insert_event(connection: sqlite3.Connection, level: str, text: str, time_s: 
 
 
 def select_events(connection: sqlite3.Connection) -> list[Event]:
-    """The log, oldest line first."""
+    """Return the log, oldest line first."""
     rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
     return [Event(*row) for row in rows]
 
@@ -78,6 +78,6 @@ def insert_stage(
 
 
 def select_stages(connection: sqlite3.Connection) -> list[StageRow]:
-    """All stages, oldest first."""
+    """Return all stages, oldest first."""
     rows = connection.execute("SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number")
     return [StageRow(*row) for row in rows]

@@ -1,4 +1,4 @@
-"""Samples of recordings as readings: what later verbs know of arms that were recorded in motion."""
+"""Samples of recordings as readings: what later verbs use of arms that were recorded in motion."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from cellapp.estimation.readings.readings import joined
 
 _DOCUMENT = "motion_samples"
 _APART = 1_000_000_000
-"""Between the numbers of samples of successive arms: what two arms did at different times is no common stop."""
+"""Offset between the configuration numbers of samples of successive arms: their samples are never a common stop."""
 
 
 def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
-    """Store samples of recordings at the clocks that the calibration found, in place of earlier ones."""
+    """Store samples of recordings, timed by the clocks that the calibration found, in place of earlier ones."""
     content = {
         arm: {
             "time_s": its.time_s.tolist(),
@@ -34,7 +34,7 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
 
 
 def known_readings(run: RunFile, arm: str) -> Readings:
-    """The readings of one arm at rest, and after them samples of its recordings as the calibration keeps them."""
+    """Return the readings of one arm at rest, followed by the samples of its recordings that the calibration stored."""
     measured, text = run.readings(arm), run.read_result(_DOCUMENT)
     kept = None if text is None else json.loads(text).get(arm)
     if kept is None:
@@ -54,6 +54,6 @@ def known_readings(run: RunFile, arm: str) -> Readings:
 
 
 def all_known_readings(run: RunFile) -> dict[str, Readings]:
-    """``known_readings`` of every arm that has some."""
+    """Return ``known_readings`` of every arm that has some."""
     found = {arm: known_readings(run, arm) for arm in run.profile.arms}
     return {arm: its for arm, its in found.items() if len(its)}

@@ -14,14 +14,15 @@ from cellapp.robot.plugins import program_of
 
 APPLICATION_ID = 0x43656C6C
 SCHEMA_VERSION = 9
-"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
-collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
-measurement. 6: recordings of motion. 7: names of points in place of measured positions. 8: orientation, torques,
-currents, centre of the payload, nest and station of a reading, and several readings of an arm at a stop. 9: readings
-that were replaced when their stop was measured again, and which sessions did that."""
+"""Version of the schema. New in each version: 2: each joint's last step and the dwell time of a reading. 3: results of
+verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that were not measured, reference
+measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
+measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
+readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
+that."""
 
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
-"""An arm is measured once at a stop, or once by nest and station. Before schema 8 the table's primary key said so."""
+"""Unique key: an arm has one reading per stop, nest and station. Before schema 8 this was the table's primary key."""
 _EXTRAS = "extras TEXT"
 """Unknown columns of an imported file, as one JSON object per reading."""
 
@@ -46,19 +47,19 @@ _RECORDING_TABLES = (
     "CREATE TABLE stream (arm TEXT NOT NULL, recording TEXT NOT NULL, kind TEXT NOT NULL, place INTEGER NOT NULL,"
     " name TEXT NOT NULL, words TEXT, data BLOB NOT NULL, PRIMARY KEY (arm, recording, kind, place))",
 )
-"""A recording of motion, and its columns: ``data`` as in ``stream_codes``, or places in ``words``."""
+"""A recording of motion, and its columns: ``data`` as in ``stream_codes``; for texts, indices into ``words``."""
 
 _AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
-"""The stops that a session measured again, as a list; NULL of a session that collects what is left."""
+"""The stops that a session measured again, as a list; NULL for a session that collects what is left."""
 
 
 def reading_columns() -> list[str]:
-    """Names of the columns of a reading, in order."""
+    """Return the names of the columns of a reading, in order."""
     return ["arm", *(column.sql_name for column in COLUMNS), "extras"]
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
-    """Make all tables, inside the caller's transaction."""
+    """Create all tables, inside the caller's transaction."""
     _create_reading_table(connection)
     for statement in (
         _earlier_table(),
@@ -80,7 +81,7 @@ def _reading_columns() -> tuple[str, ...]:
 
 
 def _earlier_table() -> str:
-    """Readings that others replaced: as they were, in the order in which that happened."""
+    """Return the statement for the table of replaced readings, kept as they were, in the order of replacement."""
     return f"CREATE TABLE earlier_reading ({', '.join((*_reading_columns(), 'replaced TEXT NOT NULL'))})"
 
 
@@ -90,18 +91,18 @@ def _create_reading_table(connection: sqlite3.Connection) -> None:
 
 
 def schema_version(connection: sqlite3.Connection) -> int:
-    """The schema with which the file was written."""
+    """Return the schema version with which the file was written."""
     return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def read_meta(connection: sqlite3.Connection, key: str) -> str | None:
-    """A value of the table ``meta``, or None."""
+    """Return a value of the table ``meta``, or None."""
     row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
     return None if row is None else str(row[0])
 
 
 def upgrade(connection: sqlite3.Connection) -> None:
-    """Add what a file of an older schema lacks, inside the caller's transaction; nothing stored is changed."""
+    """Add what a file of an older schema lacks, inside the caller's transaction; no stored value is changed."""
     version = schema_version(connection)
     if version == SCHEMA_VERSION:
         return
@@ -120,7 +121,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
 
 
 def _rekey_readings(connection: sqlite3.Connection) -> None:
-    """Move the readings into a table whose key allows several of an arm at a stop: SQLite cannot drop a primary key."""
+    """Move the readings to a table that allows several of an arm at a stop: SQLite cannot drop a primary key."""
     names = ", ".join(reading_columns())
     connection.execute("ALTER TABLE reading RENAME TO reading_before")
     _create_reading_table(connection)
@@ -129,7 +130,7 @@ def _rekey_readings(connection: sqlite3.Connection) -> None:
 
 
 def write_new(connection: sqlite3.Connection, profile: Profile) -> None:
-    """Make the tables of a new run of a cell, with what it says of itself."""
+    """Create the tables of a new run, and store its profile and versions."""
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("BEGIN")
     create_tables(connection)
@@ -148,7 +149,7 @@ def write_new(connection: sqlite3.Connection, profile: Profile) -> None:
 
 
 def read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
-    """The cell of a run file. Raises ``InputError`` if it is missing or unreadable."""
+    """Read the profile of a run file. Raise ``InputError`` if it is missing or unreadable."""
     text = read_meta(connection, "profile")
     if text is None:
         raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")

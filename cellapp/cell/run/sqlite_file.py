@@ -1,4 +1,4 @@
-"""Opening run files safely: looks at a file before SQLite may change it, and reports errors in one sentence."""
+"""Safe opening of run files: checks a file before SQLite may change it, and reports errors in one sentence."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from cellapp.ground.errors import InputError
 
 FILE_NAME = "run.sqlite"
 UNFINISHED = FILE_NAME + ".new"
-"""A run that is being created; it gets its final name when it is complete."""
+"""Name of a run file while it is created; it gets its final name when it is complete."""
 REPORT_FILE = "report.html"
-"""The page of the report in a run's folder."""
+"""Name of the report's page in a run's folder."""
 """Marks an SQLite file as a run: "Cell" in ASCII."""
 
 _MAGIC = b"SQLite format 3\x00"
 _HEADER_BYTES = 100
 _BUSY_S = 10.0
-"""How long a statement waits for another program's transaction, which takes milliseconds."""
+"""Time that a statement waits for another program's transaction, which takes milliseconds."""
 
 
 def connect(path: Path, mode: str, wait_s: float = _BUSY_S) -> sqlite3.Connection:
@@ -40,7 +40,7 @@ def connect(path: Path, mode: str, wait_s: float = _BUSY_S) -> sqlite3.Connectio
 
 
 def make_empty_folder(folder: Path) -> list[Path]:
-    """Make the folder if it is missing, and return the folders that were made, innermost first.
+    """Make the folder if it is missing; return the folders that were made, innermost first.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def check_header(folder: Path, path: Path) -> None:
 
 
 def check_integrity(path: Path, connection: sqlite3.Connection) -> None:
-    """Let SQLite check its pages. Raises ``InputError`` for a damaged file."""
+    """Let SQLite check its pages. Raise ``InputError`` for a damaged file."""
     problems = [str(row[0]) for row in connection.execute("PRAGMA quick_check(3)")]
     if problems != ["ok"]:
         raise InputError(f"{path} is damaged ({problems[0].splitlines()[-1]}); restore it from a copy")
@@ -111,7 +111,7 @@ def check_integrity(path: Path, connection: sqlite3.Connection) -> None:
 
 @contextlib.contextmanager
 def damage_as_sentence(path: Path) -> Iterator[None]:
-    """Report errors of SQLite while a file is checked as damage of that file."""
+    """Report errors of SQLite during checks as damage of the file."""
     try:
         yield
     except sqlite3.OperationalError as error:
@@ -124,7 +124,7 @@ def damage_as_sentence(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def sentences(folder: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the file system into an ``InputError`` that names the file and what to do."""
+    """Convert errors of SQLite and of the file system to an ``InputError`` that names the file and what to do."""
     path = folder / FILE_NAME
     try:
         yield
@@ -143,7 +143,7 @@ def sentences(folder: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the folder's entries to disk, so that a renamed file survives a power failure."""
+    """Flush the folder's entries to disk, so that a renamed file survives a power failure."""
     if os.name == "posix":  # other systems cannot open a folder and do not need it
         handle = os.open(folder, os.O_RDONLY)
         try:

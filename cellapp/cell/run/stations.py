@@ -1,4 +1,4 @@
-"""Tracker stations of a run: reference nests from a CSV file tie them; readings come out in the frame of the first."""
+"""Tracker stations of a run, tied by reference nests from a CSV file; readings are given in the frame of the first."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _SIGMA_M = 2e-5
 """Standard uncertainty of a nest that states none [m]."""
 _FURTHEST_M, _LARGEST_SIGMA_M = 100.0, 0.1
 _OFF = 6.0
-"""Standard uncertainties by which a nest is off from the others from which it moved, or is another one."""
+"""Residual in standard uncertainties from which a nest has moved or is mistaken for another."""
 
 Poses = dict[str, Array]
 """Station -> T (4, 4) into the frame of the first one, which has the identity."""
 
 
 def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[str, dict[str, StationTie]]:
-    """The first station of the file, and the ties of the others to it.
+    """Read the first station of the file, and the ties of the others to it.
 
     Raises
     ------
     InputError
-        Names file, line and column of what is missing, no number, repeated or off; and a station of the readings that
-        the file has not.
+        Names file, line and column of a value that is missing, not a number, repeated or off; and a station of the
+        readings that the file lacks.
     """
     table = read_table_of(Path(path), "reference nests", "nest", "a row per nest and station", _COLUMNS, _SIGMA)
     problems = Problems(table.place)
@@ -68,7 +68,7 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
 
 
 def require_ties(path: Path, readings: Mapping[str, Readings]) -> None:
-    """Raise ``InputError`` where readings of several stations have nothing that ties them."""
+    """Raise ``InputError`` if readings are of several stations that nothing ties."""
     names = sorted({one or "without a name" for its in readings.values() for one in its.station or ()})
     if len(names) > 1:
         raise InputError(
@@ -78,7 +78,7 @@ def require_ties(path: Path, readings: Mapping[str, Readings]) -> None:
 
 
 def twice_at_a_stop(its: Readings) -> Iterator[tuple[int, str]]:
-    """Rows of one arm at a stop that another station has too."""
+    """Yield the first row of one arm at a stop that another station has too, with a message."""
     if its.station is None:
         return
     seen: dict[int, str | None] = {}
@@ -92,24 +92,24 @@ def twice_at_a_stop(its: Readings) -> Iterator[tuple[int, str]]:
 
 
 def stations_text(first: str, ties: Mapping[str, StationTie], sentences: Sequence[str]) -> str:
-    """The document that a run keeps: poses, and how well they are known."""
+    """Compose the document that a run keeps: poses, and how well they are known."""
     poses = {first: np.eye(4).tolist(), **{name: tie.T.tolist() for name, tie in ties.items()}}
     return json.dumps({"poses": poses, "sentences": list(sentences)})
 
 
 def select_stations(connection: sqlite3.Connection) -> Poses:
-    """The poses of a run's stations; empty without any."""
+    """Read the poses of a run's stations; empty if there are none."""
     document = select_document(connection, STATIONS_RESULT)
     return {} if document is None else {name: np.array(T) for name, T in json.loads(document.text)["poses"].items()}
 
 
 def stored_tie_sentences(document: str | None) -> tuple[str, ...]:
-    """How well the stations of a run are tied, by the document that it keeps, None without any."""
+    """Return how well the stations of a run are tied, from its document; None if there is none."""
     return () if document is None else tuple(json.loads(document)["sentences"])
 
 
 def in_one_frame(readings: Readings, poses: Poses) -> Readings:
-    """Readings in the frame of the first station."""
+    """Transform readings into the frame of the first station."""
     if readings.station is None or not poses:
         return readings
     T = np.array([poses.get(name, np.eye(4)) for name in map(str, readings.station)])
@@ -127,7 +127,7 @@ def in_one_frame(readings: Readings, poses: Poses) -> Readings:
 
 
 def tie_sentences(first: str, ties: Mapping[str, StationTie], readings: Mapping[str, Readings]) -> list[str]:
-    """How well each station is tied to the first one, at the points that the arms were measured at."""
+    """Say how well each station is tied to the first one, at the points where the arms were measured."""
     sentences = []
     for name, tie in ties.items():
         words = (
@@ -176,7 +176,7 @@ def _number(problems: Problems, line: int, column: str, text: str, most: float) 
 
 
 def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]:
-    """The line of the nest without which the others fit, where all together do not."""
+    """Yield the line of the nest without which the others fit, if all together do not fit."""
     points = list(rows.values())
     if _worst(first, points)[0] <= _OFF:
         return
@@ -203,7 +203,7 @@ def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]
 
 
 def _worst(first: str, points: Sequence[NestPoint]) -> tuple[float, dict[str, StationTie]]:
-    """The largest residual in standard uncertainties, and the ties."""
+    """Return the largest residual in standard uncertainties, and the ties."""
     ties = tie_stations(first, points)
     sigma = {(one.station, one.nest): one.sigma_m for one in points}
     largest = max(

@@ -1,4 +1,4 @@
-"""What the columns of recordings are, and what is plausible in them; the objects for estimation, made of them."""
+"""Columns of recordings: their names, checks of plausibility, and their conversion to objects for estimation."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ Columns = Mapping[str, NDArray[np.float64]]
 TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
 TRIGGER = "trigger_s"
-"""Stamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
+"""Timestamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
 BESIDE = "other_q"
-"""Joint positions of the other arm of the cell, where it moved meanwhile."""
+"""Joint positions of the other arm of the cell, if it moved meanwhile."""
 
 _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
 _LEAST_ROWS = 20
 _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
-"""Rates of recordings [Hz]; what is outside was not written in seconds."""
+"""Plausible sampling rates [Hz]; outside these, timestamps are not in seconds."""
 UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _COLUMNS_OF_TIME = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
 _USUAL_STEP_S = (5e-4, 0.05)
-"""Steps of recordings [s], a hundredfold: at most one unit puts a step between them."""
+"""Plausible steps of recordings [s], a factor of 100 apart: at most one unit puts a step between them."""
 _DEGREES = "degrees? Then name the columns q1_deg, q2_deg, ..."
 _FASTEST_RAD_S = 12.0
-"""No joint of an industrial arm is faster [rad/s]."""
+"""Upper limit of joint speeds [rad/s]: no joint of an industrial arm is faster."""
 _REST_RAD, _REST_M = 1e-3, 2e-3
-"""An arm whose joints and point stay within these does not move."""
+"""Ranges of joints and of the point within which an arm does not move."""
 _UNIT = 1e-3
-"""Deviation from one of the length of a quaternion."""
+"""Largest deviation of a quaternion's length from one."""
 _GAP = 2.5
-"""Multiple of the median step from which a step of the stamps is a gap."""
+"""Multiple of the median step of the timestamps from which on a step is a gap."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Implausible:
 
 
 def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]]:
-    """Quantity -> its columns; the first two of a kind are required. ``others`` are the joints of the other arm."""
+    """Return quantity -> its columns; the first two of a kind are required. ``others``: joints of the other arm."""
     if kind == "points":
         points = {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
         return {**points, "trigger": (TRIGGER,)}
@@ -65,7 +65,7 @@ def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
-    """The stamps of a stream, in the order in which they were recorded."""
+    """Summarise the timestamps of a stream, in the order in which they were recorded."""
     step = np.diff(time_s)
     forward = step[step > 0.0]
     median = float(np.median(forward)) if len(forward) else math.inf
@@ -83,7 +83,7 @@ def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
 
 
 def time_unit(stamps: NDArray[np.float64]) -> str | None:
-    """The unit of stamps by the median step between them; None where none is usual for recordings."""
+    """Return the unit of timestamps by the median step between them; None if no unit gives a plausible step."""
     step = np.diff(stamps)
     usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
     least, most = _USUAL_STEP_S
@@ -91,9 +91,9 @@ def time_unit(stamps: NDArray[np.float64]) -> str | None:
 
 
 def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool = False) -> Iterator[Implausible]:
-    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad].
+    """Yield what is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad].
 
-    ``dated``: the stamps are dates or times of day in the file, so that their unit is sure.
+    ``dated``: the timestamps are dates or times of day in the file, so that their unit is certain.
     """
     names = stems("joints", len(limits))
     q = _matrix(columns, names["q"])
@@ -118,8 +118,8 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
 
 
 def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
-    """What is implausible in joint positions of the other arm, whose joints have these ``limits`` (K, 2) [rad]; rows
-    without any are allowed: it was not recorded then."""
+    """Yield what is implausible in joint positions of the other arm, whose joints have these ``limits`` (K, 2) [rad];
+    rows without any are allowed: it was not recorded then."""
     names = tuple(f"{BESIDE}{joint}" for joint in range(1, len(limits) + 1))
     if not names or not all(name in columns for name in names):
         return
@@ -134,7 +134,7 @@ def beside_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Imp
 
 
 def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausible]:
-    """What is implausible in points; ``dated`` as in ``joint_faults``."""
+    """Yield what is implausible in points; ``dated`` as in ``joint_faults``."""
     yield from _stamp_faults(columns["time_s"], dated)
     yield from _missing(columns, ("sigma_m", *QUATERNION))
     p = _matrix(columns, POINT)
@@ -156,11 +156,11 @@ def point_faults(columns: Columns, *, dated: bool = False) -> Iterator[Implausib
 
 
 def joint_stream(columns: Columns, joints: int) -> JointStream:
-    """The samples of an arm as estimation takes them."""
+    """Convert the samples of an arm for estimation."""
     names = stems("joints", joints)
     optional = {
         stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
-    }  # each has all joints or none: the door sees to that
+    }  # each has all joints or none: checked on import
     beside = [name for name in columns if name.startswith(BESIDE)]
     return JointStream(
         time_s=columns["time_s"],
@@ -172,7 +172,7 @@ def joint_stream(columns: Columns, joints: int) -> JointStream:
 
 
 def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStream:
-    """The points as estimation takes them; ``splits`` are the texts that the column ``split`` has numbers of."""
+    """Convert the points for estimation; ``splits`` are the texts to which the codes in column ``split`` refer."""
     held_out = None
     if splits is not None and any(splits):
         held_out = columns["split"] == (splits.index("validate") if "validate" in splits else math.inf)
@@ -187,13 +187,13 @@ def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStrea
 
 
 def _pulses(columns: Columns) -> NDArray[np.float64]:
-    """Stamps of pulses (k,) in a stream; none without a trigger."""
+    """Return the timestamps of pulses (k,) in a stream; none without a trigger."""
     stamps = columns.get(TRIGGER, np.empty(0))
     return stamps[np.isfinite(stamps)]
 
 
 def pulse_column(time_s: NDArray[np.float64], pulses_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The column of the stamps of pulses (k,): each in the nearest row of its own of ``time_s`` (n,), else NaN."""
+    """Return a column with each pulse's timestamp (k,) in its nearest free row of ``time_s`` (n,), else NaN."""
     column = np.full(len(time_s), np.nan)
     for pulse in pulses_s.tolist():
         free = np.flatnonzero(np.isnan(column))
@@ -206,7 +206,7 @@ def _matrix(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def _missing(columns: Columns, names: tuple[str, ...]) -> Iterator[Implausible]:
-    """The first empty cell of each of these columns, which every row must have."""
+    """Yield the first empty cell of each of these columns, which every row must have."""
     for name in names:
         rows = np.flatnonzero(np.isnan(columns[name])) if name in columns else np.empty(0, np.intp)
         if len(rows):
@@ -231,7 +231,7 @@ def _stamp_faults(time_s: NDArray[np.float64], dated: bool) -> Iterator[Implausi
 
 
 def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]) -> Iterator[Implausible]:
-    """Speeds must be those of the joint positions: in rad/s, not in degrees a second."""
+    """Check that speeds agree with the joint positions: in rad/s, not in degrees per second."""
     qd = _matrix(columns, names)
     step = np.diff(columns["time_s"])
     steady = (step > 0.0) & (step < _GAP * np.median(step[step > 0.0]))

@@ -1,6 +1,6 @@
 """CSV files with a million rows of numbers, as recordings of motion are; numpy reads them in a second or two.
 
-Cells are looked at one by one only where numpy refuses the file: line and column of what is wrong are named then.
+Single cells are examined only if numpy refuses the file, to name line and column of what is wrong.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cellapp.ground.errors import InputError
 class StreamTable:
     """The columns of a file in its order, each (n,); NaN is an empty cell.
 
-    ``words`` has the texts of those columns that hold texts: their numbers are places in it. ``rows`` are the places of
-    the rows in the file.
+    ``words`` holds the texts of columns that are not numbers: their values are indices into these. ``rows`` are the
+    indices of the rows in the file.
     """
 
     path: Path
@@ -33,24 +33,24 @@ class StreamTable:
     rows: NDArray[np.intp]
     file: CsvFile | None = None
     dated: bool = False
-    """Whether ``time_s`` stands there as dates or times of day, which are in seconds."""
+    """Whether ``time_s`` is given as dates or times of day, which are converted to seconds."""
 
     def take(self, rows: NDArray[np.intp]) -> StreamTable:
-        """These rows of it."""
+        """Select some of the rows."""
         return replace(self, columns={name: its[rows] for name, its in self.columns.items()}, rows=self.rows[rows])
 
     def lines(self, rows: Collection[int]) -> dict[int, int]:
-        """Line in the file of each of these rows."""
+        """Return the line in the file of each of these rows."""
         wanted = {int(self.rows[row]): row for row in rows}
         body = self.file.rows() if wanted and self.file is not None else ()
         return {wanted[place]: line for place, (line, _) in enumerate(body) if place in wanted}
 
 
 class _Codes(dict[str, int]):
-    """Text -> its number, in the order in which texts come."""
+    """Text -> code, numbered in the order in which texts occur."""
 
     def number(self, cell: str) -> int:
-        """The number of a cell's text."""
+        """Return the code of a cell's text."""
         return self.setdefault(cell.strip(), len(self))
 
 
@@ -62,15 +62,15 @@ def read_stream_table(
     required: Collection[str],
     texts: Collection[str],
 ) -> StreamTable:
-    """Read a file of which columns ``numbers`` hold numbers, in every row if ``required``, and ``texts`` hold texts.
+    """Read a file whose columns ``numbers`` hold numbers, in every row if ``required``, and ``texts`` hold texts.
 
-    ``names`` are those of its columns. Other columns hold numbers if all of their cells are, else texts. A column
+    ``names`` are those of its columns. Other columns hold numbers if all of their cells do, else texts. A column
     ``time_s`` may hold dates and times of day.
 
     Raises
     ------
     InputError
-        Names file, line and column of what is no number, missing, or given twice; if the file has no rows.
+        Names file, line and column of a value that is not a number, missing, or given twice; if the file has no rows.
     """
     first = next(file.rows(), None)
     if first is None:
@@ -99,7 +99,7 @@ def read_stream_table(
 def _load(
     file: CsvFile, names: Sequence[str], words: Collection[str], blank: Collection[str], stamps: Collection[str]
 ) -> tuple[NDArray[np.float64], dict[str, _Codes]]:
-    """All cells as numbers (n, columns), of texts their codes; an empty cell of the ``blank`` columns is NaN."""
+    """Load all cells as numbers (n, columns), texts as codes; an empty cell of the ``blank`` columns is NaN."""
     if file.plain:  # the fast way, in which numpy takes comments for rows
         with contextlib.suppress(ValueError):
             return _load_from(file.path, file, names, words, blank, stamps)
@@ -144,8 +144,8 @@ def _cell_by_cell(
     words: Collection[str],
     stamps: Collection[str],
 ) -> tuple[set[str], set[str]]:
-    """Columns with empty cells, and unknown ones with texts. Raises ``InputError`` with the first wrong cell of each
-    column of ``numbers``."""
+    """Find columns with empty cells, and unknown ones with texts. Raise ``InputError`` with the first wrong cell of
+    each column of ``numbers``."""
     problems = Problems(lambda line: f"{file.path}:{line}")
     wrong: set[str] = set()
     blank: set[str] = set()

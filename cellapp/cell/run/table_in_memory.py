@@ -1,6 +1,6 @@
-"""Readings that are no file: data frames and arrays as the table of cells that a CSV file of the same values gives.
+"""Readings in memory: data frames and arrays as the table of cells that a CSV file of the same values gives.
 
-Numbers become their shortest texts, which give back the same numbers: what is checked is what a file would say.
+Numbers become their shortest exact texts, so that they are checked as those of a file.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _SHAPES = {
 
 
 def is_frame(value: object) -> TypeGuard[pd.DataFrame]:
-    """Whether something is a data frame of pandas, which need not be installed."""
+    """Return whether a value is a data frame of pandas, which need not be installed."""
     return type(value).__name__ == "DataFrame" and hasattr(value, "columns")
 
 
 def table_of_frame(frame: pd.DataFrame) -> CsvTable:
-    """The cells of a data frame whose columns are called as in a CSV file; missing values (None, NaN, NA) are empty.
+    """Convert a data frame with the column names of a CSV file; missing values (None, NaN, NA) become empty cells.
 
     Messages name rows by the index of the frame.
     """
@@ -52,7 +52,7 @@ def table_of_frame(frame: pd.DataFrame) -> CsvTable:
 
 
 def table_of_arrays(profile: Profile, arms: Mapping[str, Mapping[str, Any]]) -> CsvTable:
-    """The cells of arrays.
+    """Convert arrays to cells.
 
     Parameters
     ----------
@@ -90,19 +90,19 @@ def table_of_arrays(profile: Profile, arms: Mapping[str, Mapping[str, Any]]) -> 
 
 
 def _lines(rows: int) -> tuple[int, ...]:
-    """Numbers of the rows; line 1 is the header, as in a file."""
+    """Return line numbers of the rows; line 1 is the header, as in a file."""
     return tuple(range(2, rows + 2))
 
 
 def _texts(values: list[Any], *, whole: bool = False) -> tuple[str, ...]:
-    """Each value as the shortest text of the same value; a whole number that is stored as a float has no point."""
+    """Convert each value to its shortest exact text; whole numbers that are stored as floats get no point."""
     if whole:
         values = [int(one) if isinstance(one, float) and one.is_integer() else one for one in values]
     return tuple("" if one is None or one != one else str(one) for one in values)
 
 
 def _arm_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> dict[str, Any]:
-    """The quantities of one arm, each an array of its shape, or n words."""
+    """Check the quantities of one arm; return each as an array of its shape, or as n words."""
     joints = len(of_arm(profile.arms, name, f"profile {profile.name}").type.joints)
     if not isinstance(quantities, Mapping):
         raise InputError(f"arm {name}: expected names with arrays, as {{'q': ..., 'p_M': ...}}, got {quantities!r:.40}")
@@ -124,7 +124,7 @@ def _arm_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> d
 
 
 def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> NDArray[Any]:
-    """A quantity as an array of its shape."""
+    """Convert a quantity to an array of its shape."""
     dtype = None if column is CONFIGURATION else object if column.dtype is str else np.float64
     try:
         array = np.asarray(value, dtype=dtype)
@@ -146,7 +146,7 @@ def _shape_words(column: Column, joints: int) -> str:
 
 
 def _column_texts(column: Column, arrays: Mapping[str, Any], joints: int, n: int) -> list[tuple[str, ...]]:
-    """The texts of one arm's rows for each CSV column of a quantity; empty where it has no value."""
+    """Return the texts of one arm's rows for each CSV column of a quantity; empty where it has no value."""
     width = len(column.csv_names(joints))
     values = arrays.get(column.name)
     if values is None:

@@ -1,4 +1,4 @@
-"""Touches of sockets that are recorded one by one into a run."""
+"""Touches of sockets that are recorded into a run one by one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cellapp.ground.profile import Profile
 
 
 def touches_before(folder: Path, profile: Profile, arm: str) -> Readings | None:
-    """The touches of an arm that a run holds; None where it holds none, or there is no run yet.
+    """Return the touches of an arm in a run; None if there are none, or no run yet.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def touches_before(folder: Path, profile: Profile, arm: str) -> Readings | None:
 
 
 def store_touch(folder: Path, profile: Profile, arm: str, touch: Reading) -> int:
-    """Append a touch to a run, which is made if there is none; return its configuration. On return it is on disk."""
+    """Append a touch to a run, which is made if missing; return its configuration. On return it is on disk."""
     if (folder / FILE_NAME).exists():
         with RunFile.open(folder, write=True) as run:
             return _append(run, arm, touch)
@@ -60,7 +60,7 @@ def store_touch(folder: Path, profile: Profile, arm: str, touch: Reading) -> int
 
 
 def _append(run: RunFile, arm: str, touch: Reading) -> int:
-    """Add a touch behind all others, with its time since the run was made."""
+    """Append a touch after all others, with its time since the run was made."""
     number = max(run.stops_done(), default=-1) + 1
     since_s = time.time() - datetime.fromisoformat(run.created).timestamp()
     run.add_stop(number, {arm: replace(touch, time_s=max(since_s, 0.0))})
@@ -69,9 +69,9 @@ def _append(run: RunFile, arm: str, touch: Reading) -> int:
 
 
 def withdraw_last_touch(folder: Path, profile: Profile, arm: str) -> tuple[str, int]:
-    """Take the last touch of an arm back; its point and configuration. It is kept beside, as what was measured again.
+    """Take back the last touch of an arm; return its point and configuration.
 
-    Raises ``InputError`` if there is none.
+    It is kept with the readings that were replaced. Raises ``InputError`` if there is none.
     """
     before = touches_before(folder, profile, arm)
     if before is None:
@@ -85,7 +85,7 @@ def withdraw_last_touch(folder: Path, profile: Profile, arm: str) -> tuple[str, 
 
 
 def store_distances(folder: Path, distances: Path) -> None:
-    """Store the known distances between sockets that a file holds, checked against the touches of a run.
+    """Check the known distances between sockets in a file against the touches of a run, and store them.
 
     Raises ``InputError`` as ``read_distances_csv``.
     """

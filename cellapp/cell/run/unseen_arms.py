@@ -1,4 +1,4 @@
-"""Arms that were not seen at rest after a halt: a run keeps them until data or a person say that they rest."""
+"""Arms that were not seen at rest after a halt: a run keeps them until data or a person confirm that they rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
 
 _DOCUMENT = "not seen at rest: {arm}"
-"""One document an arm, so that two arms whose links break at once do not overwrite each other."""
+"""Name of one document per arm, so that two arms whose links break at once do not overwrite each other."""
 BY_DATA = "its controller reports that it rests"
 BY_PERSON = "a person has seen it at rest"
 
@@ -36,7 +36,7 @@ def unseen_arms(run: RunFile) -> dict[str, UnseenArm]:
 
 
 def note_halt(run: RunFile, arm: str, halt: Halt) -> None:
-    """Record the end of an arm's stop; a full disk must not keep the other arms from being attended to."""
+    """Record the end of an arm's halt; an error such as a full disk must not prevent care for the other arms."""
     with contextlib.suppress(InputError):
         if halt.state == "not seen at rest":
             _note_unseen(run, arm, halt.reason)

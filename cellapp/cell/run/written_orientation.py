@@ -1,7 +1,7 @@
-"""Columns that write the orientation of a probe in another way than ``quat_w`` to ``quat_z``, told by their names.
+"""Columns that hold the orientation of a probe in other forms than ``quat_w`` to ``quat_z``, recognised by their names.
 
-Quaternions by other names, rotation vectors, roll, pitch and yaw with a unit, and matrices say what they are. Three
-angles by any other names may be anything: they are not used, and a note says how to name them.
+Names of other quaternions, rotation vectors, matrices, and of roll, pitch and yaw with a unit are unambiguous. Three
+angles by any other names are ambiguous: they are not used, and a note says how to name them.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Array = NDArray[np.float64]
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 _UNITS = {"": 1.0, "rad": 1.0, "deg": float(np.pi / 180.0)}
 _MOST_RAD = 4.0 * np.pi
-"""Larger angles are taken as degrees."""
+"""Largest plausible angle [rad]: larger ones are refused as probably degrees."""
 _OFF = 1e-3
-"""By how much a matrix times its transpose may differ from one."""
+"""Largest deviation of a matrix times its transpose from the identity."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """A way to write an orientation: its columns, whose ``parts`` and units ``pattern`` finds in a name.
+    """A form of an orientation: its columns, whose ``parts`` and units ``pattern`` finds in a name.
 
-    ``rotations`` are those of their values (n, k) [rad], None where they are a quaternion; ``said`` in words.
+    ``rotations`` converts their values (n, k) [rad], None for a quaternion; ``said`` describes the form.
     ``needs_unit``: the names must say degrees or radians.
     """
 
@@ -80,9 +80,9 @@ _FORMS = (
     ),
 )
 _OF_FIFTH_JOINT = re.compile(r"(?:.*_)?q_?[45]")
-"""Beside such a column q0 to q3 are joints."""
+"""Beside such a column q0 to q3 are joints, not a quaternion."""
 _OTHERS = {"tcp", "robot", "flange", "tool", "target", "commanded", "command", "desired"}
-"""Orientations of these are the controller's, not the tracker's."""
+"""Orientations of these belong to the controller, not to the tracker."""
 _AMBIGUOUS = tuple(
     re.compile(rf"({'|'.join(names)})(?:_(?:rad|deg))?")
     for names in (("rx", "ry", "rz"), ("a", "b", "c"), ("alpha", "beta", "gamma"), ("phi", "theta", "psi"))
@@ -96,7 +96,7 @@ _WHAT_TO_DO = (
 
 @dataclass(frozen=True)
 class Written:
-    """The columns of an orientation as they stand in a file, in the order of their form, and the factor to radians."""
+    """The columns of an orientation in a file, in the order of their form, and the factor to radians."""
 
     form: Form
     columns: tuple[str, ...]
@@ -104,12 +104,12 @@ class Written:
 
     @property
     def said(self) -> str:
-        """How they are understood."""
+        """Description of how they are interpreted."""
         return f"{', '.join(self.columns)}: taken as {self.form.said} of the probe's orientation in the tracker frame"
 
     def quaternions(self, values: Array) -> tuple[Array, Fault | None]:
-        """Quaternions (n, 4), scalar first, of the values (n, k) in these columns, and what is wrong with the first
-        row that is no rotation. Rows without values, which are NaN, stay so."""
+        """Convert values (n, k) of these columns to quaternions (n, 4), scalar first; return also the first fault. Rows
+        without values, which are NaN, stay NaN."""
         if self.form.rotations is None:
             return values, None
         found = np.full((len(values), 4), np.nan)
@@ -123,7 +123,7 @@ class Written:
         return found, fault
 
     def _fault(self, values: Array, given: NDArray[np.intp]) -> Fault | None:
-        """What is wrong with the first of the ``given`` rows that is no rotation."""
+        """Return the fault of the first of the ``given`` rows that is not a rotation; None if all are."""
         own, columns = values[given], len(self.columns)
         if (part := np.isnan(own)).any():
             row, place = map(int, np.argwhere(part)[0])
@@ -143,9 +143,9 @@ class Written:
 
 
 def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]]:
-    """What the columns of a header say of an orientation, and notes on those that say too little.
+    """Find the columns of an orientation in a header; return also notes on ambiguous ones.
 
-    None where they are ``QUATERNION`` already, or none are there.
+    None if they are ``QUATERNION`` already, or there are none.
     """
     if any(name in QUATERNION for name in names):
         return None, []
@@ -177,13 +177,13 @@ def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]
 
 
 def names_with_quaternion(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the columns that ``with_quaternions`` gives."""
+    """Return the names of the columns that ``with_quaternions`` gives."""
     written, _ = written_orientation(names)
     return tuple(names) if written is None else (*(name for name in names if name not in written.columns), *QUATERNION)
 
 
 def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
-    """The table with the orientation of a probe as a quaternion, and notes. Raises ``InputError`` by row."""
+    """Convert the orientation of a probe to a quaternion; return also notes. Raise ``InputError`` by row."""
     written, notes = written_orientation(table.names)
     if written is None:
         return table, notes
@@ -203,5 +203,5 @@ def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
 
 
 def _plain(name: str) -> str:
-    """A column's name in small letters, its unit behind an underscore: ``Roll [deg]`` is ``roll_deg``."""
+    """Return a column's name in lower case, its unit after an underscore: ``Roll [deg]`` is ``roll_deg``."""
     return re.sub(r"[^0-9a-z]+", "_", name.strip().lower()).strip("_")

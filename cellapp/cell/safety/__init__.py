@@ -1,1 +1,1 @@
-"""The gate that every motion passes: limits, bodies, arm against arm, way by way."""
+"""The gate that every motion passes: joint limits, bodies, arm against arm, along the whole path."""

@@ -14,9 +14,9 @@ from cellapp.robot.kinematics.transforms import Array
 _TOUCHING_FRAMES = 2
 """Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
 _WORTH_A_BOUND = 1000
-"""Distances from which on it saves time to look for the small ones first."""
+"""Number of distances from which on it saves time to find lower bounds first."""
 _ROUNDING_M = 1e-6
-"""Distances of the SMR and of the beam that ends there from the same obstacle differ by rounding [m]."""
+"""Tolerance for rounding between two distances from one obstacle: of the SMR, and of the beam that ends there [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class ArmBodies:
 
     @cached_property
     def moving(self) -> np.ndarray:
-        """Bodies that can move vertically, numbers: base and shoulder only rotate about the first axis."""
+        """Indices of bodies that can move vertically: base and shoulder only rotate about the first axis."""
         return np.flatnonzero(self.frames > 1)
 
     @cached_property
@@ -91,7 +91,7 @@ class ArmBodies:
     def body_levers(self) -> Array:
         """Upper bound on the distance of any point of a body from each joint's axis, over all q, shape (m, N) [m].
 
-        It is the path length along the chain: the distances between successive frames, and of a body from the frame
+        It is the path length along the chain, as the distances between successive frames, and of a body from the frame
         before its own, do not depend on q. Zero for joints that do not move the body.
         """
         joints = self.geometry.joints
@@ -106,14 +106,14 @@ class ArmBodies:
 
     @cached_property
     def own_pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bodies that do not overlap by design, two by two: their places, (p,) int each."""
+        """Pairs of bodies that do not overlap by design: their indices, (p,) int each."""
         i, k = np.triu_indices(len(self.radius), 1)
         apart = np.abs(self.frames[i] - self.frames[k]) > _TOUCHING_FRAMES
         return i[apart], k[apart]
 
     @cached_property
     def pair_levers(self) -> Array:
-        """Like ``body_levers``, for the motion of one body of ``own_pairs`` as seen from the other, (p, N) [m]."""
+        """Like ``body_levers``, for the motion of one body of ``own_pairs`` relative to the other, (p, N) [m]."""
         i, k = self.own_pairs
         low, high = np.minimum(self.frames[i], self.frames[k]), np.maximum(self.frames[i], self.frames[k])
         outer = np.where(self.frames[i] > self.frames[k], i, k)
@@ -130,7 +130,7 @@ class Placed:
     ----------
     arm : ArmBodies
     start, end : array, shape (n, m, 3)
-        Ends of the capsules' axes [m]. In memory configurations are last: sums over components are then fastest.
+        Ends of the capsules' axes [m]. Configurations are contiguous in memory: sums over components are then fastest.
     smr : array, shape (n, 3)
         SMR centre [m].
     flange : array, shape (n, 3, 3)
@@ -159,17 +159,17 @@ class Placed:
         return np.asarray(self.flange @ self.arm.normal_F)
 
     def axes(self, rows: np.ndarray, bodies: np.ndarray) -> tuple[Array, Array]:
-        """Both ends of the axes of some ``bodies`` (p,), at configurations ``rows`` (p,), (3, p) each [m]."""
+        """Return both ends of the axes of some ``bodies`` (p,), at configurations ``rows`` (p,), (3, p) each [m]."""
         return self.start.T[:, bodies, rows], self.end.T[:, bodies, rows]
 
     def take(self, rows: np.ndarray | slice) -> Placed:
-        """The bodies at some of the configurations."""
+        """Select some of the configurations."""
         start, end = (np.ascontiguousarray(ends.T[..., rows]).T for ends in (self.start, self.end))
         return Placed(self.arm, start, end, self.smr[rows], self.flange[rows])
 
 
 def place(arm: ArmBodies, q: Array) -> Placed:
-    """The bodies at configurations ``q`` (n, N) [rad]."""
+    """Place the bodies at configurations ``q`` (n, N) [rad]."""
     frames = frame_vectors(arm.geometry, q)
     ends = arm.ends @ frames[:, arm.frames]
     flange = frames[:, -1]
@@ -183,10 +183,10 @@ def place(arm: ArmBodies, q: Array) -> Placed:
 
 
 def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    """Distances (...) [m] between segments a0-a1 and b0-b1, ends (..., 3) that broadcast; a segment may be a point.
+    """Compute distances (...) [m] between segments a0-a1 and b0-b1, ends (..., 3) that broadcast.
 
-    Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9: minimise over one segment, clamp, then over
-    the other.
+    A segment may be a point. Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9: minimise over one
+    segment, clamp, then over the other.
     """
     u, v, w = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
@@ -200,12 +200,12 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 
 def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | float = np.inf) -> Array:
-    """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet.
+    """Compute distances (n, p) [m] between bodies ``i`` and ``k`` (p,) of one arm; negative where their surfaces meet.
 
-    Those beyond ``within`` [m], (n, p) or what broadcasts to it, may be stated too small, but not below it: what is so
-    far apart is told by the spheres about the bodies, which takes a twentieth of the time.
+    Distances beyond ``within`` [m], (n, p) or what broadcasts to it, may be underestimated, but not below it: there a
+    lower bound from bounding spheres is used, which takes a twentieth of the time.
     """
-    start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
+    start, end = placed.start.T, placed.end.T  # contiguous in memory, hence fast to copy
     size, extent = placed.radius, placed.arm.extents
 
     def exact(a: np.ndarray, b: np.ndarray, row: np.ndarray | slice) -> Array:
@@ -224,9 +224,9 @@ def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | floa
 
 
 def self_clearance(placed: Placed, within: float = np.inf) -> Array:
-    """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any.
+    """Compute the smallest distance between capsules of one arm that do not overlap by design, (n,) [m].
 
-    One beyond ``within`` may be stated too small, but not below it.
+    Infinite without such capsules. A distance beyond ``within`` may be underestimated, but not below it.
     """
     i, k = placed.arm.own_pairs
     if len(i) == 0:
@@ -235,7 +235,7 @@ def self_clearance(placed: Placed, within: float = np.inf) -> Array:
 
 
 def floor_clearance(placed: Placed, floor: float) -> Array:
-    """Smallest height of moving bodies above the floor at height ``floor``, shape (n,) [m]; infinite without any."""
+    """Compute the smallest height of moving bodies above height ``floor``, shape (n,) [m]; infinite without any."""
     moving = placed.arm.moving
     if not len(moving):
         return np.full(len(placed.smr), np.inf)
@@ -244,7 +244,7 @@ def floor_clearance(placed: Placed, floor: float) -> Array:
 
 
 def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
-    """Smallest depth of moving bodies below the ceiling at height ``ceiling``, shape (n,) [m]; infinite without any."""
+    """Compute the smallest depth of moving bodies below height ``ceiling``, shape (n,) [m]; infinite without any."""
     moving = placed.arm.moving
     if not len(moving):
         return np.full(len(placed.smr), np.inf)
@@ -253,10 +253,10 @@ def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
 
 
 def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
-    """Smallest distance of the bodies from the beam between ``tracker`` (3,) and ``target`` (n, 3), shape (n,) [m].
+    """Compute the smallest distance of bodies from the beam from ``tracker`` (3,) to ``target`` (n, 3), shape (n,) [m].
 
-    ``own`` says that the bodies carry the target: those fixed to the last frame that has bodies are left out, as they
-    always are at the end of the beam, and so are the covers of mounted obstacles (see ``mounted_hides``).
+    ``own`` says that the bodies carry the target. Then those fixed to the last frame that has bodies are left out, as
+    they are always at the end of the beam, and so are the covers of mounted obstacles (see ``mounted_hides``).
     """
     seen = np.ones(len(bodies.frames), dtype=bool)
     if own:
@@ -271,10 +271,10 @@ def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) 
 
 
 def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
-    """Whether obstacles mounted on an arm hide its own SMR from ``tracker`` (3,), shape (n,) bool.
+    """Return whether obstacles mounted on an arm hide its own SMR from ``tracker`` (3,), shape (n,) bool.
 
-    One that is nearer to the SMR's centre than ``radius`` [m] hides it where the beam comes still nearer; one that
-    encloses it is its holder, and hides nothing.
+    An obstacle closer to the SMR's centre than ``radius`` [m] hides it if the beam comes still closer. One that
+    encloses the SMR is its holder, and hides nothing.
     """
     hidden = np.zeros(len(bodies.smr), dtype=bool)
     if not bodies.arm.mounted:
@@ -296,7 +296,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _share(numerator: Array, denominator: Array) -> Array:
-    """The quotient between 0 and 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
+    """Divide and clip to 0 to 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
     regular = denominator > 1e-18
     if np.all(regular):
         found = np.asarray(numerator / denominator)

@@ -1,4 +1,4 @@
-"""Bodies of the cell from its profile, with the nominal geometry or a calibrated one."""
+"""Construction of the cell's bodies from its profile, with nominal or calibrated geometry."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 
 def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
-    """Bodies of the profile's cell; with a model, bases and chains of the arms are the identified ones, and the tracker
-    stands where the model says.
+    """Build the bodies of the profile's cell. With a model, bases and chains of the arms are the identified ones, and
+    the tracker stands where the model says.
 
     Obstacles that are fixed to a base stand where that base is found.
 
@@ -68,12 +68,12 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
 
 
 def home_positions(profile: Profile) -> dict[str, np.ndarray]:
-    """Joint positions of each arm before and after a job, arm -> (N,) [rad]; only of arms with a home position."""
+    """Return the joint positions before and after a job, arm -> (N,) [rad]; only of arms with a home position."""
     return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}
 
 
 def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[Obstacle]) -> ArmBodies:
-    """The capsules of an arm's type, then those that cover what is mounted on its flange."""
+    """Build the capsules of an arm's type, then those that cover what is mounted on its flange."""
     capsules, covers = arm.type.capsules, [cover(obstacle) for obstacle in mounted]
     covered = [obstacle.name for obstacle, one in zip(mounted, covers, strict=True) for _ in one.radius]
     frames = [capsule.frame for capsule in capsules] + [geometry.joints] * len(covered)
@@ -95,7 +95,7 @@ def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[Obstacle]) -> Ar
 
 
 def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
-    """Refuse obstacles that stand where the tracker's head or an arm at home is: their pose or size is wrong."""
+    """Refuse obstacles that contain the tracker's head or a part of an arm at home: their pose or size is wrong."""
     if cell.field is not None:
         head = cell.field.T_C_M[None, :3, 3]
         for obstacle in cell.obstacles:
@@ -114,7 +114,7 @@ def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
 
 
 def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle], dict[str, list[Obstacle]]]:
-    """Obstacles that stand in the cell, poses in C; and arm -> those on its flange, poses in F. ``bases``: T_C_B."""
+    """Return obstacles in the cell, poses in C; and arm -> those on its flange, poses in F. ``bases``: T_C_B."""
     placed: list[Obstacle] = []
     mounted: dict[str, list[Obstacle]] = {}
     for name, entry in profile.obstacles.items():
@@ -131,7 +131,7 @@ def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle
 
 
 def _shape(key: str, entry: AnyObstacle) -> tuple[Shape, Array]:
-    """The solid of an obstacle, and where the frame of its pose has the solid's centre, (3,) [m]."""
+    """Return the solid of an obstacle, and the centre of the solid in the frame of the obstacle's pose, (3,) [m]."""
     if isinstance(entry, MeshObstacle):
         try:
             return load_mesh(entry.file, entry.scale)

@@ -1,4 +1,4 @@
-"""Capsules that cover a solid: what is mounted on a flange moves and is checked as further bodies of its arm."""
+"""Capsules that cover a solid: what is mounted on a flange is checked as further bodies of its arm."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from cellapp.cell.safety.shapes import Cylinder, RoundedBox
 from cellapp.robot.kinematics.transforms import Array, apply
 
 _MOST_CAPSULES = 8
-"""Capsules of one cover: as many as an arm of six joints has itself, so that checks take at most twice as long."""
+"""Largest number of capsules in a cover: as many as a six-joint arm has, so that checks take at most twice as long."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Capsules that contain a solid; ``excess`` is the farthest that they reach out of it [m].
+    """Capsules that contain a solid; ``excess`` is the farthest that they reach beyond it [m].
 
-    ``start``, ``end`` (c, 3) are in the frame that the obstacle's pose is given in [m], ``radius`` (c,) in [m].
-    The excess over a mesh is counted from its bounding box.
+    ``start``, ``end`` (c, 3) are in the frame in which the obstacle's pose is given [m], ``radius`` (c,) in [m]. The
+    excess over a mesh is counted from its bounding box.
     """
 
     start: Array
@@ -48,7 +48,7 @@ def cover(obstacle: Obstacle) -> Cover:
 
 
 def _cylinder_cover(shape: Cylinder) -> Cover:
-    """One capsule through both rims; its ends are drawn in until it reaches out as far at the ends as at the side."""
+    """Cover by one capsule through both rims, shortened until its excess at the ends equals that at the side."""
     inset = min(shape.radius, shape.half_length)
     radius = math.hypot(shape.radius, inset)
     end = np.array([[0.0, 0.0, shape.half_length - inset]])
@@ -56,10 +56,10 @@ def _cylinder_cover(shape: Cylinder) -> Cover:
 
 
 def _box_cover(core: Array, rounding: float) -> Cover:
-    """Capsules along the longest side of a box, on a grid over the other two sides, whose tiles they contain.
+    """Cover by capsules along the longest side of a box, each containing one tile of a grid over the other two sides.
 
-    A capsule around a tile with half sides p, q passes through its corners; its ends are drawn in by min(p, q), so
-    that it reaches out as far at the ends as at the larger faces. Of all grids the one that reaches out least is taken.
+    A capsule around a tile with half sides p, q passes through its corners; it is shortened by min(p, q), so that its
+    excess at the ends equals that at the larger faces. Of all grids the one with the smallest excess is taken.
     """
     along = int(np.argmax(core))
     first, second = (axis for axis in range(3) if axis != along)

@@ -1,4 +1,4 @@
-"""Distances between two arms, at rest and on paths that they may run at any relative speed."""
+"""Distances between two arms, at rest and on paths with any relative speed."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from cellapp.cell.safety.paths import EVERY, SampledPath
 from cellapp.robot.kinematics.transforms import Array
 
 _PAIRS_AT_ONCE = 20_000
-"""Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
+"""Pairs of capsules in a batch: some MB of memory, and an early end at the first collision."""
 _ROUNDING_M = 1e-6
-"""Of distances between spheres, from their squares [m]."""
+"""Tolerance for rounding of distances between spheres, which are computed from squares [m]."""
 
 
 def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
-    """Smallest distance (n,) [m] of two arms at each of n pairs of configurations; infinite beyond ``within`` [m]."""
+    """Compute distances (n,) [m] of two arms at n pairs of configurations; infinite beyond ``within`` [m]."""
     gaps = np.full(len(first.smr), np.inf)
     along = _between_bases(first, second)
     reach_first, reach_second = _reach(first, along), _reach(second, -along)
@@ -37,9 +37,10 @@ def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
 
 
 def gap_on_paths(first: SampledPath, second: SampledPath, clearance: float) -> tuple[float, float]:
-    """Distance of two arms at any relative speed on their paths [m], and what samples may hide of it [m].
+    """Compute the distance of two arms at any relative speed on their paths, and the allowance for samples [m].
 
-    It is infinite if it is more than their sum with ``clearance`` at all pairs of samples; else it is one that is not.
+    The distance is infinite if all pairs of samples keep ``clearance`` plus the allowance; else it is that of a pair
+    that does not.
     """
     allowance = EVERY * (first.deviation + second.deviation)
     needed = clearance + allowance
@@ -59,7 +60,7 @@ def gap_on_paths(first: SampledPath, second: SampledPath, clearance: float) -> t
 def may_meet(
     first: Placed, of_first: NDArray[np.intp], second: Placed, of_second: NDArray[np.intp], within: Array
 ) -> NDArray[np.bool_]:
-    """Whether two arms, along the line between their bases, come within (n,) [m] on each of n paths, (n,).
+    """Return whether two arms, along the line between their bases, come within (n,) [m] on each of n paths, (n,).
 
     ``of_first`` and ``of_second`` are the paths, in order, to which the bodies of each arm belong. NaN counts as near.
     """
@@ -73,18 +74,18 @@ def may_meet(
 
 
 def _between_bases(first: Placed, second: Placed) -> Array:
-    """Direction from the base of the first arm to that of the second, shape (3,)."""
+    """Return the direction from the base of the first arm to that of the second, shape (3,)."""
     along = second.start[0, 0] - first.start[0, 0] if len(first.smr) else np.zeros(3)
     return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
 
 
 def _reach(placed: Placed, along: Array) -> Array:
-    """How far bodies reach along a direction (3,) from the origin, shape (n, m) [m]."""
+    """Compute how far bodies reach from the origin along a direction (3,), shape (n, m) [m]."""
     return np.asarray(np.maximum(placed.start @ along, placed.end @ along) + placed.radius)
 
 
 def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bodies of each arm that reach past the other's nearest one, (n, m) bool each: only these can meet it.
+    """Mask the bodies of each arm that reach past the other's nearest one, (n, m) bool each: only these can meet it.
 
     The extent is along the line between the bases. A NaN counts as within reach.
     """
@@ -97,7 +98,7 @@ def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.n
 
 
 def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:
-    """Smallest distance [m] in the first batch of samples that do not keep the clearance; infinite if all keep it."""
+    """Return the smallest distance [m] in the first batch that violates the clearance; infinite if none does."""
     near_first, near_second = _within_reach(first, second, clearance)
     i, a = np.nonzero(near_first)
     k, b = np.nonzero(near_second)

@@ -1,7 +1,7 @@
 """The safety gate: conditions for every motion, used by planning, collection, compensation and the doctor.
 
-A motion is a straight line in joint space. Two arms may run at any relative speed: every point of one arm's path is
-checked against every point of the other's. The gate fails closed: whatever it cannot check, it refuses.
+A motion is a straight line in joint space. Two arms may move at any relative speed: every point of one arm's path is
+checked against every point of the other's. The gate is fail-safe: it refuses whatever it cannot check.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ BEAM_RADIUS = 0.02
 _SELF_CLEARANCE = 0.01
 """Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
 _OWN_BASE_CLEARANCE = 0.02
-"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
-centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
+"""Clearance of an arm from obstacles fixed to its own base [m]; smaller than from others, as the pose of the base,
+known to centimetres before calibration, does not matter. It allows for a pose that was measured with a tape."""
 _STEPS = (0.02, 0.04)
-"""Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
+"""Smallest and largest spacing of samples on a path [m]; between these it is half the clearance."""
 _ROUNDING_RAD = 1e-9
-"""Joint positions may exceed a limit by rounding."""
+"""Tolerance of joint limits for rounding."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class CellBodies:
     arms : mapping
         Name -> ArmBodies.
     field : TrackerField or None
+        None if the cell has no tracker.
     clearance : float
         Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
@@ -61,7 +62,7 @@ class CellBodies:
     obstacles : tuple of Obstacle
         What stands in the cell, poses in the cell frame C. Those mounted on a flange are with its arm.
     apart : float
-        Further distance that arms keep from each other on their ways [m]: they may not be where they are expected.
+        Additional distance that arms keep from each other while they move [m], as their positions may deviate.
     """
 
     arms: Mapping[str, ArmBodies]
@@ -81,8 +82,8 @@ class CellBodies:
     def obstacle_clearances(self) -> Mapping[ArmBodies, Array]:
         """Least distance that each body of an arm keeps from each obstacle, (k, m) [m]; -inf where they may touch.
 
-        Base bodies stand on something by design. The first link, which only turns about the base's axis, is compared
-        with those obstacles only that keep the clearance from the base bodies.
+        Base bodies stand on something by design. The first link only turns about the base's axis: it is checked only
+        against obstacles from which the base bodies keep the clearance.
         """
         return {arm: self._clearances_of(name, arm) for name, arm in self.arms.items()}
 
@@ -103,20 +104,20 @@ class CellBodies:
 
 
 Gate = Callable[[CellBodies, Mapping[str, Array], Mapping[str, Array]], str]
-"""``refuse_motion``, or what stands for it."""
+"""``refuse_motion``, or a function in its place."""
 
 
 def refuse_stop(cell: CellBodies, q: Mapping[str, Array]) -> str:
-    """Reason why the arms must not stand at ``q`` (arm -> (N,) [rad]); empty if they may."""
+    """Return why the arms must not stand at ``q`` (arm -> (N,) [rad]); empty if they may."""
     return refuse_motion(cell, q, q)
 
 
 def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> str:
-    """Reason why the arms must not move from ``q_from`` to ``q_to`` (arm -> (N,) [rad]); empty if they may.
+    """Return why the arms must not move from ``q_from`` to ``q_to`` (arm -> (N,) [rad]); empty if they may.
 
     Requires finite numbers, a target inside the joint limits, and on the whole path the clearance of every arm from
-    floor, ceiling, obstacles, the other arms and itself. The path is sampled; the farthest that any point of a body can
-    be from its nearest sample is added to the clearance, so that sampling never hides a collision.
+    floor, ceiling, obstacles, the other arms and itself. The path is sampled; the largest distance of any point of a
+    body from its nearest sample is added to the clearance, so that sampling never hides a collision.
     """
     unknown = [name for name in (*q_from, *q_to) if name not in cell.arms]
     if unknown:
@@ -142,21 +143,21 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
 
 
 def sample_spacing(cell: CellBodies) -> float:
-    """Farthest that a point of a body moves between samples of two arms' paths [m].
+    """Return the farthest that a point of a body moves between samples of two arms' paths [m].
 
     Between samples two arms may be nearer by at most this, other bodies by at most a quarter of it: a stop that keeps
-    the clearance and as much beside can be reached.
+    the clearance and this margin can be reached.
     """
     return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
 
 
 def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
-    """The cell with a larger clearance: the gate accepts ways to stops that keep it, of one arm or ``between_arms``."""
+    """Enlarge the clearance so that the gate accepts motions to stops that keep it, of one arm or ``between_arms``."""
     return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
 
 
 def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
-    """Whether an arm is clear of floor, ceiling, obstacles and itself, without regard to other arms, (n,) bool."""
+    """Return whether an arm is clear of floor, ceiling, obstacles and itself, ignoring other arms, (n,) bool."""
     clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
     rows = np.flatnonzero(clear)
     clear[rows] = self_clearance(placed.take(rows), cell.self_clearance) >= cell.self_clearance
@@ -171,7 +172,7 @@ def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
 
 
 def clear_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
-    """Whether ``refuse_stop`` is empty for each of n stops of all arms, arm -> (n, N) [rad], shape (n,) bool.
+    """Return whether ``refuse_stop`` is empty for each of n stops of all arms, arm -> (n, N) [rad], shape (n,) bool.
 
     Raises
     ------
@@ -193,10 +194,10 @@ def clear_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
 
 
 def clear_pairs(cell: CellBodies, first: tuple[str, Array], second: tuple[str, Array]) -> np.ndarray:
-    """Whether two arms may stand and be seen at each pair of configurations, (m, p) bool.
+    """Return whether two arms are clear and visible at each pair of configurations, (m, p) bool.
 
-    As ``clear_stops`` and ``visible_stops`` say of all pairs; each arm alone is looked at once only. ``first`` and
-    ``second`` are the name of an arm and its configurations (m, N) and (p, N) [rad].
+    The result is that of ``clear_stops`` and ``visible_stops`` for all pairs, but each arm alone is checked only once.
+    ``first`` and ``second`` are the name of an arm and its configurations (m, N) and (p, N) [rad].
     """
     placed = [place(cell.arms[name], q) for name, q in (first, second)]
     alone = [
@@ -217,13 +218,13 @@ def clear_pairs(cell: CellBodies, first: tuple[str, Array], second: tuple[str, A
 
 
 def within_limits(arm: ArmBodies, q: Array) -> np.ndarray:
-    """Whether an arm with bodies may stand at ``q`` (n, N) [rad] by its joint limits, (n,) bool; not at NaN."""
+    """Return whether ``q`` (n, N) [rad] is within the joint limits of an arm with bodies, (n,) bool; False for NaN."""
     low, high = arm.limits.T
     return np.asarray(np.all((q >= low - _ROUNDING_RAD) & (q <= high + _ROUNDING_RAD), axis=1) & (arm.links > 0))
 
 
 def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
-    """Whether the tracker can see the SMR of an arm at ``q`` (n, N) [rad], shape (n,) bool.
+    """Return whether the tracker can see the SMR of an arm at ``q`` (n, N) [rad], shape (n,) bool.
 
     The SMR must be in the tracker's field of view, the beam within the SMR's acceptance angle, and no obstacle and no
     body of the arm or of ``others`` (arm -> (n, N) [rad]) in the beam. Without a tracker nothing is visible.
@@ -247,7 +248,7 @@ def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] |
 
 
 def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
-    """Whether the tracker sees the SMRs of all arms at each of n stops, arm -> (n, N) [rad], shape (n,) bool."""
+    """Return whether the tracker sees the SMRs of all arms at each of n stops, arm -> (n, N) [rad], shape (n,) bool."""
     seen = np.ones(len(next(iter(q.values()))), dtype=bool)
     for name in q:
         rows = np.flatnonzero(seen)
@@ -257,13 +258,13 @@ def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
 
 
 def in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
-    """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
+    """Return whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
     conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
     return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))
 
 
 def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
-    """Expected SMR positions of an arm at ``q`` (n, N) [rad], shape (n, 3) in the tracker frame [m].
+    """Compute the expected SMR positions of an arm at ``q`` (n, N) [rad], shape (n, 3) in the tracker frame [m].
 
     Raises ``ValueError`` if the cell has no tracker.
     """
@@ -274,7 +275,7 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
 
 
 def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
-    """Reason why an arm must not move between two joint vectors; only the target must be inside the limits."""
+    """Return why an arm must not move between two joint vectors; only the target must be inside the limits."""
     if arm.links == 0:
         return "has no bodies, so that collisions cannot be checked; add capsules to its type"
     joints = arm.geometry.joints
@@ -292,7 +293,7 @@ def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
 
 
 def _refuse_alone(cell: CellBodies, path: SampledPath) -> str:
-    """Reason why one arm must not follow its path, without regard to other arms; empty if it may.
+    """Return why one arm must not follow its path, without regard to other arms; empty if it may.
 
     The comparisons are negated so that a NaN refuses.
     """
@@ -346,7 +347,7 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
 
 
 def keeps_obstacles(cell: CellBodies, path: SampledPath) -> bool:
-    """Whether an arm keeps its distance from all obstacles on a path."""
+    """Return whether an arm keeps its clearance from all obstacles on a path."""
     return not _refuse_obstacles(cell, path)
 
 
@@ -355,7 +356,7 @@ def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     if len(i) == 0:
         return ""
     needed = max(cell.self_clearance, path.deviation)
-    # one body of a pair, as seen from the other, moves by the joints between them only
+    # seen from one body of a pair, the other is moved only by the joints between them
     spread = path.arm.pair_levers @ path.half_step * STRIDE
     doubtful = ~(pair_gaps(path.coarse_bodies, i, k, needed + spread) >= needed + spread)
     pairs = np.any(doubtful, axis=0)
@@ -372,12 +373,12 @@ def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
 
 
 def _carried(arm: ArmBodies, body: int) -> str:
-    """The mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
+    """Name the mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
     return "" if body < arm.links else f"its '{arm.covered[body - arm.links]}' "
 
 
 def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) -> str:
-    """By how much a clearance is missed [m]; ``gap`` was found at a sample, ``allowance`` is what samples may hide."""
+    """Say by how much a clearance [m] is missed; ``gap`` was found at a sample, which may hide ``allowance``."""
     if math.isnan(gap):
         return f"the distance from {what} is not a number"
     if gap < 0.0:
@@ -388,7 +389,7 @@ def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) 
 
 
 def remembered(gate: Gate) -> Gate:
-    """A gate that answers for the same bodies, from and to exactly the same positions, as it did before."""
+    """Wrap a gate with a cache: it answers once for the same bodies and exactly the same positions."""
     known: dict[tuple[object, ...], tuple[CellBodies, str]] = {}
 
     def answer(cell: CellBodies, start: Mapping[str, Array], end: Mapping[str, Array]) -> str:

@@ -1,4 +1,4 @@
-"""Why the tracker does not see an SMR, in words."""
+"""Reasons why the tracker does not see an SMR, in words."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def why_hidden(cell: CellBodies, q: Mapping[str, Array]) -> str:
-    """Reason why the tracker does not see the SMRs of all arms at one stop, arm -> q (N,) [rad]; empty if it does.
+    """Return why the tracker does not see the SMRs of all arms at one stop, arm -> q (N,) [rad]; empty if it does.
 
-    For each arm whose SMR is not seen: the first condition that is missed, what is there and what is allowed.
+    For each arm whose SMR is not seen: the first condition that fails, the actual value and the allowed one.
     """
     hidden = []
     for name in q:
@@ -38,7 +38,7 @@ def why_hidden(cell: CellBodies, q: Mapping[str, Array]) -> str:
 
 
 def _reasons(cell: CellBodies, name: str, q: Mapping[str, Array]) -> Iterator[str]:
-    """What hides the SMR of an arm, one reason after the other."""
+    """Yield what hides the SMR of an arm, one reason after the other."""
     field = cell.field
     if field is None:
         yield "the cell has no tracker"
@@ -63,7 +63,7 @@ def _reasons(cell: CellBodies, name: str, q: Mapping[str, Array]) -> Iterator[st
 def _beam_gaps(
     cell: CellBodies, name: str, placed: Mapping[str, Placed], tracker: Array
 ) -> Iterator[tuple[str, float]]:
-    """Distance of each arm's bodies from the beam to the SMR of one of them [m]."""
+    """Yield the distance [m] of each arm's bodies from the beam to the SMR of arm ``name``."""
     for other, bodies in placed.items():
         what = "its own body" if other == name else f"arm {other}"
         yield what, float(beam_clearance(tracker, placed[name].smr, bodies, own=other == name)[0])
@@ -76,7 +76,7 @@ def _in_the_beam(gap: float) -> str:
 
 
 def _out_of_sight(condition: str, field: TrackerField, sight: Sight, acceptance: float) -> str:
-    """What is there against what is allowed, for a condition that the only SMR of ``sight`` does not meet."""
+    """Compare the actual value with the allowed one, for a condition that the only SMR of ``sight`` does not meet."""
     if condition == RANGE:
         low, high = field.distance
         return f"its SMR is {sight.distance[0]:.2f} m from the tracker, allowed are {low:.4g} to {high:.4g} m"

@@ -1,7 +1,7 @@
-"""Which of many motions the gate accepts: the answers of ``refuse_motion``, without its words, computed together.
+"""The answers of ``refuse_motion`` for many motions, computed in batches and without reasons.
 
-The same samples of the same paths are held to the same distances. Together they take a third of the time: a motion
-alone spends most of it on calls for a few samples.
+The same samples of the same paths are compared with the same distances. In batches this takes a third of the time: a
+single motion spends most of it on calls for a few samples.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cellapp.cell.safety.paths import EVERY, STRIDE, SampledPath, sample_counts
 from cellapp.robot.kinematics.transforms import Array
 
 _AT_ONCE = 100
-"""Motions that are looked at together: their samples fit in the cache."""
+"""Number of motions in a batch: their samples fit in the cache."""
 
 Bools = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
@@ -30,14 +30,14 @@ Configuration = Mapping[str, Array]
 
 
 class FreeMotions:
-    """What the gate says of motions in one cell: of each once, and of many together where they are known ahead."""
+    """Cache of what the gate answers about motions in one cell; motions known in advance are checked in batches."""
 
     def __init__(self, cell: CellBodies) -> None:
         self._cell = cell
         self._known: dict[bytes, bool] = {}
 
     def ask(self, motions: Iterable[tuple[Configuration, Configuration]]) -> None:
-        """Ask about motions that are likely to be wanted."""
+        """Check motions that are likely to be needed, and cache the answers."""
         new = {key: motion for motion in motions if (key := self._key(*motion)) not in self._known}
         if new:
             q_from, q_to = (
@@ -47,7 +47,7 @@ class FreeMotions:
             self._known.update(zip(new, free_motions(self._cell, q_from, q_to).tolist(), strict=True))
 
     def free(self, here: Configuration, there: Configuration) -> bool:
-        """Whether the gate accepts a motion of all arms."""
+        """Return whether the gate accepts a motion of all arms."""
         key = self._key(here, there)
         if key not in self._known:
             self._known[key] = not refuse_motion(self._cell, here, there)
@@ -58,7 +58,7 @@ class FreeMotions:
 
 
 def free_motions(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> Bools:
-    """Whether ``refuse_motion`` is empty for each of n motions of all arms, arm -> (n, N) [rad], shape (n,).
+    """Return whether ``refuse_motion`` is empty for each of n motions of all arms, arm -> (n, N) [rad], shape (n,).
 
     Raises
     ------
@@ -76,7 +76,7 @@ def free_motions(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[st
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """Paths of an arm from ``start`` to ``target`` (n, N) [rad] with ``count`` (n,) samples, as ``SampledPath``."""
+    """Paths of an arm, as ``SampledPath``, from ``start`` to ``target`` (n, N) [rad] with ``count`` (n,) samples."""
 
     arm: ArmBodies
     start: Array
@@ -84,7 +84,7 @@ class _Paths:
     count: Numbers
 
     def take(self, rows: Numbers) -> _Paths:
-        """Some of the paths, in their order; bodies that are placed already are taken along."""
+        """Select some of the paths, in their order, with those of their bodies that are placed already."""
         if len(rows) == len(self.count):
             return self
         some = _Paths(self.arm, self.start[rows], self.target[rows], self.count[rows])
@@ -95,24 +95,24 @@ class _Paths:
         return some
 
     def one(self, row: int) -> SampledPath:
-        """A path by itself."""
+        """Return one path as a ``SampledPath``."""
         path = SampledPath(self.arm, self.start[row], self.target[row], int(self.count[row]))
         vars(path)["coarse_bodies"] = self.coarse_bodies.take(slice(*np.searchsorted(self.coarse[0], (row, row + 1))))
         return path
 
     @cached_property
     def half_step(self) -> Array:
-        """Of each path (n, N) [rad]."""
+        """Largest motion of each joint from any point to the nearest sample, for each path (n, N) [rad]."""
         return np.asarray(np.abs(self.target - self.start) * (0.5 / (self.count - 1))[:, None])
 
     @cached_property
     def deviation(self) -> Array:
-        """Of each path (n,) [m]."""
+        """Farthest that a point of any body is from where it is at the nearest sample, for each path (n,) [m]."""
         return np.asarray(self.half_step @ self.arm.levers)
 
     @cached_property
     def coarse(self) -> tuple[Numbers, Numbers]:
-        """Path and number of every ``STRIDE``-th sample and of the last one of all paths, (r,) each."""
+        """Path and index of every ``STRIDE``-th sample and of the last one of all paths, (r,) each."""
         number = -(-(self.count - 1) // STRIDE) + 1
         path = np.repeat(np.arange(len(number)), number)
         place_in_path = np.arange(len(path)) - np.repeat(np.cumsum(number) - number, number)
@@ -124,13 +124,13 @@ class _Paths:
         return self.placed(*self.coarse)
 
     def placed(self, path: Numbers, sample: Numbers) -> Placed:
-        """The bodies at some samples of some paths."""
+        """Place the bodies at some samples of some paths."""
         last = self.count[path] - 1
         share = np.where(sample == last, 1.0, sample * (1.0 / last))
         return place(self.arm, self.start[path] + share[:, None] * (self.target[path] - self.start[path]))
 
     def around(self, doubtful: Bools) -> tuple[Numbers, Numbers]:
-        """Path and number of the samples nearest to the ``doubtful`` (r,) ones of the coarse samples."""
+        """Return path and index of the samples nearest to the ``doubtful`` (r,) ones of the coarse samples."""
         path, sample = (part[doubtful] for part in self.coarse)
         near = np.clip(sample[:, None] + np.arange(-(STRIDE // 2), STRIDE // 2 + 1), 0, self.count[path, None] - 1)
         longest = int(self.count.max())
@@ -160,7 +160,7 @@ def _free(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Arra
 
 
 def _alone_is_free(cell: CellBodies, paths: _Paths) -> Numbers:
-    """Numbers of the paths on which an arm is clear of floor, ceiling, itself and obstacles."""
+    """Return indices of the paths on which an arm is clear of floor, ceiling, itself and obstacles."""
     free = np.arange(len(paths.count))
     for condition in (_keep_heights, _keep_from_themselves):
         free = free[condition(cell, paths.take(free))] if len(free) else free
@@ -198,7 +198,7 @@ def _keep_from_themselves(cell: CellBodies, paths: _Paths) -> Bools:
 
 
 def _stay_apart(first: _Paths, second: _Paths, clearance: float) -> Bools:
-    """Whether two arms keep the clearance on each of their paths, at any relative speed."""
+    """Return whether two arms keep the clearance on each pair of paths, at any relative speed."""
     needed = clearance + (EVERY + STRIDE) * (first.deviation + second.deviation)
     near = may_meet(first.coarse_bodies, first.coarse[0], second.coarse_bodies, second.coarse[0], needed)
     apart = ~near

@@ -14,13 +14,13 @@ from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array
 
 _LARGEST_BYTES = 100_000_000
-"""Two million triangles in a binary file; drawings of parts have some ten thousand."""
+"""Upper limit of the file size: two million triangles in a binary file; drawings of parts have some ten thousand."""
 _LARGEST_M = 100.0
 """Size beyond which a mesh was certainly drawn in another unit [m]."""
 
 
 def load_mesh(file: str, scale: float) -> tuple[Mesh, Array]:
-    """Read a solid from an STL file, with the place of its centre in the file's coordinates (3,) [m].
+    """Read a solid from an STL file; return it with its centre in the file's coordinates (3,) [m].
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def load_mesh(file: str, scale: float) -> tuple[Mesh, Array]:
 
 @lru_cache(maxsize=32)
 def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mesh, Array]:
-    """The solid in a file, read once for each state of the file."""
+    """Read the solid in a file; the cache reads it once for each state of the file."""
     try:
         import fcl  # noqa: F401
         import trimesh
@@ -57,7 +57,7 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
         data = Path(file).read_bytes()
         if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):
             data.decode()  # then it must be text
-        with np.errstate(invalid="ignore", over="ignore"):  # numbers of bad files are looked at below
+        with np.errstate(invalid="ignore", over="ignore"):  # bad numbers are checked below
             read = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); give the path of an STL file") from None

@@ -1,4 +1,4 @@
-"""Solids bounded by triangle meshes, their distances by FCL, which comes with the extra ``meshes``. Metres."""
+"""Solids bounded by triangle meshes; their distances are computed by FCL, part of the extra ``meshes``. Metres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.cell.safety.shapes import distance_of_boxes
 from cellapp.robot.kinematics.transforms import Array
 
 _AT_ONCE = 1_000_000
-"""Pairs of a point and a triangle at once: some 100 MB."""
+"""Pairs of a point and a triangle in a batch: some 100 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Mesh:
     vertices : array, shape (v, 3)
         [m].
     faces : array, shape (f, 3), int
-        Indices into ``vertices``, in the same sense of rotation all over.
+        Indices into ``vertices``, with the same winding for all triangles.
     """
 
     vertices: Array
@@ -37,11 +37,11 @@ class Mesh:
         return np.asarray(np.abs(self.vertices).max(axis=0))
 
     def lower_bound(self, start: Array, end: Array) -> Array:
-        """Distances (...) [m] of the boxes about segments with ends (..., 3) from the bounding box."""
+        """Compute distances (...) [m] from the bounding box to the bounding boxes of segments with ends (..., 3)."""
         return distance_of_boxes(self.half, start, end)
 
     def segment_distance(self, start: Array, end: Array) -> Array:
-        """Distances (t,) [m] of segments with ends (t, 3); zero where they meet the solid, NaN where an end is NaN."""
+        """Compute distances (t,) [m] of segments with ends (t, 3); zero where they meet the solid, NaN for NaN."""
         distances = np.full(len(start), np.nan)
         for row in np.flatnonzero(np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1)):
             distances[row] = self._surface_distance(start[row], end[row])
@@ -52,18 +52,18 @@ class Mesh:
 
     @cached_property
     def _surface(self) -> Any:
-        """The surface as FCL's tree of boxes."""
+        """The surface as FCL's bounding volume hierarchy."""
         return _collision_object(self.vertices, self.faces)
 
     def _surface_distance(self, start: Array, end: Array) -> float:
-        """Distance [m] of a segment from the surface: a triangle without area, whose distances FCL finds exactly."""
+        """Compute the distance [m] of a segment from the surface as a triangle without area: there FCL is exact."""
         import fcl
 
         segment = _collision_object(np.array([start, 0.5 * (start + end), end]), np.array([[0, 1, 2]]))
         return max(float(fcl.distance(self._surface, segment)), 0.0)
 
     def _contains(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (t, 3) are inside, by the solid angle that the surface fills as seen from them.
+        """Return whether points (t, 3) are inside, by the solid angle of the surface as seen from them.
 
         Source: Van Oosterom, Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
         """

@@ -1,4 +1,4 @@
-"""How near arms are to each obstacle where they stand: their bases, and all that moves at one position."""
+"""Distances of arms at rest from each obstacle: of their bases, and of all that moves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class ObstacleClearance:
-    """One arm beside one obstacle of the cell.
+    """Distances of one arm from one obstacle of the cell.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class ObstacleClearance:
     moving : float
         Least distance of the bodies that are checked against it [m]; infinite without any.
     asked : float
-        The distance that those keep [m].
+        The distance that these must keep [m].
     """
 
     obstacle: str

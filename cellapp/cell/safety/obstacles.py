@@ -1,4 +1,4 @@
-"""Obstacles with their poses: distances to capsules, with a bound first that spares most exact ones. Metres."""
+"""Obstacles with their poses, and their distances to capsules: cheap lower bounds avoid most exact ones. Metres."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ class Obstacle:
 
     @cached_property
     def reach(self) -> Array:
-        """Half the sizes of its box along the axes of the frame that the pose is given in, (3,) [m]."""
+        """Half the sizes, (3,) [m], of its bounding box along the axes of the frame in which the pose is given."""
         return np.asarray(np.abs(self.pose[:3, :3]) @ self.shape.half)
 
     def moved(self, T_A_B: Array) -> Obstacle:
-        """The obstacle with its pose in frame A instead of B."""
+        """Return the obstacle with its pose in frame A instead of B."""
         return Obstacle(self.name, self.shape, T_A_B @ self.pose, self.base_of)
 
     def far(self, low: Array, high: Array, distance: float) -> bool:
-        """Whether all points between the corners ``low`` and ``high`` (3,) are farther than ``distance`` [m]."""
+        """Return whether all points between the corners ``low`` and ``high`` (3,) are farther than ``distance`` [m]."""
         centre = self.pose[:3, 3]
         apart = np.maximum(low - centre, centre - high) - self.reach
         return bool(np.max(apart) > distance)
 
     def gaps(self, start: Array, end: Array, radius: Array | float, within: Array | float) -> Array:
-        """Distances [m] of capsules from the obstacle; zero or negative where they meet it.
+        """Compute distances [m] of capsules from the obstacle; zero or negative where they meet it.
 
         Parameters
         ----------
         start, end : array, shape (..., 3)
-            Ends of the capsules' axes in the frame that the pose is given in [m].
+            Ends of the capsules' axes, in the frame in which the pose is given [m].
         radius : array that broadcasts to (...)
             [m].
         within : array that broadcasts to (...)
-            Distances above this one may be given too small, though not below it [m].
+            Distances above this one may be underestimated, but not below it [m].
 
         Returns
         -------
@@ -72,7 +72,7 @@ class Obstacle:
 
 
 def box_about(start: Array, end: Array, radius: Array) -> tuple[Array, Array]:
-    """Corners (3,) of the box along the axes that holds all capsules: ends (n, m, 3), radius (m,) [m]."""
+    """Compute the corners (3,) of the bounding box of all capsules: ends (n, m, 3), radius (m,) [m]."""
     thickness = radius[:, None]
     low = (np.minimum(start.min(axis=0), end.min(axis=0)) - thickness).min(axis=0)
     high = (np.maximum(start.max(axis=0), end.max(axis=0)) + thickness).max(axis=0)
@@ -80,9 +80,9 @@ def box_about(start: Array, end: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def beam_gaps(obstacles: Sequence[Obstacle], source: Array, target: Array, within: float) -> Array:
-    """Smallest distance (n,) [m] of the beams from ``source`` (3,) to ``target`` (n, 3) from any obstacle.
+    """Compute the smallest distance (n,) [m] of the beams from ``source`` (3,) to ``target`` (n, 3) from any obstacle.
 
-    Distances above ``within`` [m] may be given too small, though not below it. Infinite without obstacles.
+    Distances above ``within`` [m] may be underestimated, but not below it. Infinite without obstacles.
     """
     gaps = np.full(len(target), np.inf)
     for obstacle in obstacles:

@@ -1,4 +1,4 @@
-"""The gate for paths that one arm follows, or several at once, while the others rest."""
+"""The gate for paths that one arm follows, or several simultaneously, while the others rest."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _CHORD_RAD = 0.05
 def refuse_path(
     cell: CellBodies, name: str, q: Array, others: Mapping[str, Array], s: Array, gate: Gate = refuse_motion
 ) -> str:
-    """Why arm ``name`` must not follow ``q`` (m, N) [rad] while the ``others`` rest; empty if it may.
+    """Return why arm ``name`` must not follow ``q`` (m, N) [rad] while the ``others`` rest; empty if it may.
 
-    As ``refuse_paths``; ``s`` (m,) are arc lengths [m], for the words.
+    As ``refuse_paths``; ``s`` (m,) are arc lengths [m], for the message.
     """
     row, refusal = refuse_paths(cell, {name: q}, others, gate)
     return f"at {s[row] * 1e3:.0f} mm: {refusal}" if refusal else ""
@@ -34,12 +34,12 @@ def refuse_paths(
     gate: Gate = refuse_motion,
     apart_m: float = 0.0,
 ) -> tuple[int, str]:
-    """The first row at which arms must not follow ``paths``, arm -> (m, N) [rad], all at the same row at the same time,
-    while the ``others`` rest, and why; an empty text if they may.
+    """Return the first row at which arms must not follow ``paths``, arm -> (m, N) [rad], all at the same row at the
+    same time while the ``others`` rest, and why; an empty reason if they may.
 
-    The gate checks straight motions in joint space between samples of the paths, in which every arm may be anywhere on
-    its own; what the paths are beside them is added to the clearance. ``apart_m`` is added to the distance of arms from
-    each other: so far the arms may be from where all of them are at one row [m].
+    The gate checks straight motions in joint space between samples of the paths, each arm at any relative speed; the
+    deviation of the paths from these motions is added to the clearance. ``apart_m`` is added to the distance between
+    arms: so far they may deviate from all being at one row [m].
     """
     if not all(np.isfinite(q).all() for q in paths.values()):
         return 0, "a joint position of the path is not a finite number"
@@ -58,6 +58,6 @@ def refuse_paths(
 
 
 def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:
-    """Largest distance of each joint (N,) [rad] from the straight motions between ``rows`` of ``q`` (m, N)."""
+    """Compute each joint's largest deviation (N,) [rad] from straight motions between ``rows`` of ``q`` (m, N)."""
     chords = rows_at(travelled, travelled[rows], q[rows])
     return np.asarray(np.abs(q - chords).max(axis=0))

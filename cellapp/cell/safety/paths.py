@@ -1,4 +1,4 @@
-"""Paths of arms as samples, with bounds on how far a body can be from its nearest sample."""
+"""Paths of arms as samples, with bounds on how far a body can be from its position at the nearest sample."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ EVERY = 2
 """Stride of the samples that are checked against other arms, where all pairs of samples are compared. Other checks use
 all samples. The coarser spacing is added to the clearance."""
 STRIDE = 8
-"""Stride of the samples that are looked at first, a multiple of 2 * ``EVERY``."""
+"""Stride of the coarse samples, which are checked first; a multiple of 2 * ``EVERY``."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledPath:
     """Evenly spaced samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest.
 
-    Most of a path is far from everything. Every ``STRIDE``-th sample is looked at first; the samples around it are
-    placed only where a body, displaced as far as it can be there, could come too near.
+    Most of a path is far from everything. Therefore every ``STRIDE``-th sample is checked first. Bodies are placed at
+    the samples around it only where a body, displaced as far as possible, could come too near.
     """
 
     arm: ArmBodies
@@ -38,7 +38,7 @@ class SampledPath:
 
     @cached_property
     def deviation(self) -> float:
-        """Farthest that a point of any body is from where it is at the nearest sample [m]."""
+        """Largest displacement of any point of a body relative to its place at the nearest sample [m]."""
         return float(self.half_step @ self.arm.levers)
 
     @cached_property
@@ -48,12 +48,12 @@ class SampledPath:
 
     @property
     def spread(self) -> float:
-        """Farthest that a point of a body at any sample is from where it is at the nearest coarse sample [m]."""
+        """Largest displacement of a point of a body at a sample relative to the nearest coarse sample [m]."""
         return STRIDE * self.deviation
 
     @cached_property
     def coarse(self) -> np.ndarray:
-        """Every ``STRIDE``-th sample and the last one."""
+        """Indices of every ``STRIDE``-th sample and of the last one."""
         return np.append(np.arange(0, self.count - 1, STRIDE), self.count - 1)
 
     @cached_property
@@ -62,12 +62,12 @@ class SampledPath:
         return self.placed(self.coarse)
 
     def placed(self, samples: np.ndarray) -> Placed:
-        """The bodies at some of the samples."""
+        """Place the bodies at some of the samples."""
         share = np.where(samples == self.count - 1, 1.0, samples * (1.0 / (self.count - 1)))
         return place(self.arm, self.start + share[:, None] * (self.target - self.start))
 
     def around(self, doubtful: np.ndarray, every: int = 1) -> np.ndarray:
-        """Of every ``every``-th sample, those nearest to the ``doubtful`` ones (bool) of the coarse samples."""
+        """Return, of every ``every``-th sample, those nearest to the ``doubtful`` ones (bool) of the coarse samples."""
         near = self.coarse[doubtful][:, None] + np.arange(-(STRIDE // 2), STRIDE // 2 + 1)
         chosen = np.zeros(self.count, dtype=bool)
         chosen[np.clip(near, 0, self.count - 1)] = True
@@ -80,6 +80,6 @@ def sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> 
 
 
 def sample_counts(arm: ArmBodies, start: Array, target: Array, spacing: float) -> NDArray[np.intp]:
-    """Number of samples (n,) of n such paths."""
+    """Return the number of samples (n,) of n such paths."""
     longest = np.abs(target - start) @ arm.levers
     return np.asarray(EVERY * np.maximum(1, np.ceil(longest / spacing)) + 1, dtype=np.intp)

@@ -1,8 +1,8 @@
-"""Paths that arms follow at once: how far they may be from where all of them are at one place of their paths.
+"""Paths that arms follow simultaneously, and how far the arms are from being at the same row of them.
 
-Each controller keeps a time of its own: one arm may set out a little later than another, or fall behind. The gate
-accepts paths of several arms with a margin (``allowed_apart_m``); while they move, what they are apart is computed from
-their joints (``PathsAtOnce.apart_m``), and more than ``MOST_APART_M`` of it is a doubt, which stops all arms.
+Each controller has its own clock: one arm may start a little later than another, or fall behind. The gate accepts paths
+of several arms with a margin (``allowed_apart_m``). While they move, the deviation from the same row is computed from
+their joints (``PathsAtOnce.apart_m``); more than ``MOST_APART_M`` is a doubt, which stops all arms.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.transforms import Array
 
 MOST_APART_M = 0.05
-"""What arms may be apart before all of them are stopped [m]."""
+"""Deviation of the arms from the same row at which all of them are stopped [m]."""
 LOOK_S = 0.1
-"""Longest wait for one arm before all are looked at."""
+"""Longest wait for one arm before the states of all are read."""
 _REACTION_S = 0.5
-"""In this time what they are apart is seen, and the arms are braked: two waits, an old state, a way to come to rest."""
+"""Time to detect the deviation and to brake the arms: two waits, an old state, the braking itself."""
 
 
 def allowed_apart_m(cell: CellBodies, paths: Mapping[str, Array], period_s: float) -> float:
-    """How far the arms of ``paths``, arm -> (m, N) [rad], one row each ``period_s`` [s], may come to be from where all
-    of them are at one row [m]; 0 for one arm.
+    """Compute how far the arms of ``paths``, arm -> (m, N) [rad], one row each ``period_s`` [s], may deviate from all
+    being at one row [m]; 0 for one arm.
 
-    When of two arms one is late, either it or the other is off its place; so the slower one counts.
+    If one of two arms is late, either may be taken as the one off its place; so the slower one counts.
     """
     if len(paths) < 2:
         return 0.0
@@ -38,19 +38,19 @@ def allowed_apart_m(cell: CellBodies, paths: Mapping[str, Array], period_s: floa
 
 @dataclass(frozen=True, eq=False)
 class PathsAtOnce:
-    """Paths of several arms, arm -> (m, N) [rad], of one time for each row."""
+    """Paths of several arms, arm -> (m, N) [rad]; all arms are to be at the same row at the same time."""
 
     cell: CellBodies
     paths: Mapping[str, Array]
 
     def apart_m(self, q: Mapping[str, Array]) -> float:
-        """How far arms at ``q`` (arm -> (N,) [rad]) are from where all of them are at one row, at most [m]."""
+        """Compute how far arms at ``q`` (arm -> (N,) [rad]) are at most from all being at one row [m]."""
         off = [np.abs(path - q[name]) @ self.cell.arms[name].levers for name, path in self.paths.items()]
         return float(np.sum(off, axis=0).min())
 
 
 def on_rows(q: Array, period_s: float, wanted_s: float) -> Array:
-    """A path ``q`` (m, N) with a row each ``period_s`` [s] as one with a row each ``wanted_s`` [s]."""
+    """Resample a path ``q`` (m, N) from a row each ``period_s`` [s] to a row each ``wanted_s`` [s]."""
     if period_s == wanted_s:
         return q
     time_s = np.arange(len(q)) * period_s
@@ -59,6 +59,6 @@ def on_rows(q: Array, period_s: float, wanted_s: float) -> Array:
 
 
 def equally_long(paths: Mapping[str, Array]) -> dict[str, Array]:
-    """Paths (m, N) of arms of which those that end earlier rest at their ends."""
+    """Extend the paths (m, N) of arms that end earlier: these rest at their ends."""
     rows = max(map(len, paths.values()))
     return {name: np.concatenate([q, np.repeat(q[-1:], rows - len(q), axis=0)]) for name, q in paths.items()}

@@ -11,9 +11,9 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array
 
 _BISECTIONS = 32
-"""Halvings of a segment in the search for its point nearest to a cylinder: to 1e-9 m for segments of some metres."""
+"""Bisection steps in the search for the point of a segment nearest to a cylinder: to 1e-9 m for segments of metres."""
 _LEAST_SLOPE_M = 1e-12
-"""A segment that advances less than this along an axis is taken as not advancing [m]."""
+"""Least component of a segment along an axis [m]; smaller ones count as zero."""
 
 
 class Shape(Protocol):
@@ -24,10 +24,10 @@ class Shape(Protocol):
         """Half the sizes of its bounding box about the origin, shape (3,) [m]."""
 
     def lower_bound(self, start: Array, end: Array) -> Array:
-        """Bounds (...) [m] below the distances of segments with ends (..., 3), quick to find; NaN where an end is."""
+        """Compute quick lower bounds (...) [m] of the distances of segments with ends (..., 3); NaN where an end is."""
 
     def segment_distance(self, start: Array, end: Array) -> Array:
-        """Distances (t,) [m] of segments with ends (t, 3) from the solid; zero or negative where they meet it.
+        """Compute distances (t,) [m] of segments with ends (t, 3) from the solid; zero or negative where they meet it.
 
         Never more than the true distance, beyond rounding. NaN where an end is NaN.
         """
@@ -54,11 +54,11 @@ class RoundedBox:
         return self.core + self.radius
 
     def lower_bound(self, start: Array, end: Array) -> Array:
-        """Distances (...) [m] of the boxes about segments with ends (..., 3)."""
+        """Compute distances (...) [m] of the bounding boxes of segments with ends (..., 3)."""
         return distance_of_boxes(self.core, start, end) - self.radius
 
     def segment_distance(self, start: Array, end: Array) -> Array:
-        """Distances (t,) [m] of segments with ends (t, 3); exact outside, -radius inside the core.
+        """Compute distances (t,) [m] of segments with ends (t, 3); exact outside, -radius inside the core.
 
         The squared distance from the box is convex and piecewise quadratic along a segment, with breakpoints where a
         coordinate leaves the box: between two of them the derivative is linear, and its zero is the nearest point.
@@ -71,7 +71,7 @@ class RoundedBox:
         np.clip((-self.core - start) / slope, 0.0, 1.0, out=t[:, 5:8])
         derivative = np.einsum("tia,ta->ti", self._outside(start[:, None] + t[..., None] * u[:, None]), u)
         rows = np.arange(len(u))
-        before = np.argmax(np.where(derivative <= 0.0, t, -1.0), axis=1)  # place 0, which is t = 0, if there is none
+        before = np.argmax(np.where(derivative <= 0.0, t, -1.0), axis=1)  # index 0, which is t = 0, if there is none
         after = np.argmin(np.where(derivative > 0.0, t, 2.0), axis=1)
         low, high = derivative[rows, before], derivative[rows, after]
         rising = high > np.maximum(low, 0.0)
@@ -81,7 +81,7 @@ class RoundedBox:
         return np.asarray(gap - self.radius)
 
     def _outside(self, points: Array) -> Array:
-        """From the nearest point of the box to each of ``points`` (..., 3)."""
+        """Return the vectors from the nearest point of the box to each of ``points`` (..., 3)."""
         return points - np.clip(points, -self.core, self.core)
 
 
@@ -98,7 +98,7 @@ class Cylinder:
         return np.array([self.radius, self.radius, self.half_length])
 
     def lower_bound(self, start: Array, end: Array) -> Array:
-        """Least distances (...) [m] across and along the axis, each for itself, of segments with ends (..., 3)."""
+        """Combine least distances (...) [m] across and along the axis, each by itself, for segments (..., 3)."""
         x, y = start[..., 0], start[..., 1]
         ux, uy = end[..., 0] - x, end[..., 1] - y
         t = np.clip(-(x * ux + y * uy) / np.maximum(ux * ux + uy * uy, _LEAST_SLOPE_M**2), 0.0, 1.0)
@@ -107,10 +107,10 @@ class Cylinder:
         return np.hypot(radial, np.maximum(np.maximum(low, -high) - self.half_length, 0.0))
 
     def segment_distance(self, start: Array, end: Array) -> Array:
-        """Distances (t,) [m] of segments with ends (t, 3), from below to about 1e-9 m; zero inside.
+        """Compute distances (t,) [m] of segments with ends (t, 3), at most about 1e-9 m too small; zero inside.
 
         The squared distance from a convex solid is convex along a segment: its derivative is bisected. A distance
-        changes by no more than the way along the segment, hence the bound.
+        changes by no more than the path length along the segment, hence the bound.
         """
         (x, y, z), (ux, uy, uz) = start.T, (end - start).T
         low, high = np.zeros(len(start)), np.ones(len(start))
@@ -128,12 +128,12 @@ class Cylinder:
         return np.asarray(np.maximum(np.minimum(*ends) - 0.5 * (high - low) * length, 0.0))
 
     def _point_distance(self, points: Array) -> Array:
-        """Distances (t,) [m] of points (t, 3); zero inside."""
+        """Compute distances (t,) [m] of points (t, 3); zero inside."""
         radial = np.maximum(np.hypot(points[:, 0], points[:, 1]) - self.radius, 0.0)
         return np.hypot(radial, np.maximum(np.abs(points[:, 2]) - self.half_length, 0.0))
 
 
 def distance_of_boxes(half: Array, start: Array, end: Array) -> Array:
-    """Distances (...) [m] of the box about the origin with half sizes (3,) from those about segments (..., 3)."""
+    """Compute distances (...) [m] from the box about the origin with half sizes (3,) to those of segments (..., 3)."""
     apart = np.maximum(np.maximum(np.minimum(start, end), -np.maximum(start, end)) - half, 0.0)
     return np.asarray(np.sqrt(np.einsum("...a,...a->...", apart, apart)))

@@ -1,4 +1,4 @@
-"""What the tracker sees: an SMR from the tracker, and the conditions under which it can be measured, one by one."""
+"""How the tracker sees an SMR, and each condition under which it can be measured."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cellapp.cell.safety.bodies import Placed
 from cellapp.robot.kinematics.transforms import Array
 
 _ACCEPTANCE_MARGIN = math.radians(3.0)
-"""Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
+"""Subtracted from the SMR's acceptance angle, as base and flange are not known exactly before calibration."""
 
 RANGE, AZIMUTH, ELEVATION, FACING = "range", "azimuth", "elevation", "facing"
-"""Conditions on an SMR without regard to bodies."""
+"""Names of the conditions on an SMR that do not depend on bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +54,21 @@ class Sight:
 
 
 def sight_of(T_C_M: Array, placed: Placed) -> Sight:
-    """The SMRs of an arm at n configurations from the tracker at ``T_C_M`` (4, 4)."""
+    """Compute how the tracker at ``T_C_M`` (4, 4) sees the SMRs of an arm at n configurations."""
     from_tracker = placed.smr - T_C_M[:3, 3]
     distance = np.linalg.norm(from_tracker, axis=1)
-    with np.errstate(invalid="ignore"):  # an SMR at the tracker: NaN is not seen
+    with np.errstate(invalid="ignore"):  # an SMR at the tracker gives NaN, which counts as not seen
         cosine = -np.einsum("na,na->n", from_tracker, placed.normal) / distance
     return Sight((from_tracker @ T_C_M[:3, :3]).T, distance, cosine)
 
 
 def usable_acceptance(acceptance: float) -> float:
-    """Largest incidence that is planned for an SMR with half the acceptance angle ``acceptance`` [rad]."""
+    """Return the largest incidence that is planned for an SMR with half the acceptance angle ``acceptance`` [rad]."""
     return max(0.0, acceptance - _ACCEPTANCE_MARGIN)
 
 
 def sight_conditions(field: TrackerField, acceptance: float, sight: Sight) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Each condition on the SMRs and where it holds, shape (n): distance, directions, incidence. NaN does not hold."""
+    """Yield each condition on the SMRs and where it holds, shape (n): distance, directions, incidence. NaN fails."""
     low, high = field.distance
     yield RANGE, (sight.distance >= low) & (sight.distance <= high)
     left, right = field.azimuth

@@ -30,7 +30,7 @@ class Approaches:
         return len(self.dwells)
 
     def first(self, poses: int) -> Approaches:
-        """Those of the first poses."""
+        """Return the approaches to the first ``poses`` poses."""
         return Approaches(self.steps[:poses], self.dwells)
 
     def needed_for(self, variables: Collection[DriverVariable]) -> Approaches:
@@ -45,7 +45,7 @@ class Approaches:
 
 
 def all_approaches(poses: int, joints: int, rng: np.random.Generator) -> Approaches:
-    """Each of 12 last steps with each dwell.
+    """Combine each of 12 last steps with each dwell.
 
     Signs: all joints forward, all backward, two opposite mixtures. Sizes: small, large, mixed.
     """

@@ -26,15 +26,15 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
 _MEMORY_BYTES = 3e8
-"""For the candidates' columns of one arm: a share that leaves room on a machine of 2 GB."""
+"""Memory for the candidates' columns of one arm: a share that leaves room on a machine of 2 GB."""
 _BYTES_A_COLUMN = 2 * 3 * 8
-"""Three coordinates in double precision of each column at each candidate; a discrimination holds it twice."""
+"""Memory of one column at one candidate: three coordinates in double precision, held twice by a discrimination."""
 _LEAST_POSES = 20
-"""Poses that are kept whatever the memory: fewer would leave no choice."""
+"""Number of poses that are kept whatever the memory: fewer would leave no choice."""
 _TYPICAL_DWELL_S = 0.7
-"""Rest before a measurement [s] where a run has logged none: the settling time of the profiles' arms."""
+"""Rest before a measurement [s] if a run has logged none: the settling time of the arms in the profiles."""
 _LAST_READINGS = 5
-"""Readings whose mean stands for the present joint temperatures."""
+"""Number of readings whose mean stands for the current joint temperatures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class RunConditions:
     name : str
     other : (str, ArmModel), optional
         Name and model of the other arm.
-    known : MeasurementConditions
+    conditions : MeasurementConditions
         Of the readings of the run.
     count : int
         Number of further stops.
@@ -65,7 +65,7 @@ class RunConditions:
         approach: NDArray[np.intp],
         load_kg: Array | None = None,
     ) -> tuple[Array, MeasurementConditions]:
-        """Configurations (m, N) [rad] and expected conditions of candidates; ``load_kg`` replaces the payload."""
+        """Return configurations (m, N) [rad] and conditions of candidates; ``load_kg`` replaces the payload."""
         m, conditions = len(pose), self.conditions
         steps = approaches.steps[pose, approach]
         moment = other_q = None
@@ -91,19 +91,19 @@ class RunConditions:
         )
 
     def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, MeasurementConditions]:
-        """Configurations and expected conditions of all candidates, pose by pose."""
+        """Return configurations and expected conditions of all candidates, pose by pose."""
         pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
         return self.candidates(poses, approaches, pose, approach)
 
     def _shortest_dwell_s(self) -> float:
-        """Rest before a measurement where no more is asked for."""
+        """Return the rest before a measurement where no longer one is required."""
         dwell_s = self.conditions.dwell_s
         if dwell_s is None or not np.isfinite(dwell_s).any():
             return _TYPICAL_DWELL_S
         return float(np.nanmin(dwell_s))
 
     def _times(self, m: int) -> Array | None:
-        """Middle of the time in which the further stops will be measured, at the pace of the run."""
+        """Return the middle of the time in which the further stops will be measured, at the pace of the run."""
         time_s = self.conditions.time_s
         if time_s is None or not np.isfinite(time_s).any():
             return None
@@ -113,7 +113,7 @@ class RunConditions:
 
 
 def last_known(values: Array | None, m: int) -> Array | None:
-    """The last known value for m stops; of several channels (temperatures) the mean over the last readings."""
+    """Return the last known value for m stops; of several channels (temperatures) the mean over the last readings."""
     if values is None:
         return None
     rows = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
@@ -147,7 +147,7 @@ class ArmHypotheses:
         effort: Effort,
         rng: np.random.Generator,
     ) -> ArmHypotheses:
-        """From the outcome of discovery in the arm's readings."""
+        """Derive the hypotheses from the outcome of discovery in the arm's readings."""
         arm = profile.arms[name]
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
         rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
@@ -166,7 +166,7 @@ class ArmHypotheses:
 
     @property
     def variables(self) -> frozenset[DriverVariable]:
-        """All that the hypotheses' models depend on."""
+        """All variables that the hypotheses' models depend on."""
         return frozenset[DriverVariable]().union(*(one.variables for one in self.hypotheses))
 
 
@@ -193,7 +193,7 @@ class ArmCandidates:
 
     @classmethod
     def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
-        """Set up the discriminations over all candidates; steps must start inside the joint limits."""
+        """Set up the discriminations over all candidates; last steps must start inside the joint limits."""
         approaches = arm.approaches.first(len(poses))
         start = poses.q[arm.run.name][:, None] - approaches.steps
         low, high = arm.limits.T
@@ -209,17 +209,17 @@ class ArmCandidates:
 
     @property
     def name(self) -> str:
-        """Of the arm."""
+        """Name of the arm."""
         return self.run.name
 
     def restart(self, chosen: Iterable[tuple[int, int]]) -> None:
-        """Begin the designs anew with some candidates (pose, approach)."""
+        """Restart the designs with some candidates (pose, approach)."""
         self.designs = [(one, each.start_design()) for one, comparison in self.comparisons for each in comparison]
         for pose, approach in chosen:
             self.add(pose, approach)
 
     def gains(self, stops_left: int) -> Array:
-        """Gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
+        """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
         if not self.designs:
             return np.where(self.allowed, 0.0, -math.inf)
         needed = [one.needed for one, _ in self.designs]
@@ -233,17 +233,17 @@ class ArmCandidates:
         self.allowed[pose, approach] = False
 
     def start_of_last_step(self, poses: CandidatePoses, pose: int, approach: int) -> Array | None:
-        """Where the last step to a candidate begins (N,) [rad]; None without one."""
+        """Return where the last step to a candidate begins (N,) [rad]; None if it has none."""
         step = self.approaches.steps[pose, approach]
         return poses.q[self.name][pose] - step if step.any() else None
 
     def stop_conditions(self, poses: CandidatePoses, pose: int, approach: int) -> StopConditions:
-        """Approach and dwell that the collection has to realise at a candidate."""
+        """Return approach and dwell that the collection has to realise at a candidate."""
         return StopConditions(self.start_of_last_step(poses, pose, approach), float(self.approaches.dwells[approach]))
 
 
 def _decidable(comparison: list[Discrimination], needed: float, count: int) -> list[Discrimination]:
-    """Without laws that contain the effect itself (dry friction is backlash), unless there are no others."""
+    """Drop laws that contain the effect itself (as dry friction contains backlash), unless all do."""
     decidable = []
     for one in comparison:
         design = one.start_design()

@@ -15,7 +15,7 @@ from cellapp.robot.effects import EFFECTS, EffectContext, Law, MeasurementCondit
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_JOINED = 200
-"""Further stops that are joined to the run, spread evenly: enough to show which factors vary among them."""
+"""Number of further stops, evenly spread, that are joined to the run: enough to show which factors vary among them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class CandidateDesign:
 
     @classmethod
     def of(cls, data: ArmData, fit: JointFit, q: Array, conditions: MeasurementConditions) -> CandidateDesign:
-        """At configurations ``q`` (m, N) [rad] under ``conditions``."""
+        """Set up at configurations ``q`` (m, N) [rad] under ``conditions``."""
         model, found = fit.model, fit.identification
         true_q = model.true_joints(q, conditions=conditions) if model.effects else None
         context = replace(model.context(q, conditions=conditions), q_actual=true_q)
@@ -50,18 +50,18 @@ class CandidateDesign:
         return cls(context, white, linear.by_joint, linear.rows)
 
     def rows(self, slug: str, law: Law, names: Sequence[str]) -> Array:
-        """Whitened columns (k, 3 m) of a law."""
+        """Compute the whitened columns (k, 3 m) of a law."""
         found = {column.name: column for column in EFFECTS[slug].columns(self.context, law, frozenset(names))}
         return whitened_displacements([found[name] for name in names], self.by_joint, self.white)
 
     @staticmethod
     def by_stop(rows: Array) -> Array:
-        """Rows (p, 3 m), ordered by coordinate and then by stop, as (p, m, 3)."""
+        """Reshape rows (p, 3 m), ordered by coordinate and then by stop, to (p, m, 3)."""
         return rows.reshape(len(rows), 3, -1).transpose(0, 2, 1)
 
 
 def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
-    """Uncertainty of further readings: the run's mean variances along the beam and across it, in their directions.
+    """Predict the uncertainty of further readings: the run's mean variances along their beams and across them.
 
     Further stops count as positions alone, also where the run has orientations.
     """
@@ -76,14 +76,14 @@ def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
 
 
 def _beam_frame(context: EffectContext) -> Array:
-    """Unit vectors along the beam, horizontally across it and upward across it as columns, (n, 3, 3)."""
+    """Return unit vectors along the beam, horizontally across it and upward across it as columns, (n, 3, 3)."""
     _, beam = context.beam
     _, _, horizontal, upward = context.across
     return np.stack([beam, horizontal, upward], axis=2)
 
 
 def joined_context(data: ArmData, q: Array, conditions: MeasurementConditions) -> EffectContext:
-    """The run and some of the further stops (configurations, conditions) as one context."""
+    """Join the run and some of the further stops (configurations, conditions) in one context."""
     rows = np.arange(len(q))[:: max(1, len(q) // _MOST_JOINED)]
     joined = _joined_conditions(data.conditions, len(data), conditions.take(rows), len(rows))
     return data.model.context(np.concatenate([data.readings.q, q[rows]]), conditions=joined)
@@ -92,7 +92,7 @@ def joined_context(data: ArmData, q: Array, conditions: MeasurementConditions) -
 def _joined_conditions(
     first: MeasurementConditions, n: int, second: MeasurementConditions, m: int
 ) -> MeasurementConditions:
-    """Conditions of n stops and of m further ones; NaN in the rows of those that lack a quantity."""
+    """Join the conditions of n stops and of m further ones; NaN in the rows of those that lack a quantity."""
     joined: dict[str, Any] = {"record": first.record}
     for entry in fields(MeasurementConditions):
         values = [getattr(first, entry.name), getattr(second, entry.name)]

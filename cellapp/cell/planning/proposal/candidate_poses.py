@@ -19,14 +19,14 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _NEIGHBOURS = 7
-"""Other poses (and home) from which a pose is tried to be reached on a straight motion."""
+"""Number of other poses (besides home) from which a straight motion to a pose is checked."""
 _LEAST_REACHED_FROM = 3
 """Number of these motions that must be free: an isolated pose (above the floor, folded) rarely fits into an order."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How many candidates a proposal is chosen from; its time grows in proportion.
+    """The number of candidates from which a proposal is chosen; its time grows in proportion.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Effort:
     rolls : int
         Copies of each with other angles of the last joint, which rotate the SMR with little motion.
     candidates : int
-        Poses times approaches of one arm.
+        Upper limit of poses times approaches of one arm.
     """
 
     drawn: int = 280
@@ -71,7 +71,7 @@ class CandidatePoses:
         return len(self.posture)
 
     def first(self, count: int) -> CandidatePoses:
-        """The first ``count`` poses."""
+        """Return the first ``count`` poses."""
         return replace(self, q={name: q[:count] for name, q in self.q.items()}, posture=self.posture[:count])
 
 
@@ -82,7 +82,7 @@ def candidate_poses(
     rng: np.random.Generator,
     cancel: CancelToken,
 ) -> tuple[CandidatePoses, list[str]]:
-    """Poses drawn in the cell that the profile describes, else configurations that were measured; and notes.
+    """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
     Raises
     ------
@@ -138,5 +138,5 @@ def _within_reach(gate: CellBodies, name: str, q: Array, home: Array) -> NDArray
 
 
 def alone(gate: CellBodies, name: str) -> CellBodies:
-    """The cell with one arm only."""
+    """Return the cell with one arm only."""
     return replace(gate, arms={name: gate.arms[name]})

@@ -1,8 +1,8 @@
 """Hypotheses for further stops to decide between: one effect or another, or an effect or none.
 
-Each is compared by T-optimality (see ``estimation.design.discrimination``): the effect with its fitted values is
-the true model, the rival model is geometry, the other accepted effects and, where there is one, the other effect by any
-of its laws.
+Each is judged by T-optimality (see ``estimation.design.discrimination``). The true model has the effect with its fitted
+values. The rival model has geometry, the other accepted effects and, if there is a rival effect, this by any of its
+laws.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class RivalLaw:
-    """A law of the other effect with the columns that may imitate the first."""
+    """A law of the rival effect with those of its columns that may imitate the first effect."""
 
     law: Law
     names: tuple[str, ...]
@@ -66,12 +66,12 @@ class Hypothesis:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The one or two effects that it compares."""
+        """The one or two effects that are compared."""
         return (self.effect, self.against) if self.against else (self.effect,)
 
     @property
     def variables(self) -> frozenset[DriverVariable]:
-        """All that either model depends on."""
+        """All variables that either model depends on."""
         slugs = [*self.effects, *(term.slug for term in self.fit.terms)]
         return frozenset().union(*(EFFECTS[slug].variables for slug in slugs))
 
@@ -82,7 +82,7 @@ class Hypothesis:
         return columns * max(len(self.rivals), 1)
 
     def discriminations(self, design: CandidateDesign) -> list[Discrimination]:
-        """One discrimination for each law of the rival, over candidate stops."""
+        """Set up one discrimination for each law of the rival, over candidate stops."""
         data, fit = self.data, self.fit
         others = [term for number, term in enumerate(fit.terms) if number != self.term]
         further = [design.geometric, *(design.rows(term.slug, term.law, term.names) for term in others)]
@@ -107,18 +107,18 @@ class Hypothesis:
 
 
 def _bound_precision(column: EffectColumn) -> float:
-    """Precision of a weak prior: the parameter is within its physical bounds."""
+    """Return the precision of a weak prior: the parameter is within its physical bounds."""
     bound = max(abs(column.lower), abs(column.upper))
     return 1.0 / bound**2 if math.isfinite(bound) and bound > 0.0 else 0.0
 
 
 def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
-    """The final fit of a discovery: the accepted terms with the weights of its search."""
+    """Repeat the final fit of a discovery: the accepted terms with the weights of its search."""
     terms = tuple(_model_term(term, discovery.scatter_m) for term in discovery.terms)
     return refit(data, terms)
 
 
 def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
-    """An accepted term, without free part, as a term under test; ``scatter_m`` scales the priors of smooth terms."""
+    """Convert an accepted term to a term under test, without free part; ``scatter_m`` scales smooth priors."""
     smooth = Smoothness(0.0, 0, Excess(scatter_m)) if term.law.form.is_smooth else None
     return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)

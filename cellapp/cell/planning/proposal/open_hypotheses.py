@@ -1,4 +1,4 @@
-"""Hypotheses that a discovery leaves open in the data of one arm, the most useful ones to decide."""
+"""Hypotheses that a discovery leaves open in the data of one arm: those most worth deciding."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, with_term
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law
 
 _MOST_COLUMNS = 40
-"""Columns of a rival's law at most, those that imitate best: of hundreds of lines the rest only costs time."""
+"""Most columns of a rival's law, the best imitating ones: with hundreds of lines the rest only costs time."""
 _MOST_LAWS = 4
-"""Laws of a rival at most, those that imitate best: each is a discrimination of its own."""
+"""Upper limit of the laws of a rival, the best imitating ones: each is a discrimination of its own."""
 _MOST_FAINT = 3
-"""Effects whose visibility is to be raised, where nothing is ambiguous; with more, none would gain much."""
+"""Number of effects whose visibility is to be raised where nothing is ambiguous; with more, none would gain much."""
 _VARIABLE_CONDITIONS = frozenset(
     {DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL, DriverVariable.OTHER_ARM}
 )
-"""Variables that the conditions of further stops can vary where a run did not."""
+"""Variables that the conditions of further stops can vary where those of a run did not."""
 _MOVES_NOTHING = 1e-12
-"""Guards divisions by the information about, or the motion by, a parameter that moves nothing."""
+"""Lower limit of divisors: the information about a parameter, or the motion by it, may be zero."""
 
 
 def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
-    """Hypotheses for further stops to decide; ``joined`` is the context of the run and some of these stops.
+    """Find hypotheses for further stops to decide; ``joined`` is the context of the run and some of these stops.
 
-    Accepted effects against those that the data cannot distinguish from them; else against their declared look-alikes;
-    else, and where nothing was accepted, the effects that are hardest to see.
+    First, accepted effects against those that the data cannot distinguish from them. If there are none, against their
+    declared look-alikes. If there are none either, the effects that are hardest to see.
     """
     least = discovery.result.threshold
     found: list[Hypothesis] = []
@@ -46,7 +46,7 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
         taken = {term.slug for term in fit.terms}
         for number, term in enumerate(fit.terms):
             for slug in EFFECTS[term.slug].look_alikes:
-                if slug not in taken and slug in EFFECTS:  # a plug-in may name effects of one that is not installed
+                if slug not in taken and slug in EFFECTS:  # a plug-in may name effects that are not installed
                     found += _hypotheses_against(data, fit, number, slug, least, joined)
     return found or _faint_effects(data, fit, discovery, joined)
 
@@ -54,7 +54,7 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
 def _hypotheses_against(
     data: ArmData, fit: JointFit, number: int, rival: str, least: float, joined: EffectContext
 ) -> list[Hypothesis]:
-    """A term of a fit against another effect; none where that has no columns at all."""
+    """Test a term of a fit against another effect; no hypothesis if that has no columns."""
     term = fit.terms[number]
     signal = ProjectedResidual(fit.residual_without(number).projector, fit.signal(number))
     ranked = []
@@ -96,7 +96,7 @@ def _swapped_hypotheses(
 
 
 def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
-    """The effects of which this plan shows least, and those it cannot show because a factor did not vary."""
+    """Return the effects that this plan shows least, and those that it cannot show because a factor did not vary."""
     faint = sorted(discovery.result.not_found, key=lambda entry: entry.visible_share or 0.0)
     slugs = [entry.effect for entry in faint[:_MOST_FAINT]]
     for entry in discovery.result.invisible:
@@ -121,7 +121,7 @@ def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: E
 
 
 def _signal_size(fit: JointFit, column: EffectColumn, further: EffectColumn, needed: float) -> float:
-    """The smallest size of a parameter that the run would show; else one that moves the SMR by the noise."""
+    """Return the smallest size of a parameter that the run would show, else one that moves the SMR by the noise."""
     rows = fit.displacements([column])
     visible, whole = float(np.sum(rows * fit.projector.project(rows))), float(np.sum(rows**2))
     if visible > VISIBLE**2 * whole and visible > 0.0:
@@ -137,7 +137,7 @@ def _signal_size(fit: JointFit, column: EffectColumn, further: EffectColumn, nee
 
 
 def _laws(data: ArmData, slug: str, joined: EffectContext) -> list[Law]:
-    """The laws that the run allows, and those that only the conditions of further stops allow."""
+    """Return the laws that the run allows, and those that only the conditions of further stops allow."""
     effect = EFFECTS[slug]
     found = [] if effect.missing_data(data.context) else effect.laws(data.context)
     names = {law.name for law in found}
@@ -147,6 +147,6 @@ def _laws(data: ArmData, slug: str, joined: EffectContext) -> list[Law]:
 
 
 def _moves(column: EffectColumn) -> bool:
-    """Whether a column moves the SMR at any stop."""
+    """Return whether a column moves the SMR at any stop."""
     moved = column.offset if column.joint is not None else column.shift_M
     return moved is not None and bool(np.any(moved))

@@ -17,13 +17,13 @@ from cellapp.robot.effects import EFFECTS, DriverVariable, varies
 from cellapp.robot.kinematics.transforms import Array
 
 _RANDOM_DESIGNS = 8
-"""Random designs whose mean the proposed one is compared with, so that no single draw decides."""
+"""Number of random designs that are averaged for comparison, so that no single draw decides."""
 _LOAD_SHARE = 0.25
-"""Further payload that is suggested, as a share of the arm's own mass: what arms of this class may carry."""
+"""Suggested further payload as a share of the arm's own mass: what arms of this class may carry."""
 _LEAST_LOAD_STEP_KG = 0.5
 """Suggested payloads are multiples of this: common weights."""
 _WORTH_A_LOAD = 1.5
-"""Gain of the discrimination by another payload from which changing the payload is suggested."""
+"""Factor by which another payload must raise the discrimination to be suggested."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def predict_arm(
     approach: NDArray[np.intp],
     rng: np.random.Generator,
 ) -> tuple[list[PredictedDiscrimination], list[str]]:
-    """Predictions for the hypotheses of one arm with the chosen candidates, and advice to change its payload."""
+    """Predict the hypotheses of one arm with the chosen candidates; return also advice to change its payload."""
     chosen = pose * len(arm.approaches) + approach
     draws = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
     nothing = np.array([], dtype=np.intp)
@@ -75,7 +75,7 @@ def predict_arm(
 
 
 def _least(comparison: Sequence[Discrimination], chosen: NDArray[np.intp]) -> float:
-    """Least discrimination over the laws of the rival."""
+    """Return the least discrimination over the laws of the rival."""
     return min(one.noncentrality(chosen) for one in comparison)
 
 
@@ -87,7 +87,7 @@ def _load_advice(
     approach: NDArray[np.intp],
     prediction: PredictedDiscrimination,
 ) -> list[str]:
-    """Advice to change the payload at every second stop, if the stops do not decide and the run had one payload."""
+    """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
     conditions = arm.run.conditions
     depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
     decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed

@@ -1,4 +1,4 @@
-"""Proposal of further stops, and how to approach them, that best decide what discovery left open."""
+"""Proposal of further stops, and of how to approach them, that best decide what discovery left open."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cellapp.robot.model import CellModel
 DEFAULT_EFFORT = Effort()
 """Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
 _PROPOSAL_SEED = 0x9409
-"""Beside the profile's seed and the number of readings: a later proposal draws other candidates."""
+"""Seed, besides the profile's seed and the number of readings: a later proposal draws other candidates."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class ProposedStop:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Proposed stops in the order of measuring, and what they are worth.
+    """Proposed stops in the order of measuring, and the discrimination that they are predicted to give.
 
     Attributes
     ----------

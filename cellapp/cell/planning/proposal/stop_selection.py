@@ -1,8 +1,8 @@
 """Greedy choice of further stops for all arms, among candidates that the safety gate lets them reach.
 
-Stop after stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The chosen stops are
-then put in random order, so that time is confounded with nothing, as far as the arms can go from each to the next.
-Stops that fit nowhere in that order are replaced.
+Stop by stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The chosen stops are then
+put in random order, so that time is confounded with nothing, as far as the arms can move from each to the next. Stops
+that fit nowhere in that order are replaced.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from cellapp.ground.progress import CancelToken, Listener, Progress
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_OFTEN = 3
-"""Times that a posture, whatever its wrist roll, is proposed at most: optimal designs repeat few stops, which would
-hide that a law is wrong elsewhere."""
+"""How often a posture, whatever its wrist roll, is proposed at most: optimal designs repeat few stops, which would hide
+that a law is wrong elsewhere."""
 _REFUSALS = 400
-"""Refusals by the gate in a row after which no further stop is looked for: bounds the time in a crowded cell."""
+"""Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
 _ROUNDS = 4
 """Rounds of replacing stops that fit nowhere in the order; each fills the gaps of the one before."""
 
@@ -41,20 +41,20 @@ class ChosenStop:
 
 @dataclass(eq=False)
 class StopSelection:
-    """The selection for all arms.
+    """The selection of stops for all arms.
 
     Attributes
     ----------
     arms, poses
         The candidates.
     paired : bool
-        Keep the poses of all arms together that were drawn together, as where an effect depends on the other arm. Else
-        each arm's best poses are combined, if the gate lets them.
+        Keep poses of all arms together that were drawn together, as where an effect depends on the other arm. Else
+        each arm's best poses are combined, if the gate accepts it.
     rng
     refused : set of ChosenStop
         Combinations that the gate refused.
     reachable : dict
-        Answers of the gate for motions from one stop to the start of another's last step; None is home.
+        Cached answers of the gate for motions from one stop to the start of another's last step; None is home.
     """
 
     arms: Sequence[ArmCandidates]
@@ -65,7 +65,7 @@ class StopSelection:
     reachable: dict[tuple[ChosenStop | None, ChosenStop | None], bool] = field(default_factory=dict)
 
     def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
-        """``count`` stops in an order in which each can be reached from the one before; fewer if the gate refuses."""
+        """Choose ``count`` stops, each reachable from the one before; fewer if the gate refuses."""
         kept: list[ChosenStop] = []
         for _ in range(_ROUNDS):
             for number, arm in enumerate(self.arms):
@@ -77,18 +77,18 @@ class StopSelection:
         return kept
 
     def target(self, stop: ChosenStop) -> dict[str, Array]:
-        """Joint positions of the arms at a stop."""
+        """Return the joint positions of the arms at a stop."""
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
 
     def conditions(self, stop: ChosenStop) -> dict[str, StopConditions]:
-        """Approach and dwell that the collection has to realise at a stop."""
+        """Return approach and dwell that the collection has to realise at a stop."""
         chosen = zip(self.arms, stop.poses, stop.approaches, strict=True)
         return {arm.name: arm.stop_conditions(self.poses, pose, approach) for arm, pose, approach in chosen}
 
     def _further(
         self, kept: Sequence[ChosenStop], count: int, listener: Listener, cancel: CancelToken
     ) -> list[ChosenStop]:
-        """The stops that are still missing, each the best beside those before."""
+        """Choose the missing stops one by one, each the best in addition to those before."""
         used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
         for earlier in kept:
             self._count(used, earlier)
@@ -111,7 +111,7 @@ class StopSelection:
             counts[self.poses.posture[pose]] += 1
 
     def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
-        """The best stop whose last steps the gate admits."""
+        """Choose the best stop whose last steps the gate accepts; None if there is none."""
         gains = [arm.gains(stops_left) for arm in self.arms]
         for gain, counts in zip(gains, used, strict=True):
             gain[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
@@ -130,7 +130,7 @@ class StopSelection:
         return None
 
     def _best(self, gains: Sequence[Array]) -> ChosenStop | None:
-        """The stop of the largest gains (n, f) of each arm; None where an arm has no candidate left."""
+        """Return the stop of the largest gains (n, f) of each arm; None if an arm has no candidate left."""
         by_pose = [gain.max(axis=1) for gain in gains]
         if self.paired:
             by_pose = [np.sum(by_pose, axis=0)] * len(self.arms)
@@ -140,7 +140,7 @@ class StopSelection:
         return ChosenStop(poses, tuple(int(np.argmax(gain[pose])) for gain, pose in zip(gains, poses, strict=True)))
 
     def _start(self, stop: ChosenStop) -> dict[str, Array]:
-        """Where the last steps to a stop begin; an arm without one is there already."""
+        """Return where the last steps to a stop begin; an arm without one is there already."""
         starts = self.target(stop)
         for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
             start = arm.start_of_last_step(self.poses, pose, approach)
@@ -149,7 +149,7 @@ class StopSelection:
         return starts
 
     def _arms_refused_alone(self, stop: ChosenStop) -> list[int]:
-        """The arms whose last step the gate refuses whatever the others do."""
+        """Return indices of the arms whose last step the gate refuses whatever the others do."""
         gate = self.poses.gate
         if gate is None:
             return []
@@ -162,7 +162,7 @@ class StopSelection:
         ]
 
     def _refused_together(self, stop: ChosenStop) -> bool:
-        """Whether the tracker would not see all arms at a stop, or the gate refuses their last steps together."""
+        """Return whether the tracker misses an SMR at a stop, or the gate refuses the last steps together."""
         gate = self.poses.gate
         if gate is None:
             return False
@@ -172,7 +172,7 @@ class StopSelection:
         return bool(refuse_motion(gate, self._start(stop), target))
 
     def _ordered(self, chosen: Sequence[ChosenStop]) -> list[ChosenStop]:
-        """The stops in random order, each reachable from the one before; without those that fit nowhere."""
+        """Put the stops in random order, each reachable from the one before, without those that fit nowhere."""
         waiting = [chosen[k] for k in self.rng.permutation(len(chosen))]
         if self.poses.gate is None:
             return waiting
@@ -190,7 +190,7 @@ class StopSelection:
         return path
 
     def _place_in(self, path: Sequence[ChosenStop], stop: ChosenStop) -> int | None:
-        """A random place in the order at which a stop can be reached, and the next one from it."""
+        """Find a random place in the order from and to which the arms can move; None if there is none."""
         for place in self.rng.permutation(len(path) + 1).tolist():
             before = path[place - 1] if place else None
             after = path[place] if place < len(path) else None
@@ -199,7 +199,7 @@ class StopSelection:
         return None
 
     def _can_go(self, before: ChosenStop | None, after: ChosenStop | None) -> bool:
-        """Whether the arms can go from one stop to the start of another's last step; None is home."""
+        """Return whether the arms can move from one stop to the start of another's last step; None is home."""
         if (before, after) not in self.reachable:
             gate = self.poses.gate
             assert gate is not None
@@ -210,7 +210,7 @@ class StopSelection:
 
 
 def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
-    """The arm whose second best candidate is nearest to its best."""
+    """Return the index of the arm whose second best candidate is nearest to its best."""
     losses = []
     for gain, pose, approach in zip(gains, stop.poses, stop.approaches, strict=True):
         rest = gain.copy()
