@@ -363,7 +363,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
 def _with_sections(
     keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
 ) -> dict[str, Any]:
-    """The keys of a target with its work frame and the conditions of its arms."""
+    """Return the keys of a target with its work frame and the conditions of its arms."""
     resolved = {**keys}
     frame = keys.get("frame")
     if isinstance(frame, str) and frame in frames:
