@@ -12,7 +12,6 @@
     payload_kg, temperature_c, time_s, dwell_s  working conditions
     partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
 
-
 Only name, arm and the position are required. An empty cell means that the value is not given. All coordinates of a file
 have the same unit, and so have all angles.
 """

@@ -8,7 +8,6 @@ effect of another side is reported, but is not an uncertainty. Plausible ranges 
 - temperature and time: what the run covered;
 - dwell: from zero to the longest of the run, because production may not wait.
 
-
 The stated size is the largest distance of the SMR from its position at the default; the covariance is the second moment
 of that displacement, with conditions distributed uniformly over their ranges.
 """
