@@ -21,8 +21,7 @@ class SimulatedPerson:
     plant: Plant
 
     def hang(self, arm: str, load_kg: float, center_F: Array | None = None) -> None:
-        """Put another load on a flange; its centre of mass is ``center_F`` (3,) [m], if None that of the present
-        load."""
+        """Put another load on a flange; ``center_F`` is its centre of mass (3,) [m], unchanged if None."""
         _, center = self.plant.payload(arm)
         self.plant.set_payload(arm, load_kg, center if center_F is None else center_F)
 
@@ -41,8 +40,7 @@ def by_person(
 ) -> None:
     """Have something done at the resting arms; return when it is done.
 
-    In a simulated cell ``act`` does it. In a real one the job pauses with ``words``; ``hold`` returns when it is
-    resumed.
+    In a simulated cell ``act`` does it. Else the job pauses with ``words``; ``hold`` returns when it is resumed.
     """
     if person is not None:
         act(person)

@@ -1,5 +1,4 @@
-"""Handle breaks of the beam to a moving SMR: the arm slows down along its path and rests; then the SMR is found
-again."""
+"""Handle breaks of the beam to a moving SMR: the arm slows down along its path; at rest the SMR is found again."""
 
 from __future__ import annotations
 
@@ -51,8 +50,7 @@ class Beam:
 
 
 def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
-    """Measure the SMR of an arm that rests where its beam broke, with retries. Raise ``TrackerError``,
-    ``Cancelled``."""
+    """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
     for left in range(_TRIES, 0, -1):
         try:
             mover.measure(name, mover.positions()[name])

@@ -204,6 +204,8 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
 
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
     """Connect and prepare the tracker; return as sentences what keeps it from measuring.
+
+    Raises
     ------
     InputError
         If a setting is one that this tracker does not have.

@@ -75,8 +75,7 @@ class MeasuredStop:
 
 @dataclass(eq=False)
 class DrivenCheck:
-    """Measurements of a check; ``lost`` are arms whose SMR is no longer found, ``seconds`` the time of all motions
-    [s]."""
+    """Measurements of a check; ``lost`` are arms whose SMR is no longer found, ``seconds`` the total time [s]."""
 
     stops: list[MeasuredStop] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)

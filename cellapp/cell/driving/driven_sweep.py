@@ -7,7 +7,6 @@ at the beginning.
 Recording begins before the motion and ends after it, at rest; each device has timestamps of its own clock. If the beam
 breaks, the arm slows down along its path and rests; the tracker is pointed at the SMR again, and the arm continues from
 there: that is a separate recording.
-what follows is a recording of its own.
 """
 
 from __future__ import annotations
@@ -173,7 +172,8 @@ class SweepDriver:
     def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
         """Let arms follow their legs while recording; the tracker follows the first one.
 
-        Return the part, and where each arm came to rest as ``_follow``."""
+        Return the part, and where each arm came to rest as ``_follow``.
+        """
         name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
         own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
         assert streaming is not None

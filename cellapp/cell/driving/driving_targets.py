@@ -16,8 +16,7 @@ Targets = Mapping[str, Vector]
 Sides = Mapping[str, Vector]
 """Arm -> requested signs (N,) of each joint's last motion, 0 if it does not matter; arms left out have no request."""
 CommandFrom = Callable[[str, Vector], Vector]
-"""Function of an arm and the joint positions (N,) [rad] where it starts, which affect backlash; returns its command
-(N,)."""
+"""Function: arm and its joint positions (N,) [rad] before, which affect backlash -> its command (N,) [rad]."""
 
 _STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
 """Step back of a joint that must arrive from a given side [rad]: well beyond any backlash, short enough to stay clear.
@@ -32,7 +31,7 @@ class Driver:
     homes: Targets
 
     def to(self, names: Sequence[str], command: CommandFrom, sides: Sides) -> dict[str, ArmState]:
-        """Drive arms to their commands from the given sides; first move the others home. Return the states at rest.
+        """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
 
         Only motions after which the arms can move home again are allowed.
 
@@ -91,8 +90,7 @@ def before_side(q: Vector, sides: Vector | None, step_rad: float = _STEPS_BACK_R
 
 
 def arrival(q: Vector, start: Vector, sides: Vector | None) -> Vector:
-    """Return the position (N,) [rad] from which each joint arrives at ``q`` (N,) if the arm starts at ``start``
-    (N,)."""
+    """Return the position (N,) [rad] from which each joint arrives at ``q`` (N,), starting at ``start`` (N,)."""
     return start if sides is None else np.where(sides != 0, before_side(q, sides), start)
 
 

@@ -211,8 +211,7 @@ class _Driver:
 
 
 def run_up(q: Array) -> Array:
-    """Return a position (N,) before the first row of ``q`` (m, N) [rad]: from it each joint moves on in its
-    direction."""
+    """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
     moved = np.abs(q - q[0]) > 1e-5
     first = np.argmax(moved, axis=0)
     ahead = q[first, np.arange(q.shape[1])] - q[0]

@@ -58,8 +58,7 @@ class _Part:
 class LiveSweep:
     """Progress of one sweep. ``received`` may be called from any thread, all else only from the job's thread.
 
-    ``so_far`` is the last report, ``interval_s`` the time between two points of the tracker [s]; ``tell`` is called at
-    each change.
+    ``so_far`` is the last report, ``interval_s`` the period of the tracker's points [s]; ``tell`` receives each report.
     """
 
     so_far: SweepLive

@@ -37,8 +37,7 @@ def hung_load(run: RunFile) -> int:
 def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> Profile:
     """Have a load attached while the cell is closed, and record that in the run. A simulated cell needs nobody.
 
-    ``stated`` is what the arms carry according to a person [kg]; if None, ``hung`` is called. Return the profile with
-    the load.
+    ``stated`` is what the arms carry according to a person [kg]; if None, ``hung`` is called. Return the new profile.
 
     Raises
     ------
@@ -91,7 +90,6 @@ def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> 
 
     An arm's ``payload`` changes only if all its commands are for the same load and the profile lists that load. Its
     driver then expects it on the controller, and a simulated cell attaches it.
-    driver then expects that on the controller, and a simulated cell hangs it. Otherwise nothing changes.
     """
     asked: dict[str, set[float]] = {}
     for name, load_kg in loads_kg:

@@ -1,7 +1,6 @@
 """Measure a few SMR points from the tracker's new station, one arm after the other, each better predicted than before.
 
-The station is known only roughly: ``smr_search`` searches for the first SMR around its prediction; the next ones are
-found at once.
+The station is known only roughly: ``smr_search`` searches for the first SMR, and finds the next ones at once.
 """
 
 from __future__ import annotations

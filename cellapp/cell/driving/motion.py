@@ -46,8 +46,7 @@ _MEASURING_TRIES = 2
 
 
 Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
-"""Callback: shows a person where the arms are and where the first motion leads, name -> (N,) [rad]; returns whether it
-is allowed."""
+"""Callback: shows a person the start and the end of the first motion, name -> (N,) [rad]; returns whether to move."""
 
 
 def no_one(detail: Detail) -> None:
@@ -134,7 +133,8 @@ class Mover:
     def departure(self) -> dict[str, Vector] | None:
         """Return the joint positions where the last motion began, name -> (N,) [rad].
 
-        From an interrupted motion the gate has checked the straight way back to them; from a path it has not."""
+        From an interrupted motion the gate has checked the straight way back to them; from a path it has not.
+        """
         return self._departure
 
     def refusal(self, *legs: Mapping[str, Vector]) -> str:

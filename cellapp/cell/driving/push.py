@@ -75,6 +75,7 @@ def push(
     The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is the maximum
     number of corrections of the remaining error. ``repeatability_m`` is the standard deviation of a coordinate of each
     arm's SMR over repeated motions [m], zero if unknown; smaller errors are not corrected.
+
     ``nests`` maps arms to the shapes of several SMRs on a flange, as in the calibration's readings: they are measured,
     too, and give the orientation.
 

@@ -151,8 +151,7 @@ class StopReaction:
     def release(self, known: Sequence[StopCause]) -> None:
         """Reconnect all arms, after a person allowed it or the cause was harmless. Nothing moves.
 
-        ``known`` are the causes that the caller has handled. The latch opens first, so that a new doubt closes it
-        again.
+        ``known`` are the causes that the caller knows. The latch opens first, so that a new doubt closes it again.
 
         Raises
         ------

@@ -42,8 +42,7 @@ from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 MOST_MISSED_IN_A_ROW = 10
-"""Consecutive stops without a reading before the session pauses: planned stops are visible, so this many mean a
-fault of the tracker or of the targets."""
+"""Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
 
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """Kinds of recorded requests that need nobody's attention afterwards; all others are logged as warnings."""

@@ -48,11 +48,10 @@ none is mistaken for another."""
 
 @dataclass(frozen=True, eq=False)
 class FoundPoint:
-    """Measured point with its arm, the joint positions (N,) [rad] of its controller, and its distance from the
-    prediction ``found_off_m`` [m].
+    """Measured point with its arm and the joint positions (N,) [rad] of its controller.
 
-    ``point`` is the mean of the measurements, whose positions are ``repeats_M`` (k, 3) [m]. ``others`` are the joint
-    positions of the other arms at that time, name -> (N,) [rad].
+    ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
+    are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
     """
 
     arm: str
@@ -69,8 +68,7 @@ class SmrSearch:
     """Searches for SMRs and measures each ``repeats`` times.
 
     ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
-    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement: it waits while a
-    person pauses.
+    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement; it may wait.
     """
 
     profile: Profile

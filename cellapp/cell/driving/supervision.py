@@ -284,9 +284,7 @@ class Supervisor:
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
-        """Reconnect the tracker if it stopped the cell, then release the latch.
-
-        Raise ``HardwareError`` if something is not ready, or a new cause came."""
+        """Reconnect the tracker if it was a cause; release. Raise ``HardwareError`` if not ready, or on a new cause."""
         if any(cause.kind == "tracker" for cause in known):
             self.reconnect_tracker()
         self.reaction.release(known)

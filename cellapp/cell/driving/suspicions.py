@@ -5,12 +5,10 @@ zero mean and the covariance that the model states, which includes unmodelled ph
 consecutive stops that are close to each other: their correlation over the run so far reduces their joint weight
 (integrated autocorrelation: Bartlett, J. R. Stat. Soc. B 8 (1946) 27). A fault leaves a pattern in the deviations:
 
-
 - an SMR that slipped: from some stop on the same offset in the flange frame, of one arm;
 - an SMR with play: more scatter than before, of one arm;
 - a bumped tracker: from some stop on one rigid motion of all arms in the tracker frame; of one arm: its base moved;
 - drift: such a motion that grows.
-
 
 The test statistic of each pattern and each stop at which it may have begun is the decrease of chi-square by the best
 offset, motion or scatter (generalised likelihood ratio; Basseville, Nikiforov, Detection of Abrupt Changes (1993),
@@ -71,8 +69,7 @@ _INDEPENDENT_PAIRS = 20.0
 _MOST_ALIKE = 0.8
 """Upper limit of the correlation of consecutive stops: then nine of them carry as much information as one."""
 _LIKELY_CHANGE = 0.05
-"""Prior standard deviation of an offset [m] or motion [m, rad]: so wide that it only regularises what is
-undetermined."""
+"""Prior standard deviation of an offset [m] or motion [m, rad]: so wide that it only regularises the estimate."""
 _NO_GEOMETRY_M = 2e-3
 """Scatter about the model [m] larger than any arm's and any unmodelled physics: the geometry itself is wrong."""
 
@@ -81,8 +78,7 @@ _Key = tuple[str, str | None]
 
 
 def _shares() -> Array:
-    """Return the fraction of a change that acts on a reading (patterns, ages): by pattern and age of reading, 0
-    newest."""
+    """Return the fraction (patterns, ages) of a change that acts on a reading, by pattern and age (0 is the newest)."""
     age = np.arange(_HISTORY)
     steps = [np.where(age < stops, 1.0, 0.0) for stops in _STEPS]
     return np.array(steps + [np.clip((stops - age) / stops, 0.0, None) for stops in _RAMPS])
@@ -186,8 +182,7 @@ class _History:
             self._square += 0.5 * float(first @ first + second @ second)
 
     def sums(self) -> tuple[Array, Array]:
-        """Return sums of the columns over each pattern's stops (patterns, columns), weighted by its shares and
-        squares."""
+        """Return sums of the columns (patterns, columns), weighted by each pattern's shares and by their squares."""
         return _SHARES @ self._table, _SQUARED_SHARES @ self._table
 
 
@@ -218,8 +213,7 @@ class Suspicions:
             history.clear()
 
     def at_stop(self, stop: int, found: Mapping[str, Innovation | None]) -> tuple[Suspicion, ...]:
-        """Return the suspicions that a stop raises; ``found`` is each arm's newest ``OnlineFit.innovation``, or
-        None."""
+        """Return the suspicions that a stop raises; ``found`` has each arm's new ``OnlineFit.innovation``, or None."""
         self._stops.appendleft(stop)
         usable = {name: one for name, one in found.items() if one is not None and one.freedom >= _LEAST_FREEDOM}
         wrong = _wrong_smrs(stop, usable)
@@ -359,8 +353,8 @@ def _best(
 def _play(arm: str | None, linear: Array, freedom: float, depends: float) -> list[_Explanation]:
     """Return the best increase of the scatter, as a list of one; empty without readings.
 
-    Squares of correlated stops are hardly correlated, so that the probability needs no allowance for it. The gain does:
-    it is compared with the gains of other patterns, which have the same.
+    Squares of correlated stops are hardly correlated, so that the probability needs no allowance for it. The gain is
+    reduced like those of the other patterns, with which it is compared.
     """
     coordinates = 3.0 * linear[_SUDDEN, _COUNT]
     ratio = np.maximum(linear[_SUDDEN, _SQUARE] / np.maximum(coordinates, 1.0), 1.0)

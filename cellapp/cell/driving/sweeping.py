@@ -120,7 +120,8 @@ class Sweeps:
     def _beside(self, sweep: PlannedSweep, at: Mapping[str, Array], n: int, swung: Array | None) -> Array | None:
         """Return the other arm's joint positions (n, K) [rad]; None if the other arm rests in all sweeps of the run.
 
-        If it swings in some sweeps, its rest is given in the others: recordings of a session have the same columns."""
+        If it swings in some sweeps, its rest is given in the others: recordings of a session have the same columns.
+        """
         if swung is not None or self._run.profile.plan.other_arm == "resting":
             return swung
         (resting,) = (q for name, q in at.items() if name != sweep.arm)

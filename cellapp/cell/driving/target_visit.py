@@ -117,8 +117,7 @@ class TargetVisit:
     def _sides(self, found: Findings) -> dict[str, Vector]:
         """Return the sides from which arms arrive: as stated; else, if they matter to the model, those of the way.
 
-        The last motion is then short, as at most stops of a plan: the model knows effects that depend on its size
-        there.
+        The last motion is then short, as at most stops of a plan: effects that depend on its size are known there.
         """
         here = self.driver.mover.positions()
         sides = {}

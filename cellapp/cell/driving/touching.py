@@ -38,12 +38,11 @@ _TURNED_RAD, _POSTURES = 2.0, 200
 _TRIES = 12
 
 ReadTouch = Callable[[str, int], Reading]
-"""Callback: name of a socket and number of earlier touches -> reading of the arm; raises ``Moving``,
-``HardwareError``."""
+"""Function: socket name and number of earlier touches -> reading of the arm; raises ``Moving``, ``HardwareError``."""
 
 
 ReadBoth = Callable[[str, int], tuple[Array, Array]]
-"""Callback: name of a socket on the other arm's flange and number of earlier touches -> joint positions [rad] of the
+"""Function: name of a socket on the other arm's flange and number of earlier touches -> joint positions [rad] of the
 arm with the ball and of the arm with the socket; raises as ``ReadTouch``."""
 
 

@@ -1,5 +1,4 @@
-"""Export the URDF of the whole cell: every calibrated arm from its base in the tracker frame to its SMR, in one
-file."""
+"""Export one URDF of the whole cell: every calibrated arm from its base in the tracker frame to its SMR."""
 
 from __future__ import annotations
 

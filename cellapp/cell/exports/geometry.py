@@ -106,8 +106,7 @@ def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoin
 
 
 def ur_deltas(published: Array, identified: Geometry) -> UrDeltas:
-    """Return ``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and what they
-    lose.
+    """Return ``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and their loss.
 
     They are relative to ``published`` rows (N, 4): theta, d, a, alpha [rad, m].
 

@@ -19,8 +19,7 @@ from cellapp.cell.exports.joint_origins import dh_frames_in_links, joint_origins
 from cellapp.robot.kinematics.transforms import Array, rpy_of, transform
 
 _EFFORT = "1000"
-"""Effort limit [Nm], because the file must have one: larger than any joint of such an arm has, so that it never
-acts."""
+"""Effort limit [Nm], which the file must have: above that of any joint of such an arm, so that it never acts."""
 _NOTES = (
     "Effort limits are not known and stand for none. Inertias are those of point masses:",
     "a simulator of dynamics needs better ones.",

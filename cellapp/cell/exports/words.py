@@ -27,8 +27,7 @@ _TOGETHER = "all that is not rigid"
 
 
 def form_line(form: Form, *, simulated: bool) -> str:
-    """Return the first line of every file; ``simulated`` marks a simulated cell, whose numbers must not pass as
-    real."""
+    """Return the first line of a file; ``simulated`` marks a simulated cell, whose numbers must not pass as real."""
     plugin = all_formats().plugin(form.name)
     writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
     return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."

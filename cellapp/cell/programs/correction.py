@@ -3,7 +3,6 @@
 A plain controller computes with the published chain, or with its own calibration if the profile states it. A program's
 pose T is meant in the base frame of that chain, which is located in the cell by registration to the readings. With the
 calibrated model's true flange pose ``F(q)``:
-readings. With the calibrated model's true flange pose ``F(q)``:
 
     q_new:  F(q_new) = T_M_base T_base_tcp inverse(T_flange_tcp)
     T_new = K(q_new) T_flange_tcp                              K: forward kinematics of the controller
@@ -29,8 +28,7 @@ from cellapp.robot.model import ArmModel
 _STARTS = 48
 """Random starts of the inverse per pose, for a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
-"""Maximum number of fixed-point iterations of ``aim``: each gains two decades, because model corrections vary
-slowly."""
+"""Maximum number of fixed-point iterations of ``aim``: each gains two decades, as model corrections vary slowly."""
 _SAME = 1e-10
 """Residual [m, rad] at which that iteration ends: far below any controller's resolution."""
 _MARGIN = np.radians(2.0)
@@ -61,8 +59,7 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
     """Return true flange poses (n, 4, 4) in the tracker frame if the controller reads ``q`` (n, N) [rad].
 
     Effects state displacements of points on the flange. Four points, the flange's origin and 1 m along each axis,
-    therefore give its rotation, too. The network knows only the SMR: it shifts the flange equally and does not rotate
-    it.
+    give its rotation, too. The network knows only the SMR: it shifts the flange equally and does not rotate it.
     """
     points = np.vstack([np.zeros(3), np.eye(3)])
     at = np.array([_with_tool(arm, point).predict(q, conditions=conditions) for point in points])
@@ -111,8 +108,7 @@ def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: in
 def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     """Return the solution (k, N) [rad], with whole turns within limits, nearest to ``to`` (N,) by the sum of squares.
 
-    The controller does the same (forum.universal-robots.com, "Get_inverse_kin closest solution criteria"). None if
-    there is none.
+    So does the controller (forum.universal-robots.com, "Get_inverse_kin closest solution criteria"). None without any.
     """
     if len(solutions) == 0:
         return None
@@ -185,8 +181,7 @@ def _poses(rotations: Array, origins: Array) -> Array:
 
 
 def _turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, np.ndarray]:
-    """Move each joint of ``q`` (k, N) by whole turns towards ``to`` (N,), within limits; return also whether that is
-    possible."""
+    """Move joints of ``q`` (k, N) by whole turns towards ``to`` (N,) within limits; return them and a success mask."""
     turn = 2.0 * np.pi
     fewest, most = np.ceil((limits[:, 0] - q) / turn), np.floor((limits[:, 1] - q) / turn)
     wanted = np.round((to - q) / turn)

@@ -164,15 +164,13 @@ _SIGNS: Mapping[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-",
     ast.Not: "not", ast.And: "and", ast.Or: "or",
 }  # fmt: skip
-"""Operators by their class in Python's ``ast``; comparisons are missing because their values are not used in
-targets."""
+"""Operators by their class in Python's ``ast``; without comparisons, whose values are not used in targets."""
 _COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """Converts Python's syntax tree into expressions; ``words`` are tokens by offset in the line that starts at
-    ``begin``."""
+    """Converts Python's syntax tree to expressions; ``words`` are tokens by offset in the line, from ``begin``."""
 
     words: Mapping[int, Token]
     begin: int

@@ -21,7 +21,7 @@ from cellapp.robot.kinematics.sampled_inverse import sampled_configurations
 from cellapp.robot.kinematics.transforms import Array
 
 _TIE_DECIMALS = 6
-"""Decimals [rad] to which motions are compared: mirrored branches often tie, and rounding errors must not decide."""
+"""Decimals to which motions [rad] are compared (1 µrad): branches often tie, and rounding must not decide."""
 LARGEST_CORRECTION = 0.2
 """Largest joint difference [rad] between a calibrated solution and its nominal one; more means that a singularity is
 close. Joint zeros are identified to some 0.02 rad, and away from singularities a pose needs no more."""
@@ -45,8 +45,7 @@ class Branches:
     motion : array, shape (2, n, K)
         Largest joint motion from home, and sum over the joints [rad].
     clear, seen : array, shape (n, K), bool
-        Whether the arm is within limits and clear of everything but other arms; whether the tracker sees it, with the
-        others at home.
+        Whether the arm is within limits and clear of all but other arms; whether the tracker sees it, others at home.
     """
 
     q: Array

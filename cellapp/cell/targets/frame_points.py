@@ -7,8 +7,7 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array, apply, register
 
 _LARGEST_M = 0.005
-"""Largest disagreement of distances [m]: fixtures agree better with drawings; more means swapped points or wrong
-units."""
+"""Largest disagreement of distances [m]: fixtures fit drawings better; more means swapped points or wrong units."""
 _NARROWEST = 0.01
 """Smallest width of the points across their line, relative to their length. With a smaller one, noise rotates the frame
 by more than a hundred times the angle that it rotates an equilateral one."""

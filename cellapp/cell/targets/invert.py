@@ -121,8 +121,7 @@ def without_effects(
 ) -> Array:
     """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), arriving as ``approach``.
 
-    ``conditions`` replaces ``approach``. Fixed-point iteration, because the effects' offsets depend on the
-    configuration.
+    ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offsets depend on the configuration.
     """
     q = true
     for _ in range(_EFFECT_ROUNDS):

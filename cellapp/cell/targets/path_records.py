@@ -155,8 +155,7 @@ class PathResult(Result, schema="cellapp-path"):
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Return why following failed: paths that were refused, not driven, or out of tolerance; empty if it did
-        not."""
+        """Return why following failed: paths that were refused, not driven or out of tolerance; empty if none."""
         found = [f"path {path.name} refused {path.refusal}" for path in self.paths if path.refusal]
         for path in self.paths:
             driven = path.driven

@@ -1,5 +1,4 @@
-"""Convert planned and driven paths into the object that ``follow --json`` writes, and their joint positions into
-CSV."""
+"""Convert planned and driven paths to the object of ``follow --json``, and their joint positions to CSV."""
 
 from __future__ import annotations
 

@@ -16,8 +16,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _MARGIN = np.radians(2.0)
-"""Margin [rad] of the joint ranges within which nothing is extrapolated: model corrections vary over tens of
-degrees."""
+"""Margin [rad] of the joint ranges without extrapolation: model corrections vary over tens of degrees."""
 
 Range = tuple[float, float]
 
@@ -103,8 +102,7 @@ class ConditionRanges:
         return replace(conditions, payload_kg=np.clip(asked_kg, low, high), payload_center_F=center_F)
 
     def nearest_measured(self, q: Array) -> Array:
-        """Return the configurations nearest to ``q`` (n, N) [rad] within the joint ranges of the readings, plus 2
-        deg."""
+        """Return the configurations nearest to ``q`` (n, N) [rad] within the joint ranges of readings, plus 2 deg."""
         if self.q is None:
             return q
         return np.clip(q, self.q[0] - _MARGIN, self.q[1] + _MARGIN)

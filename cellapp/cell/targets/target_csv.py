@@ -98,8 +98,7 @@ def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
 
 
 def source_of_table(table: CsvTable, joints: Mapping[str, int]) -> TargetSource:
-    """Convert a table, read from a file or made in memory, into a source; ``joints`` and errors are as in
-    ``read_csv``."""
+    """Convert a table, from a file or from memory, into a source; ``joints`` and errors are as in ``read_csv``."""
     problems = Problems(table.place)
     columns = _columns(table, problems)
     problems.check()

@@ -33,8 +33,7 @@ from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time
 from drivers.settings import Section
 
 _LOOSEST_M = 0.01
-"""Largest accepted tolerance [m]: even uncalibrated arms are better. A larger one was meant in mm, as 0.1 without
-unit."""
+"""Largest accepted tolerance [m]: uncalibrated arms are better. A larger one was meant in mm, as 0.1 without unit."""
 _LOOSEST_RAD = 0.02
 """Largest accepted orientation tolerance [rad]; a larger one was meant in mrad or degrees."""
 _FARTHEST_M = 10.0
@@ -302,8 +301,7 @@ def frame_problem(frame: WorkFrame, profile: Profile) -> str:
 
 
 def same_target(target: Target, stored: TargetRecord) -> bool:
-    """Return whether a stored result is about this target as it is now, as far as a result of an earlier version
-    says."""
+    """Return whether a stored result is about this target as it is now; earlier versions stored no digest."""
     now = (target.name, target.frame, target.position, target.rpy, target.tolerance_mm)
     then = (stored.name, stored.frame, stored.position, stored.rpy, stored.tolerance_mm)
     if now != then or stored.arm not in target.arms or stored.partner != partner_of(target, stored.arm):

@@ -25,8 +25,7 @@ LIKELY = 0.95
 
 
 def length_bounds(covariance: Array) -> tuple[Array, Array]:
-    """Return the lengths (n,) that normal vectors exceed, and those that they do not exceed, each with 95 %
-    probability.
+    """Return the lengths (n,) that normal vectors exceed, and those that they stay within, with 95 % probability.
 
     ``covariance`` (n, 3, 3) and the lengths have the same unit of length. Zero for zero covariance.
     """

@@ -54,8 +54,7 @@ def predicted_turns(
 
 
 def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
-    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from the posterior draws of a
-    model."""
+    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from a model's posterior draws."""
     assert arm.posterior is not None
     near = ranges.nearest_loaded(arm, q, conditions)
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))

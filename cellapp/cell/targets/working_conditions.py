@@ -45,8 +45,7 @@ def stated_conditions(profile: Profile, targets: Sequence[Target], arm: str) -> 
 
 
 def load_centers(arm: Arm, payloads_kg: Sequence[float | None]) -> Array | None:
-    """Return centres of mass (n, 3) [m] of listed loads in the flange frame, NaN for others; None with one load
-    only."""
+    """Return centres of mass (n, 3) [m] of listed loads in the flange frame, NaN for others; None if none is listed."""
     if not arm.payloads:
         return None
     listed = [None if mass is None else arm.listed_load(mass) for mass in payloads_kg]

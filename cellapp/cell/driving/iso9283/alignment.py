@@ -84,8 +84,7 @@ def alignment_configurations(
 ) -> Array:
     """Choose configurations (n, N) [rad] with most information about base and SMR, the other arms at home.
 
-    Candidates are free of collisions and visible. Selection is greedy by the determinant of the information matrix
-    (D-optimal).
+    Candidates are clear and visible. Selection is greedy by the determinant of the information matrix (D-optimal).
     """
     liked = admissible_configurations(cell, homes, name, seed)
     if not len(liked):

@@ -98,8 +98,7 @@ def pair_results(found: IsoFindings, rng: np.random.Generator) -> tuple[PairIso9
 
 
 def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ...]:
-    """Return places and paths with too few cycles, and arms and pairs that were not tested at all, each with its
-    reason.
+    """Return places and paths with too few cycles, and arms and pairs that were not tested at all, with reasons.
 
     ``tests`` are the requested ones. If a cell can make some tests but not another, that one is refused, not missing.
     """

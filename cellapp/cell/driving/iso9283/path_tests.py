@@ -184,8 +184,7 @@ def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPat
 
 
 def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:
-    """Return the poses of a path in M (k, 3) [m], relative to the base that the commands assume; omit points of
-    arcs."""
+    """Return the poses of a path in M (k, 3) [m], relative to the base that the commands assume, without arc points."""
     targets = spec.targets()
     goals = goals_of_arm(model, targets, spec.arm)
     rows = [k for k, target in enumerate(targets) if target.name.startswith("pose")]

@@ -94,8 +94,7 @@ def pose_pairs(
 ) -> list[tuple[str, str]]:
     """Pair poses that two arms can take together, clear and both visible; each at most once, in the standard's order.
 
-    ``q`` maps both arms to their nominal joint positions by pose. Find as many pairs as possible, preferably of equal
-    names.
+    ``q`` maps both arms to their nominal joint positions by pose. Find as many pairs as possible, equal names first.
     """
     first, second = q
     both = [(a, b) for a in CYCLE for b in CYCLE]

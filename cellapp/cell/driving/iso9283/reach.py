@@ -80,8 +80,7 @@ class FoundCube:
     limited_by: str
 
     def configurations(self, position_B: Array) -> Array:
-        """Return joint positions (n, N) [rad] at positions (n, 3) [m], continued from the centre; NaN if
-        unreachable."""
+        """Return joint positions (n, N) [rad] at positions (n, 3) [m], continued from the centre; NaN if impossible."""
         n = len(position_B)
         at = np.tile(self.q, (n, 1))
         for share in (0.25, 0.5, 0.75, 1.0):
@@ -136,8 +135,7 @@ class CubeSearch:
         return replace(self.arm, geometry=self.arm.nominal, effects=(), network=None, posterior=None)
 
     def _seeds(self) -> list[tuple[Array, Array]]:
-        """Choose configurations (N,) far apart from each other; return each with the rotation (3, 3) facing the
-        tracker."""
+        """Choose configurations (N,) far apart; return each with a rotation (3, 3) where its SMR faces the tracker."""
         liked = admissible_configurations(self.cell, self.homes, self.name, self.seed)
         if not len(liked):
             return []
@@ -222,8 +220,7 @@ class CubeSearch:
         return FoundCube(region, steps * region.step, centre, at, _limits_beside(region, corner, steps))
 
     def _enlarged(self, cube: FoundCube) -> FoundCube:
-        """Return the cube grown, and its centre shifted, by fractions of a lattice step as far as all constraints
-        hold."""
+        """Return the cube grown and shifted by fractions of a lattice step, as far as all constraints hold."""
         if cube.edge == 0.0:
             return cube
         part = cube.region.step / _FINER
@@ -243,8 +240,7 @@ class CubeSearch:
 
 
 def _solve(region: Region, position_B: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Solve for joint positions (n, N) [rad] at positions (n, 3) [m] in B with the region's rotation; also reached or
-    not."""
+    """Return joint positions (n, N) [rad] at positions (n, 3) [m] in B, with the region's rotation; and success."""
     n = len(position_B)
     position_M = apply(region.nominal.geometry.T_M_B(), position_B)
     rotation_M = np.broadcast_to(region.rotation_M, (n, 3, 3))

@@ -89,8 +89,7 @@ class RemoteControl(JobControl):
         super().resume()
 
     def stop(self) -> None:
-        """Brake all arms of the job now. If the process is gone, ``follow`` reports that the request did not reach
-        it."""
+        """Brake all arms of the job now. If the process is gone, ``follow`` reports that the request was lost."""
         self._send("stop")
         super().stop()
 
