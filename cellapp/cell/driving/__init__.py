@@ -1,1 +1,1 @@
-"""Every motion and every measured test: the engine that moves, settles, measures, logs, recovers and pauses."""
+"""Motions and measured tests: the engine that moves, settles, measures, logs, recovers and pauses."""

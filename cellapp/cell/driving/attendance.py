@@ -1,6 +1,6 @@
-"""What a person does at resting arms while a job waits: another load, a force on a flange.
+"""Actions of a person at resting arms while a job waits: another load, a force on a flange.
 
-A simulated cell does it itself. Elsewhere the job pauses and says what to do; it goes on when a person resumes it.
+A simulated cell acts by itself. In a real one the job pauses and says what to do, until a person resumes it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ class SimulatedPerson:
     plant: Plant
 
     def hang(self, arm: str, load_kg: float, center_F: Array | None = None) -> None:
-        """Put another load on a flange; None: its centre of mass (3,) [m] where that of the present one is."""
+        """Put another load on a flange; ``center_F`` is its centre of mass (3,) [m], unchanged if None."""
         _, center = self.plant.payload(arm)
         self.plant.set_payload(arm, load_kg, center if center_F is None else center_F)
 
     def pull(self, arm: str, force_B: Array) -> None:
-        """Pull at a flange with a force (3,) [N] in the arm's base; zeros: let it go."""
+        """Pull at a flange with a force (3,) [N] in the arm's base; if zero, release it."""
         self.plant.set_pull(arm, force_B if force_B.any() else None)
 
 
@@ -38,9 +38,9 @@ def by_person(
     listener: Listener,
     hold: Callable[[], None],
 ) -> None:
-    """Have something done at the arms, which rest; return when it is done.
+    """Have something done at the resting arms; return when it is done.
 
-    ``act`` does it in a simulated cell. Else the job pauses with ``words``, and ``hold`` returns when it is resumed.
+    In a simulated cell ``act`` does it. Else the job pauses with ``words``; ``hold`` returns when it is resumed.
     """
     if person is not None:
         act(person)

@@ -1,4 +1,4 @@
-"""The beam to an SMR that moves: where it breaks, the arm slows down along its way; at rest the SMR is found again."""
+"""Handle breaks of the beam to a moving SMR: the arm slows down along its path; at rest the SMR is found again."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from drivers.arms.protocol import ArmError, PathFollower
 from drivers.trackers.protocol import Packet, TargetLost, TrackerError, WrongTarget
 
 _TRIES = 3
-"""To find the SMR again after the beam broke; a person who stands in it has the pauses between them to leave."""
+"""Tries to find the SMR after a break; between them a person in the beam has ``_PAUSE_S`` [s] to leave."""
 _PAUSE_S = 1.0
 
 
 class Beam:
-    """What a track has brought. Both methods are called from any thread.
+    """First packet and error of a track. Both methods may be called from any thread.
 
     Attributes
     ----------
     first : Packet or None
-        The first packet with a point.
+        First packet with a point.
     error : TrackerError or None
-        Why the track has ended: ``TargetLost`` where the beam broke, else the tracker died.
+        Why the track ended: ``TargetLost`` if the beam broke, else the tracker died.
     """
 
     def __init__(self, moving: Sequence[PathFollower], reaction: StopReaction) -> None:
@@ -34,23 +34,23 @@ class Beam:
         self._moving, self._reaction = moving, reaction
 
     def received(self, packet: Packet) -> None:
-        """Keep the first packet with a point."""
+        """Store the first packet with a point."""
         if self.first is None and len(packet.p_M):
             self.first = packet
 
     def lost(self, error: TrackerError) -> None:
-        """Let all that move slow down along their paths and rest on them; a tracker that died stops the cell."""
+        """Let all moving arms slow down along their paths and rest; if the tracker died, stop the cell."""
         self.error = error
         if not isinstance(error, TargetLost):
             self._reaction.trigger(StopCause("tracker", str(error)))
             return
         for arm in self._moving:
-            with suppress(ArmError):  # its own doubt stops the cell
+            with suppress(ArmError):  # the arm's own doubt stops the cell
                 arm.end_path()
 
 
 def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
-    """Lead the tracker to the SMR of an arm that rests where its beam broke. Raises ``TrackerError``, ``Cancelled``."""
+    """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
     for left in range(_TRIES, 0, -1):
         try:
             mover.measure(name, mover.positions()[name])

@@ -1,4 +1,4 @@
-"""Opening the cell that a profile describes, and the simulated cell behind simulated devices."""
+"""Opening the cell that a profile describes, and building the simulated cell for simulated devices."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from drivers.trackers.settings import TrackerContext, TrackerSettings
 
 
 class ClearanceObserver(Protocol):
-    """Records the smallest distances [m] that occurred in a cell; infinite before the first observation."""
+    """Smallest distances [m] that occurred in a cell; infinite before the first observation."""
 
     @property
     def arms_m(self) -> float:
@@ -57,20 +57,20 @@ class ClearanceObserver(Protocol):
 
 
 RecordSweep = Callable[[str, NDArray[np.float64], float, Mapping[str, NDArray[np.float64]]], SweepRecord]
-"""Arm, joint positions (n, N) [rad], the time between two of them [s], and those of arms that move beside -> what the
-devices recorded."""
+"""Function of an arm, joint positions (n, N) [rad], their period [s], and the positions of arms that move with it; it
+returns what the devices recorded."""
 
 
 @dataclass(frozen=True)
 class Cell:
     """An open cell: connected devices and their common clock.
 
-    ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
-    functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
-    ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
-    lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life. ``person``
-    does in a simulated cell what a person does in others, None there. ``record_sweep`` lets an arm follow joint
-    positions and records it; None in others, which do not do that yet.
+    ``air`` is None without a weather station, ``clearance`` is None if distances are not observed. ``together`` calls
+    functions of several devices concurrently; ``watch_tracker`` watches the tracker while the arms move.
+    ``gate`` checks every motion; a trial that drives the same plan many times can pass one that caches its answers.
+    ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's
+    heartbeat. ``person`` acts for a person in a simulated cell; None in a real one. ``record_sweep`` lets an arm follow
+    joint positions and records it; None in a real cell.
     """
 
     arms: Mapping[str, Arm]
@@ -87,7 +87,7 @@ class Cell:
     record_sweep: RecordSweep | None = None
 
     def oldest_data_s(self) -> float:
-        """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
+        """Return the largest age [s] of the newest states of the arms; never block."""
         return max(arm.live().age_s for arm in self.arms.values())
 
     def require_tracker(self) -> None:
@@ -104,11 +104,11 @@ def open_cell(
     plant: Plant | None = None,
     control: JobControl | None = None,
 ) -> Iterator[Cell]:
-    """Connect to all devices of a profile; at the end they are disconnected, whatever happens.
+    """Connect to all devices of a profile; disconnect them at the end, whatever happens.
 
-    ``watch_clearance`` observes the distances in a simulated cell; this takes time. ``plant`` is the simulated cell, as
-    an earlier job left it; None: a new one that the profile describes. A person's stop, through ``control``, ends the
-    connecting: no program is started on a controller after it.
+    ``watch_clearance`` observes the distances in a simulated cell, which takes time. ``plant`` is a simulated cell in
+    the state where an earlier job left it; if None, the profile's plant is built. A person's stop, through ``control``,
+    also ends the connecting: no program is started on a controller after it.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def open_cell(
     simulated = None if _has_real_arm(profile) else plant
     together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
-        # whatever one of them says: an earlier error is the one to report
+        # ignore errors of disconnecting: an earlier error is the one to report
         stack.callback(answers_of_all, together, {name: arm.disconnect for name, arm in arms.items()})
         _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
@@ -161,9 +161,9 @@ def open_cell(
 
 @contextmanager
 def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Iterator[Cell]:
-    """Connect to the arms of a profile alone; the tracker is never asked. At the end they are disconnected.
+    """Connect to the arms of a profile only; disconnect them at the end. The tracker is never queried.
 
-    With ``simulation`` every controller must be in its simulation mode. Raises as ``open_cell``.
+    If ``simulation``, every controller must be in its simulation mode. Raise as ``open_cell``.
     """
     arms = {name: _driver_of(name, arm, None, simulation=simulation) for name, arm in profile.arms.items()}
     with ExitStack() as stack:
@@ -173,7 +173,7 @@ def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Ite
 
 
 def _needs_plant(profile: Profile) -> bool:
-    """Whether a device is simulated in this process. A section 'plant' may also describe what 'emulate' simulates."""
+    """Return whether a device is simulated in this process ('plant' may also describe what 'emulate' simulates)."""
     air = profile.sensors.air
     return (
         profile.tracker.driver.needs_plant
@@ -183,12 +183,12 @@ def _needs_plant(profile: Profile) -> bool:
 
 
 def _has_real_arm(profile: Profile) -> bool:
-    """Whether an arm moves in real time: then the cell's clock is real, whatever else is simulated."""
+    """Return whether an arm moves in real time: then the cell's clock is real, whatever else is simulated."""
     return any(arm.driver.has_device and not arm.driver.needs_plant for arm in profile.arms.values())
 
 
 def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobControl) -> None:
-    """Connect all arms at once; a person's stop meanwhile ends that."""
+    """Connect all arms concurrently; a person's stop in the meantime ends that."""
 
     def brake_all(verb: str) -> None:
         for arm in arms.values():
@@ -203,7 +203,7 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
 
 
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
-    """Connect and prepare the tracker; return what keeps it from measuring, as sentences.
+    """Connect and prepare the tracker; return as sentences what keeps it from measuring.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...
 
 
 def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None, *, simulation: bool = False) -> ArmContext:
-    """Return what the profile specifies for the driver of an arm; ``simulation``: its controller moves no arm."""
+    """Return what the profile specifies for an arm's driver; if ``simulation``, the controller moves no arm."""
     speed, acceleration = joint_rates(arm)
     return ArmContext(
         name=name,
@@ -245,7 +245,7 @@ def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None, *, simul
 
 
 def tracker_context(profile: Profile, plant: Plant | None = None) -> TrackerContext:
-    """Return what the profile specifies for the driver of the tracker."""
+    """Return what the profile specifies for the tracker's driver."""
     tracker = profile.tracker
     return TrackerContext(
         transverse=(tracker.transverse.constant, tracker.transverse.proportional),
@@ -255,7 +255,7 @@ def tracker_context(profile: Profile, plant: Plant | None = None) -> TrackerCont
 
 
 def tracker_driver(profile: Profile, plant: Plant | None) -> Tracker:
-    """Return the driver of the profile's tracker, not connected yet. Raises ``InputError``."""
+    """Return the driver of the profile's tracker, not connected yet. Raise ``InputError`` on a wrong setting."""
     try:
         return profile.tracker.driver.open(tracker_context(profile, plant))
     except SettingError as error:
@@ -281,7 +281,7 @@ def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
 
 
 def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions: bool = False) -> Plant:
-    """Return the simulated cell that a profile describes. Raises ``InputError`` on an unknown effect or parameter."""
+    """Return the simulated cell that a profile describes. Raise ``InputError`` on an unknown effect or parameter."""
     settings = profile.plant
     tracker = profile.tracker
     if settings is None or tracker.pose is None:
@@ -315,7 +315,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
 
 
 def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
-    """Return an arm of the simulated cell with its hidden effects, name -> parameters. Raises ``InputError``."""
+    """Return an arm of the simulated cell; ``effects`` maps hidden effects to parameters. Raise ``InputError``."""
     if arm.base is None or arm.smr.offset == "unknown":
         raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
     joints = arm.type.joints
@@ -344,7 +344,7 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
 
 
 def _beside_the_smr(name: str, smr: Smr) -> dict[str, Any]:
-    """Return further SMRs and the probe of an arm of the simulated cell. Raises ``InputError``."""
+    """Return the further SMRs and the probe of an arm of the simulated cell. Raise ``InputError``."""
     unknown = [nest for nest, its in smr.nests.items() if its.offset == "unknown"]
     if unknown:
         raise InputError(f"arms.{name}.smr.nests: a simulated arm needs a known 'offset' of nest {', '.join(unknown)}")

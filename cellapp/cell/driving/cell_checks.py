@@ -1,4 +1,4 @@
-"""What is checked before commands are sent: that arms, controllers, payloads and SMR mounts are the calibrated ones."""
+"""Checks before commands are sent: arms, controllers, payloads and SMR mounts must be the calibrated ones."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import Arm, ArmError
 
 _SAME_MOUNT = 1e-6
-"""Offsets [m] and unit vectors that agree so closely are the same, however they were written."""
+"""Tolerance for equal offsets [m] and unit vectors: covers rounding when they are written."""
 _MOST_NAMED = 3
-"""Findings that one sentence names; further ones are counted."""
+"""Number of findings that one sentence lists; the others are only counted."""
 
 
 def require_same_arms(profile: Profile, model: CellModel, commands: Sequence[Command]) -> None:
@@ -48,7 +48,7 @@ def require_same_arms(profile: Profile, model: CellModel, commands: Sequence[Com
 
 
 def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed_controller: bool) -> tuple[str, ...]:
-    """Compare the controllers of an open cell with those of the run; return what a person must know.
+    """Compare the controllers of an open cell with those of the run; return notes for a person.
 
     ``changed_controller`` accepts a controller whose D-H checksum has changed since the run was collected.
 
@@ -75,7 +75,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
 
 
 def _other_mount(arm: ArmProfile, model: ArmModel) -> str:
-    """How the SMR's mount in the profile differs from the one that the model was calibrated with; empty if not."""
+    """Return how the profile's SMR mount differs from that of the calibrated model; empty if it does not."""
     offset, before = arm.smr.offset, model.nominal.tool
     if offset != "unknown" and not np.allclose(offset, before, rtol=0.0, atol=_SAME_MOUNT):
         return (
@@ -94,9 +94,9 @@ def _millimetres(point: Sequence[float]) -> str:
 
 
 def known_payload(arm: Arm, load_kg: float) -> str:
-    """Why an arm is not driven with a load: its controller has another; empty if it agrees, or reports none.
+    """Return why an arm must not be driven with a load: its controller has another payload; empty if equal or unknown.
 
-    Raises ``HardwareError`` if the controller does not answer.
+    Raise ``HardwareError`` if the controller does not answer.
     """
     try:
         known_kg = arm.state().payload_kg
@@ -110,7 +110,7 @@ def known_payload(arm: Arm, load_kg: float) -> str:
 
 
 def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> Iterator[str]:
-    """Payloads of controllers that do not fit a target or the run, in words; those that report none are not judged."""
+    """Yield the controllers' payloads that do not fit a target or the run, as text; skip controllers without one."""
     ranges = _payload_ranges(run)
     for name in dict.fromkeys(command.arm for command in commands):
         try:
@@ -123,7 +123,7 @@ def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> It
         for stated_kg in dict.fromkeys(conditions_of(command.target, name).payload for command in own):
             low, high = ranges[name] if stated_kg is None else (stated_kg, stated_kg)
             several = high - low > SAME_PAYLOAD_KG
-            if several:  # a command is for one of them
+            if several:  # without a stated payload a command is for the profile's
                 low = high = run.profile.arms[name].payload.mass
             if low - SAME_PAYLOAD_KG <= has_kg <= high + SAME_PAYLOAD_KG:
                 continue
@@ -137,7 +137,7 @@ def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> It
 
 
 def _payload_ranges(run: RunFile) -> Mapping[str, tuple[float, float]]:
-    """Smallest and largest payload of each arm's readings [kg]; the profile's where they state none."""
+    """Return the smallest and largest payload of each arm's readings [kg]; the profile's if they state none."""
     found = {}
     for name, arm in run.profile.arms.items():
         stated_kg = run.readings(name).payload_kg

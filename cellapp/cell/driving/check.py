@@ -1,7 +1,7 @@
-"""Drive a few stops of a calibrated cell and measure all arms at each, until a sequential test is sure.
+"""Drive a few stops of a calibrated cell and measure all arms at each, until a sequential test is decided.
 
-Every stop is reached and measured as in collecting. The SMRs are searched for around their predictions, because base,
-tracker or SMR may have moved.
+Every stop is approached and measured as in collecting. The SMRs are searched for around their predictions, because
+base, tracker or SMR may have moved.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""Consecutive stops without an SMR after which it is not searched for any more: before it was found once, and after."""
+"""Consecutive stops without an SMR after which an arm is given up: if its SMR was never found, and if it was."""
 
 
 class StopTest(Protocol):
-    """A test that is told what was measured at each stop, as ``SequentialTest``."""
+    """Test that receives the readings of each stop, as ``SequentialTest``."""
 
     def add(self, readings: Mapping[str, Readings]) -> SequentialState:
-        """Take one stop, arm -> its reading, and say where the test stands."""
+        """Add one stop, arm -> its reading; return the state of the test."""
 
 
 @dataclass(frozen=True, eq=False)
 class CheckTask:
-    """What to measure.
+    """Settings of a check.
 
     ``model`` is in the present tracker frame. ``stops`` are joint positions (N,) [rad] by arm, in the order of driving.
-    ``excess_m`` is as in ``fit_station``, ``nests`` are the figures of several SMRs on a flange, by arm.
+    ``excess_m`` is as in ``fit_station``; ``nests`` maps arms to the shapes of several SMRs on a flange.
     """
 
     profile: Profile
@@ -62,9 +62,9 @@ class CheckTask:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStop:
-    """One stop: what was found of each arm, where the test stood after it, when it was done [s].
+    """Result of one stop: the point of each arm, the state of the test after it, the time when it was done.
 
-    ``number`` counts the planned stops from 0; ``time_s`` counts from the first motion.
+    ``number`` is the index of the planned stop; ``time_s`` counts from the first motion [s].
     """
 
     number: int
@@ -75,7 +75,7 @@ class MeasuredStop:
 
 @dataclass(eq=False)
 class DrivenCheck:
-    """What was measured; ``lost`` are arms whose SMR was not found any more, ``seconds`` is the time of all motions."""
+    """Measurements of a check; ``lost`` are arms whose SMR is no longer found, ``seconds`` the total time [s]."""
 
     stops: list[MeasuredStop] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -93,16 +93,16 @@ def drive_check(
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
 ) -> DrivenCheck:
-    """Visit the stops with all arms together until ``test`` is sure.
+    """Visit the stops with all arms together until ``test`` is decided.
 
-    Where the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
-    called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked before the first
-    motion. ``open_with`` opens the cell.
+    If the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
+    called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is called before the
+    first motion. ``open_with`` opens the cell.
 
     Raises
     ------
     HardwareError
-        If a device fails, all arms have been stopped then; or if no SMR is found.
+        If a device fails (all arms have been stopped), or if no SMR is found.
     InputError
         If the first motion is not confirmed.
     Stopped, Aborted
@@ -145,7 +145,7 @@ class _Checking:
         return self.moving.cell.clock.now_s() - self.moving.began_s
 
     def visit_all(self) -> DrivenCheck:
-        """Visit the stops until the test is sure, or no arm is left that can be measured."""
+        """Visit the stops until the test is decided, or every arm is given up."""
         for number, stop in enumerate(self.task.stops):
             self.moving.hold()
             self.mover.slow_start(number)
@@ -163,7 +163,7 @@ class _Checking:
         return self.driven
 
     def _visit(self, number: int, wanted: Mapping[str, Vector]) -> bool:
-        """Measure the arms at one stop, together or each alone; return whether the test is sure."""
+        """Measure the arms at one stop, together or one by one; return whether the test is decided."""
         try:
             return self._measure(number, self._drive(wanted))
         except MotionRefused as error:
@@ -182,7 +182,7 @@ class _Checking:
         self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
 
     def _drive(self, wanted: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Drive arms to joint positions (N,) [rad], with a short last motion where the model depends on it."""
+        """Drive arms to joint positions (N,) [rad]; end with a short motion if the model depends on its direction."""
         here = self.mover.positions()
         sides = {
             name: np.sign(q - here[name])
@@ -192,19 +192,19 @@ class _Checking:
         return self.driver.to(list(wanted), lambda name, start: wanted[name], sides)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
-        """Measure the SMRs of arms that stand at a stop together; return whether the test is sure then."""
+        """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""
         found = {name: point for name, state in states.items() if (point := self._find(name, state)) is not None}
         if not found:
             return False
         rows = {name: self._reading(name, point) for name, point in found.items()}
-        # arms that went to a stop each alone were at two stops: the other one stood at home
+        # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
         state = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
     def _find(self, name: str, state: ArmState) -> FoundPoint | None:
-        """Measure one SMR; an arm whose SMR is missed too often is given up."""
+        """Measure one SMR; give up an arm whose SMR is missed too often."""
         found = self.search.measure(name, state)
         if isinstance(found, FoundPoint):
             self._missed[name] = 0
@@ -221,9 +221,9 @@ class _Checking:
         return None
 
     def _reading(self, name: str, found: FoundPoint) -> Reading:
-        """The measured point with what is known of the arm there, as collecting stores it.
+        """Return the reading of a point with the conditions of its arm, as collecting stores it.
 
-        It has no time: seconds since the run began would lie far beyond those of the calibration.
+        It has no time: seconds since the start of the run would be far beyond the times of the calibration.
         """
         conditions, point = found.conditions, found.point
         return Reading(

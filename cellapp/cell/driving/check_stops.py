@@ -1,4 +1,4 @@
-"""Stops at which a check may measure all arms together: those of the calibration's readings that are free and seen."""
+"""Stops at which a check can measure all arms together: stops of the calibration that are clear and visible."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cellapp.robot.model import CellModel
 
 
 def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Joint positions of all arms, arm -> (n, N) [rad]; row k of all arms is one stop.
+    """Return joint positions of all arms, arm -> (n, N) [rad]; row k of all arms is one stop.
 
-    They are those of the readings, where the model is known, as far as the arms keep clear of each other and of
-    everything else there, the tracker of ``model`` sees all SMRs, and no SMR can be mistaken for another. Readings
-    that were not taken at common stops are paired at random.
+    They are those of the readings, where the model is known, at which the arms are clear of each other and of
+    everything else, the tracker of ``model`` sees all SMRs, and no SMR can be mistaken for another. Readings that were
+    not taken at common stops are paired at random.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, 
 
 
 def _together(readings: Mapping[str, Readings], seed: int) -> dict[str, Array]:
-    """Joint positions of all arms at the stops where all were measured; else in pairs that are drawn."""
+    """Return joint positions of all arms at the stops where all were measured; if there are none, in random pairs."""
     numbers = [arm.configuration for arm in readings.values()]
     common = numbers[0]
     for one in numbers[1:]:

@@ -1,4 +1,4 @@
-"""The verb: drive the planned stops, measure both SMRs at each, and commit every stop before the next motion."""
+"""The verb ``collect``: drive to the stops, measure the SMRs at each, commit every stop before the next motion."""
 
 from __future__ import annotations
 
@@ -47,26 +47,26 @@ def collect_run(
 ) -> CollectResult:
     """Collect all planned stops that are not stored yet.
 
-    A target that cannot be measured is recorded and its arm's reading left out; the stop counts as done for the other
+    If an SMR cannot be measured, this is recorded and its arm has no reading; the stop counts as done for the other
     arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
-    refuses all ways to it, it is tried again at the end, then left out; one that discovery proposed is left out at
+    refuses all ways to a stop, it is tried again at the end, then left out; one that discovery proposed is left out at
     once. Once splits are drawn, new readings are for training: the validation set must not change.
 
-    With ``again`` only those stops are visited, as planned. Their new readings count, those before are kept beside, and
-    an arm that gives none keeps what it has.
+    With ``again`` only those stops are visited, as planned. Their new readings replace the earlier ones, which are kept
+    as replaced; an arm without a new reading keeps its earlier one.
 
     Stops with another load are collected in a session of their own, with the cell opened anew, after ``hung`` was
-    asked. ``payload`` is what a person says that the arms carry now [kg].
+    called. ``payload`` is what the arms carry now according to a person [kg].
 
     Raises
     ------
     InputError
         If there is no plan, stops are stored and ``resume`` is False, a stop of ``again`` was not tried yet, the first
-        motion is not confirmed, ``payload`` is not the load that is due, or the run file cannot be written.
+        motion is not confirmed, ``payload`` is not the load that comes next, or the run file cannot be written.
     HardwareError
         If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
     Stopped, Aborted
-        On request, or as nobody hangs the next load; the arms have been braked, and the run can be resumed.
+        On request, or if nobody attaches the next load; the arms have been braked, and the run can be resumed.
     """
     control = control or JobControl()
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
@@ -76,7 +76,7 @@ def collect_run(
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
-        payload = None  # it was said of the first one
+        payload = None  # it describes the first load only
         left = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
         outcome = sessions.collect(profile, left.with_load(load))
     result = _collected(run, outcome, sessions.notes, sessions.standard_error_mm)
@@ -88,7 +88,7 @@ def collect_run(
 
 @dataclass
 class _Sessions:
-    """Sessions of a run one after the other, each with its load; a simulated cell stays as the last one left it."""
+    """Consecutive sessions of a run, one per load; a simulated cell keeps its state from one to the next."""
 
     run: RunFile
     listener: Listener
@@ -102,10 +102,10 @@ class _Sessions:
     plant: Plant | None = None
     began_s: float | None = None
     ended_s: float = math.inf
-    """When the last session ended, on the clock of its cell."""
+    """End of the last session on the clock of its cell [s]."""
 
     def collect(self, profile: Profile, work: Work) -> End:
-        """Collect stops with the load of the profile. Raises as ``collect_run`` does."""
+        """Collect stops with the load of the profile. Raise as ``collect_run``."""
         run, control, notes, opened = self.run, self.control, self.notes, self.opened
         bodies = cell_bodies(profile)
         if opened is None and self.plant is not None:
@@ -163,7 +163,7 @@ def _collected(
 
 
 def _held_out_notes(run: RunFile, work: Work) -> list[str]:
-    """That chosen readings of the validation set were measured again: this may flatter the errors that it shows."""
+    """Return a note if readings of the validation set were measured again: their errors may then come out too small."""
     held_out = {
         int(stop)
         for readings in map(run.readings, run.arms())
@@ -180,11 +180,11 @@ def _held_out_notes(run: RunFile, work: Work) -> list[str]:
 
 @contextmanager
 def _late_heartbeats_noted(run: RunFile, cell: Cell, notes: list[str]) -> Iterator[None]:
-    """Note the warnings that drivers have gained meanwhile, as of late heartbeats, however the session ends."""
+    """Note warnings that drivers raised in the meantime, as of late heartbeats, however the session ends."""
     try:
         yield
     finally:
-        with suppress(ArmError, InputError):  # the session's own end is the one to report
+        with suppress(ArmError, InputError):  # report how the session ended, not this
             for text in (text for arm in cell.arms.values() for text in arm.warnings()):
                 if text not in notes:
                     notes.append(text)
@@ -193,7 +193,7 @@ def _late_heartbeats_noted(run: RunFile, cell: Cell, notes: list[str]) -> Iterat
 
 @contextmanager
 def _session_recorded(run: RunFile, number: int) -> Iterator[None]:
-    """Record how a session ends with an exception; the exception is the one to report, whatever the disk says."""
+    """Record how a session ends with an exception and raise that again, even if recording fails."""
     endings: tuple[tuple[type[BaseException], SessionEnd], ...] = ((Aborted, "aborted"), (Stopped, "stopped"))
     try:
         yield

@@ -1,4 +1,4 @@
-"""What the factory's calibration in a controller says, beside the published rows of its arm."""
+"""Compare the factory calibration in a controller with the published rows of its arm."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.findings import Finding
 
 _DRAWS = 500
-"""Random configurations over which two chains are compared."""
+"""Number of random configurations at which two chains are compared."""
 CONTROLLER_FILE = "{arm}-calibration.conf"
-"""Name of the file that holds the calibration of an arm's controller."""
+"""Name of the file with the calibration of an arm's controller."""
 
 
 @dataclass(frozen=True, eq=False)
 class FactoryTable:
-    """The calibration in a controller.
+    """Factory calibration in a controller.
 
     Attributes
     ----------
     deltas : array, shape (N, 4)
-        What is added to the published rows theta, d, a, alpha [rad, m, m, rad]; lengths d may be hundreds of metres.
+        Deltas of the published rows theta, d, a, alpha [rad, m, m, rad]; lengths d may be hundreds of metres.
     near : array, shape (N, 5)
-        The same as rows theta, d, a, alpha, beta next to the published ones, less these.
+        Deltas of equivalent rows theta, d, a, alpha, beta close to the published ones.
     off_mm : tuple of two floats
-        Mean and largest distance of the SMR by both chains, each fitted to the other as a rigid body [mm].
+        Mean and largest distance between the SMRs of both chains, after a rigid-body fit [mm].
     """
 
     checksum: str
@@ -45,7 +45,7 @@ class FactoryTable:
 def factory_tables(
     profile: Profile, reported: Mapping[str, tuple[Sequence[Sequence[float]], str]]
 ) -> dict[str, FactoryTable]:
-    """The calibration of every controller that has one, by arm; ``reported`` are rows (N, 4) and checksum by arm."""
+    """Return the calibration of each controller that has one, by arm; ``reported`` has rows (N, 4) and checksums."""
     return {
         name: _table(profile.arms[name], np.array(rows), checksum)
         for name, (rows, checksum) in reported.items()
@@ -70,7 +70,7 @@ def _table(arm: Arm, rows: Array, checksum: str) -> FactoryTable:
 
 
 def factory_findings(profile: Profile, tables: Mapping[str, FactoryTable]) -> list[Finding]:
-    """Whether each arm's nominal rows are those of its controller."""
+    """Report whether each arm's nominal rows are those of its controller."""
     return [_finding(name, profile.arms[name], table) for name, table in tables.items()]
 
 
@@ -94,7 +94,7 @@ def _finding(name: str, arm: Arm, table: FactoryTable) -> Finding:
 
 
 def controller_files(profile: Profile, own: Mapping[str, tuple[Sequence[Sequence[float]], str]]) -> dict[str, str]:
-    """Name and text of a file of each arm's calibration; ``own`` are its deltas (N, 4) and checksum by arm."""
+    """Return name and text of a file per arm calibration; ``own`` maps arms to deltas (N, 4) and checksum."""
     return {
         CONTROLLER_FILE.format(arm=name): controller_file_text(
             deltas,

@@ -1,4 +1,4 @@
-"""The arm controllers of a run: recorded when it begins, compared whenever the cell is opened."""
+"""Identify the arm controllers of a run: recorded when it begins, compared whenever the cell is opened."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.arms.protocol import Arm, ArmError, stale
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """Identity of one controller, as it reports it; ``dh_checksum`` distinguishes factory calibrations of its D-H.
+    """Identity that a controller reports; ``dh_checksum`` identifies the factory calibration of its D-H rows.
 
     ``dh_rows`` are the rows theta, d, a, alpha of such a calibration [rad, m]; None without one.
     """
@@ -36,7 +36,7 @@ class ControllerIdentity:
 
 @dataclass(frozen=True)
 class ControllerCheck:
-    """The controllers of an open cell by arm, and what a person must know about them."""
+    """Identities of the controllers of an open cell by arm, and notes about them for a person."""
 
     identities: Mapping[str, ControllerIdentity]
     notes: tuple[str, ...]
@@ -46,7 +46,7 @@ _STORED = TypeAdapter(dict[str, ControllerIdentity])
 
 
 def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
-    """Return the controllers that a run has recorded, by arm. Raises ``InputError`` if the record is damaged."""
+    """Return the controllers that a run has recorded, by arm. Raise ``InputError`` if the record is damaged."""
     text = run.read_result(CONTROLLERS_RESULT)
     if text is None:
         return {}
@@ -59,13 +59,13 @@ def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
 def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
     """Record new controllers in the run, compare the others with their record, and log the notes.
 
-    ``insist`` only notes a controller whose own D-H was changed since the run began, or is not that of the profile;
-    None: the verb has no such option.
+    With ``insist``, a controller whose own D-H was changed since the run began, or is not that of the profile, is only
+    noted; None if the verb has no such option.
 
     Raises
     ------
     HardwareError
-        If an arm has another controller than the one recorded, or another calibration in it, or its controller does
+        If an arm has another controller than the recorded one, or another calibration in it, or its controller does
         not answer. Nothing has moved.
     InputError
         If the record is damaged.
@@ -96,9 +96,9 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
 
 
 def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = None) -> Callable[[Cell], None]:
-    """Return what is to be called with the opened cell before anything moves.
+    """Return a callback for the opened cell, to be called before anything moves.
 
-    It checks the controllers and raises as ``check_controllers`` does; what it finds is added to ``notes``.
+    It checks the controllers and adds the notes to ``notes``; it raises as ``check_controllers``.
     """
 
     def opened(cell: Cell) -> None:
@@ -131,7 +131,7 @@ def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> 
 
 
 def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> list[str]:
-    """In words that the calibration in a controller is not the one that the profile takes as nominal."""
+    """Return a message if the controller's calibration is not the one that is nominal in the profile; else empty."""
     if arm.factory is None or same_calibration(arm, now):
         return []
     has = f"another calibration ({now.dh_checksum})" if now.dh_checksum else "no calibration of its own"
@@ -143,7 +143,7 @@ def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> li
 
 
 def same_calibration(arm: ArmProfile, controller: ControllerIdentity) -> bool:
-    """Whether a controller computes by the rows that are nominal in the profile."""
+    """Return whether a controller computes with the rows that are nominal in the profile."""
     wanted, published = controller_rows(arm), published_rows(arm)
     has = published if controller.dh_rows is None else np.array(controller.dh_rows)
     return same_chain(wanted, has, published)

@@ -1,4 +1,4 @@
-"""What collecting says of its steps: the same details and sentences while it runs and from what a run stores."""
+"""Reports of the steps of collecting: the same details and sentences live and from a stored run."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ _STATES: dict[str, JobState | None] = {
     "abort": "aborted",
     "reference": None,
 }
-"""Job state that each recorded kind begins; every other kind is a cause that stopped the arms."""
+"""Job state that each recorded kind begins, None if it changes nothing; any other kind is a cause of a halt."""
 
 
 def state_of(kind: str) -> JobState | None:
-    """Return the job's state after what a session recorded under ``kind``; None if it did not change."""
+    """Return the state of the job after a record of ``kind`` in a session; None if it did not change."""
     return _STATES.get(kind, "stopped")
 
 
 def record_sentence(kind: str, reason: str) -> str:
-    """Return the line of the log for what a session recorded."""
+    """Return the log line of a session record."""
     return f"{kind}: {reason}"
 
 
 def missed_sentence(outcome: Outcome) -> str:
-    """Return the line of the log for an SMR that was not measured."""
+    """Return the log line of an SMR that was not measured."""
     return f"stop {outcome.stop + 1}, arm {outcome.arm}: {outcome.kind}: {outcome.reason}"
 
 
 def sweep_sentence(live: SweepLive) -> str:
-    """Return how far a sweep is, and what has come of it: "stop 3: sweep of left 62%, 10 of 16 s, SMR 3.412 m"."""
+    """Return the progress of a sweep as a sentence: "stop 3: sweep of left 62%, 10 of 16 s, SMR 3.412 m"."""
     return f"stop {live.stop + 1}: sweep of {live.arm} {', '.join(live.words())}"
 
 
 def vectors(q: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[float, ...]]:
-    """Return joint positions of arms, name -> (N,) [rad], as tuples."""
+    """Convert joint positions of arms, name -> (N,) [rad], into tuples."""
     return {name: tuple(one.tolist()) for name, one in q.items()}
 
 
 def motion_ended(stop: int | None, states: Mapping[str, ArmState]) -> MotionEnded:
-    """Return the report that a motion has ended, from the states of the arms at rest."""
+    """Return the report of a motion's end from the states of the arms at rest."""
     warm = {name: one.joint_temperature_c for name, one in states.items() if one.joint_temperature_c is not None}
     return MotionEnded(stop, vectors({name: one.q for name, one in states.items()}), vectors(warm))
 

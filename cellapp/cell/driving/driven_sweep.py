@@ -1,11 +1,12 @@
-"""One sweep of one arm, driven and recorded through its drivers: the controller's samples and the tracker's points.
+"""Drive and record one sweep of one arm through its drivers: the controller's samples and the tracker's points.
 
-Where another arm swings beside it, both are driven at once, and the joints of both are recorded; the tracker follows
-the one. The stamps of the other's controller are brought to the first one's by the states of both at the beginning.
+If another arm swings at the same time, both are driven together and the joints of both are recorded; the tracker
+follows the first. The timestamps of the second controller are converted to the first one's clock by the states of both
+at the beginning.
 
-The devices begin before the motion and end after it, at rest, each with the stamps of its own clock. Where the beam
-breaks, the arm slows down along its way and rests; the tracker is led to the SMR again, and the arm goes on from there:
-what follows is a recording of its own.
+Recording begins before the motion and ends after it, at rest; each device has timestamps of its own clock. If the beam
+breaks, the arm slows down along its path and rests; the tracker is pointed at the SMR again, and the arm continues from
+there: that is a separate recording.
 """
 
 from __future__ import annotations
@@ -41,23 +42,23 @@ from drivers.trackers.protocol import (
 )
 
 _REST_S = 0.5
-"""Rest on record before and after the motion."""
+"""Recorded rest before and after the motion [s]."""
 _STARTS_S = 1.0
-"""A motion that goes on in the middle of its way reaches its speed in this time."""
+"""Time to full speed [s] of a motion that continues in the middle of its path."""
 _PULSES = 3
-"""Pulses of the hardware trigger at either end of a recording."""
+"""Number of pulses of the hardware trigger at either end of a recording."""
 _FIRST_POINT_S = 1.0
 _MOST_PARTS = 20
 _SHORTEST_S = 0.5
-"""A part that is shorter tells nothing, and is not kept."""
+"""Shorter parts [s] carry no information and are discarded."""
 
 
 @dataclass(frozen=True)
 class SweepPart:
-    """What was recorded up to where the beam broke, or up to the end of the motion.
+    """Recording up to a break of the beam, or up to the end of the motion.
 
-    ``reached_s`` is the time of the motion at which the arm came to rest [s]; None: at its end. ``beside`` are joint
-    positions (n, K) [rad] of the arm that swung beside, at the stamps of ``joints``.
+    ``reached_s`` is the time of the motion at which the arm came to rest [s]; None if at its end. ``beside`` are joint
+    positions (n, K) [rad] of the arm that swung at the same time, at the timestamps of ``joints``.
     """
 
     joints: JointRecord
@@ -67,7 +68,7 @@ class SweepPart:
 
 
 def why_no_sweeps(cell: Cell, interval_s: float) -> str:
-    """Why sweeps cannot be recorded in a cell, in words; empty if they can. Raises ``TrackerError``."""
+    """Return why sweeps cannot be recorded in a cell; empty if they can. Raise ``TrackerError``."""
     limits = stream_limits_of(cell.tracker)
     if limits is None:
         return "this tracker's driver does not measure an SMR while it moves"
@@ -83,26 +84,26 @@ def why_no_sweeps(cell: Cell, interval_s: float) -> str:
 
 @runtime_checkable
 class _FollowedAndRecorded(Arm, PathFollower, RecordingArm, Protocol):
-    """An arm of a cell in which sweeps can be recorded."""
+    """Arm of a cell in which sweeps can be recorded."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Leg:
-    """What an arm follows next: positions ``q`` (m, N) [rad], and where in its motion they are, ``s_s`` (m,) [s]."""
+    """Path that an arm follows next: positions ``q`` (m, N) [rad], and their times ``s_s`` (m,) in its motion [s]."""
 
     arm: _FollowedAndRecorded
     q: Array
     s_s: Array
 
     def at_s(self, reached: float) -> float | None:
-        """The time of the motion at a row; None at the end."""
+        """Return the time of the motion at a (fractional) row; None at the end."""
         early = reached < len(self.q) - 1
         return float(np.interp(reached, np.arange(len(self.s_s)), self.s_s)) if early else None
 
 
 @dataclass(frozen=True)
 class SweepDriver:
-    """Drives sweeps in an open cell. ``interval_s`` lies between two points of the tracker [s]."""
+    """Driver of sweeps in an open cell; ``interval_s`` is the time between two points of the tracker [s]."""
 
     cell: Cell
     mover: Mover
@@ -112,10 +113,9 @@ class SweepDriver:
     interval_s: float
 
     def drive(self, motions: Mapping[str, Sweep], note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
-        """Drive the motions of one period of all arms that move, at whose beginning they are, and give each part when
-        it is recorded. The first one is measured.
+        """Drive one period of the motions of all moving arms; yield each part when it is recorded.
 
-        ``live`` is told what comes.
+        The arms must be at the beginnings of their motions. The first arm is measured. ``live`` receives the progress.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class SweepDriver:
                 return
             from_s = {one: motions[one].period_s if its_s is None else its_s for one, its_s in reached.items()}
             if found.reached_s is None:
-                break  # the beam broke at the end: the other arm goes on to its own
+                break  # the beam broke at the end: the other arm completes its motion
             note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
         legs = self._legs(motions, from_s)
         own = legs[name]
@@ -160,7 +160,7 @@ class SweepDriver:
         return found
 
     def _follow(self, legs: Mapping[str, _Leg], look: Callable[[], None]) -> dict[str, float | None]:
-        """Let arms follow their legs; the time of the motion at which each came to rest before its end [s]."""
+        """Let arms follow their legs; return the motion time at which each rested early [s], None if at its end."""
         if len(legs) == 1:
             ((name, leg),) = legs.items()
             followed = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
@@ -170,8 +170,10 @@ class SweepDriver:
         return {name: leg.at_s(followed[name].reached) for name, leg in legs.items()}
 
     def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
-        """Let arms follow their legs on record; the tracker follows the first one. Where each of them came to rest is
-        given, too."""
+        """Let arms follow their legs while recording; the tracker follows the first one.
+
+        Return the part, and where each arm came to rest as ``_follow``.
+        """
         name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
         own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
         assert streaming is not None
@@ -210,13 +212,13 @@ class SweepDriver:
         return SweepPart(records[name], track, reached[name], *beside), reached
 
     def _later_s(self, arms: Mapping[str, Arm]) -> dict[str, float]:
-        """How much later the clock of the first controller is than that of each [s], to some control cycles."""
+        """Return the offset of the first controller's clock from each one's [s], accurate to some control cycles."""
         states = {name: arm.state().time_s for name, arm in arms.items()}
         first_s = next(iter(states.values()))
         return {name: first_s - its_s for name, its_s in states.items()}
 
     def _rest(self, arm: RecordingArm) -> None:
-        """Rest on record, with the pulses of the hardware trigger where there is one."""
+        """Rest while recording, with the pulses of the hardware trigger if there is one."""
         for _ in range(_PULSES):
             self.cell.clock.wait(_REST_S / _PULSES, self.control.wait)
             arm.pulse()
@@ -224,7 +226,7 @@ class SweepDriver:
         self.reaction.check()
 
     def _require_own(self, name: str, beam: Beam, expected_M: Array) -> None:
-        """Make sure that points come, and that they are those of this arm's SMR. Raises ``TrackerError``."""
+        """Check that points arrive and belong to this arm's SMR. Raise ``TrackerError`` if not."""
         self.cell.tracker.confirm(_FIRST_POINT_S)
         if beam.error is not None:
             raise beam.error
@@ -238,7 +240,7 @@ class SweepDriver:
 
     @staticmethod
     def _give_up(recorded: Iterable[RecordingArm], streaming: StreamingTracker) -> None:
-        """End what records; the reason why is the one to report."""
+        """End all recordings; ignore errors, because the original error is the one to report."""
         for arm in recorded:
             with suppress(ArmError):
                 arm.end_recording()
@@ -247,8 +249,8 @@ class SweepDriver:
 
 
 def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:
-    """The motion from ``from_s`` [s] on: joint positions (m, N) [rad], one each ``period_s``, and where in it they are
-    (m,) [s]. In the middle of its way it sets out slowly, from rest."""
+    """Return the motion from ``from_s`` [s] on: joint positions (m, N) [rad], one per ``period_s``, and their times in
+    the motion (m,) [s]. In the middle of the path it starts slowly from rest."""
     rows = int(np.ceil(sweep.period_s / period_s))
     exact = replace(sweep, period_s=rows * period_s)
     scale = exact.period_s / sweep.period_s

@@ -1,4 +1,4 @@
-"""How one or more arms are driven to commands: straight, one after the other, or via home, never into a dead end."""
+"""Drive one or more arms to commands: straight, one after the other, or via home, never into a dead end."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ from drivers.arms.protocol import ArmState
 Targets = Mapping[str, Vector]
 """Arm -> joint positions (N,) [rad]."""
 Sides = Mapping[str, Vector]
-"""Arm -> signs (N,) of each joint's last motion to ask for, 0 where it does not matter; none asked for if left out."""
+"""Arm -> requested signs (N,) of each joint's last motion, 0 if it does not matter; arms left out have no request."""
 CommandFrom = Callable[[str, Vector], Vector]
-"""The command (N,) of an arm that stands at joint positions (N,) [rad] before: backlash depends on the side."""
+"""Function: arm and its joint positions (N,) [rad] before, which affect backlash -> its command (N,) [rad]."""
 
 _STEPS_BACK_RAD = (np.radians(1.0), np.radians(0.25))
-"""How far a joint steps back to come from a given side: well beyond any play, short enough to stay clear. The second
-one is for arms that are near to something."""
+"""Step back of a joint that must arrive from a given side [rad]: well beyond any backlash, short enough to stay clear.
+The second one is for arms that are close to something."""
 
 
 @dataclass(frozen=True)
 class Driver:
-    """Drives arms to their commands. ``homes`` are the home positions of all arms."""
+    """Drives arms to their commands; ``homes`` are the home positions of all arms."""
 
     mover: Mover
     homes: Targets
 
     def to(self, names: Sequence[str], command: CommandFrom, sides: Sides) -> dict[str, ArmState]:
-        """Drive arms to their commands, from the given sides; the others go home first. Returns the states of ``names``
-        at rest.
+        """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
 
-        Only ways are taken after which the arms can move home again.
+        Only motions after which the arms can move home again are allowed.
 
         Raises
         ------
         MotionRefused
-            If the gate accepts no way.
+            If the gate accepts no way to the commands.
         CellStopped
             As ``Mover.move``.
         """
@@ -54,7 +53,7 @@ class Driver:
         return self._along(way, refusal)
 
     def back_to(self, targets: Targets, sides: Sides) -> dict[str, ArmState]:
-        """Drive arms that are near to ``targets``, from the given sides. Returns and raises as ``to``."""
+        """Drive arms that are near ``targets`` to them, from the given sides. Return and raise as ``to``."""
         way, refusal = self._accepted(targets, sides)
         if not way:
             way, _ = self._accepted(targets, sides, _STEPS_BACK_RAD[1])
@@ -63,7 +62,7 @@ class Driver:
     def _accepted(
         self, targets: Targets, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
     ) -> tuple[list[Targets], str]:
-        """The first way that the gate accepts, followed by some way home; else none, and the first refusal."""
+        """Return the first way that the gate accepts together with a way home; if none, an empty list and why not."""
         legs = {name: [q] for name, q in targets.items()}
         if any(np.any(sides[name]) for name in targets if name in sides):
             legs = {name: [before_side(q, sides.get(name), step_rad), q] for name, q in targets.items()}
@@ -86,17 +85,17 @@ class Driver:
 
 
 def before_side(q: Vector, sides: Vector | None, step_rad: float = _STEPS_BACK_RAD[0]) -> Vector:
-    """Where an arm (N,) [rad] steps back to, so that each joint with a sign comes to ``q`` (N,) from that side."""
+    """Return the position (N,) [rad] before ``q`` (N,) from which each joint with a sign arrives on that side."""
     return q if sides is None else np.asarray(q - step_rad * sides)
 
 
 def arrival(q: Vector, start: Vector, sides: Vector | None) -> Vector:
-    """From where (N,) [rad] each joint comes to ``q`` (N,) if the arm stands at ``start`` (N,) before."""
+    """Return the position (N,) [rad] from which each joint arrives at ``q`` (N,), starting at ``start`` (N,)."""
     return start if sides is None else np.where(sides != 0, before_side(q, sides), start)
 
 
 def _ways(legs: Mapping[str, Sequence[Vector]]) -> Iterator[list[Targets]]:
-    """All arms at once, then one after the other in every order; ``legs`` are the positions of each arm in turn."""
+    """Yield all arms at once, then one after the other in every order; ``legs`` are the positions of each arm."""
     yield [dict(zip(legs, leg, strict=True)) for leg in zip(*legs.values(), strict=True)]
     if len(legs) > 1:
         for order in permutations(legs):

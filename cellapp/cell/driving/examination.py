@@ -1,4 +1,4 @@
-"""What is reachable, what is missing, what would be refused. It only reads; nothing moves."""
+"""Examine what is reachable, what is missing and what would be refused. Read only; nothing moves."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from drivers.arms.registry import ARMS
 from drivers.findings import Finding
 
 LONGEST_PROBE_S = 5.0
-"""A device that is silent for this long counts as dead, even if the profile allows it more time."""
+"""A device that is silent for this long [s] counts as dead, even if the profile allows it more time."""
 
 _DRAWS = 2000
-"""Random configurations for the visible share; its standard error is about 1 %."""
+"""Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
-"""Below this visible share (4 of the draws), planning may not find enough stops."""
+"""Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
 def examine(profile: Profile, reference_nests: Path | None = None) -> list[Finding]:
-    """Check all that a profile names, and a file of reference nests; all devices are probed at the same time.
+    """Check everything that a profile names, and a file of reference nests; probe all devices concurrently.
 
     However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
-    connection: a minute for LMF, a sensor's own ``timeout``. Problems are reported as findings, not raised.
+    connection: a minute for LMF, a sensor's own ``timeout``. Problems become findings, not exceptions.
     """
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
@@ -49,13 +49,13 @@ def examine(profile: Profile, reference_nests: Path | None = None) -> list[Findi
 
 
 def probe(profile: Profile, devices: Collection[str]) -> list[Finding]:
-    """What some devices say now; nothing moves, and nothing else is checked."""
+    """Probe some devices; nothing moves, and nothing else is checked."""
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         return _found(profile, _start_probes(pool, profile, devices))
 
 
 _Probes = Mapping[str, Future[Sequence[Finding]]]
-"""Device, as it is called in findings -> what its probe will find."""
+"""Device, as named in findings -> future of its probe's findings."""
 
 
 def _devices(profile: Profile) -> int:
@@ -63,7 +63,7 @@ def _devices(profile: Profile) -> int:
 
 
 def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | None = None) -> _Probes:
-    """Probe devices at the same time; all of them where no names are given."""
+    """Probe devices concurrently; all of them if ``devices`` is None."""
     air, tracker = profile.sensors.air, profile.tracker.driver
     probes: dict[str, Callable[[], Sequence[Finding]]] = {
         f"arm {name}": partial(arm.driver.probe, arm_context(name, arm), LONGEST_PROBE_S)
@@ -76,7 +76,7 @@ def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | N
 
 
 def _found(profile: Profile, probes: _Probes) -> list[Finding]:
-    """What the probes found, with the device's name in front of each subject."""
+    """Collect the findings of the probes, with the device's name in front of each subject."""
     findings = []
     for device, probe in probes.items():
         arm = device.removeprefix("arm ")
@@ -87,7 +87,7 @@ def _found(profile: Profile, probes: _Probes) -> list[Finding]:
 
 
 def _python(profile: Profile) -> Finding:
-    """Check the interpreter and the packages of all kinds of arms, of which this profile may need none."""
+    """Check the interpreter and the packages of all kinds of arms, including those that this profile does not need."""
     version = platform.python_version()
     if not _OLDEST_PYTHON <= sys.version_info[:2] < _FIRST_UNTRIED_PYTHON:
         return Finding("python", "failed", f"Python {version}; needed is 3.11 or 3.12: ur-rtde has no build for others")
@@ -105,7 +105,7 @@ def _python(profile: Profile) -> Finding:
 
 
 def _notify(profile: Profile) -> list[Finding]:
-    """Whether the command of the section ``notify`` is there; a job goes on without it."""
+    """Check that the command of section ``notify`` exists; a job runs without it, too."""
     if profile.notify is None:
         return []
     program = profile.notify.command[0]
@@ -132,7 +132,7 @@ def _shared_address(profile: Profile, name: str) -> list[Finding]:
 
 
 def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
-    """Check whether the arms are safe at home, and whether the tracker can see enough of them and of their nests."""
+    """Check that the arms are safe at home, and that the tracker sees enough of them and of their nests."""
     placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
     has_arms = any(arm.driver.has_device for arm in profile.arms.values())
     if not has_arms or not placed or profile.tracker.pose is None:

@@ -1,4 +1,4 @@
-"""Drive planned paths and, with verification, measure how far the SMR really is from them, moving and at rest."""
+"""Drive planned paths and, with verification, measure the distances of the SMR from them, moving and at rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from drivers.trackers.protocol import TrackerError
 
 _FEWEST_AT_REST = 12
 _AT_REST_EVERY_M = 0.05
-"""Least number and spacing [m] of the places along a path at which it is measured at rest."""
+"""Minimum number, and spacing [m], of the positions along a path where the SMR is measured at rest."""
 
 
 def follow(
@@ -48,17 +48,18 @@ def follow(
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
 ) -> list[tuple[PathPlan, DrivenPath | None]]:
-    """Drive every path that is not refused, the other arms at home; with ``verify`` measure it.
+    """Drive every path that is not refused, with the other arms at home; if ``verify``, measure it.
 
-    ``rehearse`` drives each path once before, and corrects it by how the joints were seen to follow.
-    A path is planned again where the arm's controller has another rate. ``opened`` is called with the open cell before
-    anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``judge`` decides on
-    tolerances; left out, by what the profile alone says.
+    If ``rehearse``, drive each path once before, and correct it by the observed following errors of the joints.
+
+    A path is planned again if the arm's controller has another rate. ``opened`` is called with the open cell before
+    anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. ``judge`` decides
+    on tolerances; if None, by the profile alone.
 
     Raises
     ------
     InputError
-        If no path can be driven at all.
+        If none of the paths can be driven.
     HardwareError
         If an arm or the tracker fails; all arms have been stopped.
     Stopped, Aborted
@@ -85,7 +86,7 @@ def follow(
 
 
 def _at_rate_of_arm(profile: Profile, model: CellModel, plan: PathPlan, cell: Cell) -> PathPlan:
-    """The plan with samples at the rate of the arm's controller."""
+    """Return the plan with samples at the rate of the arm's controller."""
     arm = cell.arms[plan.spec.arm]
     if plan.refusal:
         return plan
@@ -108,7 +109,7 @@ class _Driver:
     judge: Judge
 
     def drive(self, plan: PathPlan, *, verify: bool, rehearse: bool) -> DrivenPath:
-        """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
+        """Drive one path; if ``verify``, also at rest, and with the commands of the published geometry."""
         assert plan.path is not None
         assert plan.nominal_path is not None
         assert plan.trajectory is not None
@@ -133,7 +134,7 @@ class _Driver:
         return self._verified(plan, driven, points) if verify else driven
 
     def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
-        """The positions to send after the path was driven once; a note says where they would exceed a limit."""
+        """Drive the path once and return the corrected trajectory; the original and a note if it exceeds a limit."""
         arm = self._run(trajectory, path, measure=False).arm
         corrected = rehearsed(trajectory, arm.time_s, arm.q, path_rates(self.profile, self.spec))
         if corrected is None:
@@ -142,7 +143,7 @@ class _Driver:
         return corrected
 
     def _verified(self, plan: PathPlan, driven: DrivenPath, points: Array | None) -> DrivenPath:
-        """What was driven, with its distances from the path, also at rest and by the published geometry."""
+        """Add the distances from the path: as driven, at rest, and with the published geometry."""
         assert plan.path is not None
         assert plan.nominal_path is not None
         assert plan.trajectory is not None
@@ -182,7 +183,7 @@ class _Driver:
         )
 
     def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> TrackedPath:
-        """Go to the beginning and along the path, as ``PathDriver.drive`` does."""
+        """Drive to the beginning and along the path, as ``PathDriver.drive``."""
 
         def begin() -> None:
             self._go(run_up(trajectory.q))
@@ -192,7 +193,7 @@ class _Driver:
         return self.paths.drive(self.spec.arm, trajectory, begin, start_M)
 
     def _at_rest(self, trajectory: Trajectory) -> Array:
-        """Points (n, 3) measured at rest at places along the path, each reached from the side of the path's motion."""
+        """Measure points (n, 3) [m] at rest along the path, each approached in the path's direction of motion."""
         length = float(trajectory.s[-1])
         count = max(_FEWEST_AT_REST, int(np.ceil(length / _AT_REST_EVERY_M)) + 1)
         rows = np.clip(np.searchsorted(trajectory.s, np.linspace(0.0, length, count)), 1, len(trajectory.s) - 1)
@@ -204,13 +205,13 @@ class _Driver:
         return np.array(points)
 
     def _go(self, q: Array) -> None:
-        """Move straight, or via home where the gate refuses that."""
+        """Move straight, or via home if the gate refuses that."""
         self.mover.go_home_unless_clear(self.spec.arm, q)
         self.mover.move({self.spec.arm: q})
 
 
 def run_up(q: Array) -> Array:
-    """A place (N,) before the first row of ``q`` (m, N) [rad], from which joints come on the side of their motion."""
+    """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
     moved = np.abs(q - q[0]) > 1e-5
     first = np.argmax(moved, axis=0)
     ahead = q[first, np.arange(q.shape[1])] - q[0]

@@ -1,4 +1,4 @@
-"""Joint positions that the arms' controllers forbid, asked before anything moves."""
+"""Joint positions that the arms' controllers forbid, queried before anything moves."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ Vector = NDArray[np.float64]
 def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tuple[dict[int, str], dict[str, ArmError]]:
     """Return the stops that a controller forbids, stop -> reason, and errors by arm.
 
-    Asked are all stops that are not stored, and the reserves, with the ends of their legs and the starts of their last
-    motions. All controllers are asked at
-    once: each needs some milliseconds for every position.
+    The query covers all stops that are not stored, and the reserves, with the ends of their legs and the starts of
+    their last motions. All controllers are queried concurrently: each needs some milliseconds per position.
 
     Raises
     ------
@@ -50,7 +49,7 @@ def forbidden_stops(cell: Cell, work: Work, homes: Mapping[str, Vector]) -> tupl
 
 
 def _positions(work: Work, stops: Sequence[int], name: str) -> list[tuple[int, Vector]]:
-    """Joint positions of an arm at stops and on the planned ways to them, each with its stop."""
+    """Return the joint positions of an arm at stops and on the planned ways to them, each with its stop."""
     found = []
     for stop in stops:
         way = [*work.route.legs[stop], work.route.approach_starts(stop), work.targets(stop)]

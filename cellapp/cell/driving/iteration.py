@@ -1,4 +1,4 @@
-"""Correcting a command by measuring: the next command from the measured error, and when to stop."""
+"""Correct a command by measurement: compute the next command from the measured error, and decide when to stop."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 FARTHEST_M = 0.01
-"""Largest distance of a corrected command from the model's own: an uncalibrated arm does better."""
+"""Largest distance [m] of a corrected command from the model's own: an uncalibrated arm has smaller errors."""
 _FARTHEST_RAD = 0.1
-"""Largest change of a joint: beyond it the command would be on another branch, or the arm next to a singularity."""
+"""Largest joint change [rad]: a larger one means another branch or a singularity nearby."""
 _POSE = 6
-"""Coordinates of a pose: an arm of fewer joints cannot keep its rotation where the position changes."""
+"""Degrees of freedom of a pose: an arm with fewer joints cannot keep its rotation while its position changes."""
 REPEATS = 3
-"""Fresh measurements of a target before a correction and after one: the one that raised the doubt does not count, as it
-was looked at because it was large."""
+"""New measurements of a target before a correction and after one. The measurement that raised the doubt does not count:
+it was selected because it was large."""
 _NOISE_95 = 7.815
-"""95 % point of the chi-squared distribution with three degrees of freedom: what exceeds it is measured again."""
+"""95 % quantile of chi-squared with three degrees of freedom; a target above it is measured again."""
 _NOISE_99 = 11.345
-"""99 % point: beyond it the mean of fresh measurements is corrected."""
+"""99 % quantile; if the mean of new measurements is above it, it is corrected."""
 _NORMAL_95 = 1.960
-"""95 % of normal errors are within this many standard deviations."""
+"""Two-sided 95 % quantile of the normal distribution [standard deviations]."""
 _NORMAL_99 = 2.576
-"""The same for 99 %."""
+"""Two-sided 99 % quantile."""
 _ONE_SIDED_95 = 1.645
-"""95 % of normal errors are below this many standard deviations."""
+"""One-sided 95 % quantile of the normal distribution [standard deviations]."""
 _FINEST_M = 1e-6
-"""Least standard deviation of a coordinate: no arm positions more finely, and a covariance of zero stays regular."""
+"""Least standard deviation of a coordinate [m]: no arm positions better, and it keeps a zero covariance regular."""
 
 
 class CorrectionRefused(InputError):
-    """A correction that would be wrong; nothing has moved."""
+    """A correction was refused because it would be wrong; nothing has moved."""
 
 
 def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -> Array:
-    """Command (N,) [rad] that moves the SMR by ``-error_M`` (3,) [m] from where it is with the command ``q`` (N,).
+    """Return the command (N,) [rad] that moves the SMR by ``-error_M`` (3,) [m] from where the command ``q`` puts it.
 
-    The calibrated model is inverted at the aim shifted by the error, in the same branch and with the same rotation of
-    the flange; an arm that cannot keep it, as one of five joints, moves its joints as little as possible. ``first_q``
-    (N,) is the command of the model alone.
+    Invert the calibrated model at the predicted position shifted by the error, on the same branch and with the same
+    rotation of the flange. An arm that cannot keep the rotation, as one of five joints, moves its joints as little as
+    possible. ``first_q`` (N,) is the command of the model without correction.
 
     Raises
     ------
     CorrectionRefused
-        If the model does not reach the shifted aim, or the command leads too far from the model's own.
+        If the model does not reach the shifted position, or the command is too far from the model's own.
     """
     rotation_M, _ = arm.flange(q[None])
     aim_M = arm.predict(q[None]) - error_M
@@ -70,9 +70,9 @@ def corrected_command(arm: ArmModel, q: Array, error_M: Array, first_q: Array) -
 
 
 def not_explained(rest: Rest, before_M: Mapping[str, Array]) -> list[str]:
-    """The arms to correct: those whose error noise does not explain; both where only their distance shows an error.
+    """Return the arms to correct: those with an error that noise does not explain, or both if only the distance has.
 
-    ``before_M`` has the covariance (3, 3) [m^2] of the measurement from which an arm's command was corrected.
+    ``before_M`` is the covariance (3, 3) [m^2] of the measurement from which an arm's command was corrected.
     """
     noise_M = {name: one.noise_M + before_M.get(name, 0.0) for name, one in rest.items()}
     names = [name for name, one in rest.items() if not explained_by_noise(one.error_M, noise_M[name])]
@@ -85,9 +85,9 @@ def not_explained(rest: Rest, before_M: Mapping[str, Array]) -> list[str]:
 
 
 def significant(rest: Rest, names: Sequence[str]) -> list[str]:
-    """The arms among ``names`` whose error is significant at the 1 % level; else both, if that of their distance is.
+    """Return the arms of ``names`` with an error significant at the 1 % level; ``names`` if only the distance's is.
 
-    ``rest`` has the means of fresh measurements.
+    ``rest`` has the means of new measurements.
     """
     own = [name for name in names if not explained_by_noise(rest[name].error_M, rest[name].noise_M, _NOISE_99)]
     if own or len(rest) != 2:
@@ -99,25 +99,25 @@ def significant(rest: Rest, names: Sequence[str]) -> list[str]:
 
 
 def is_better(now: Rest, before: Rest) -> bool:
-    """Whether a correction made the error smaller than before, by more than noise explains (95 %)."""
+    """Return whether a correction reduced the error by more than noise explains (95 %)."""
     noise_M = [one.noise_M for rest in (now, before) for one in rest.values()]
     sigma_m = float(np.sqrt(sum(np.linalg.eigvalsh(one)[-1] for one in noise_M) / len(now)))
     return rms_error_m(before) - rms_error_m(now) > _ONE_SIDED_95 * sigma_m
 
 
 def explained_by_noise(error_M: Array, covariance_M: Array, limit: float = _NOISE_95) -> bool:
-    """Whether ``error_M`` (3,) [m] lies within the region of 95 % of the noise, or of another chi-squared ``limit``.
+    """Return whether ``error_M`` (3,) [m] is within the 95 % region of the noise, or of another chi-squared ``limit``.
 
     ``covariance_M`` (3, 3) [m^2] is that of the error: tracker and repeatability of this measurement and, after a
-    correction, of the one that it was made from. The squared Mahalanobis length of a normal vector in three dimensions
-    is chi-squared with three degrees of freedom.
+    correction, of the measurement that it was computed from. The squared Mahalanobis length of a normal vector in three
+    dimensions is chi-squared with three degrees of freedom.
     """
     covariance = covariance_M + _FINEST_M**2 * np.eye(3)
     return bool(error_M @ np.linalg.solve(covariance, error_M) <= limit)
 
 
 def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array, limit: float = _NORMAL_95) -> bool:
-    """Whether noise explains the error of the distance of two SMRs: ``line_M`` (3,) leads from one to the other.
+    """Return whether noise explains the distance error of two SMRs; ``line_M`` (3,) [m] leads from one to the other.
 
     ``covariance_M`` (3, 3) [m^2] is that of the vector between them.
     """

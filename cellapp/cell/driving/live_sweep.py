@@ -1,4 +1,4 @@
-"""How far a sweep is, for those who look on: what comes is counted, and told by the job's own thread."""
+"""Progress of a sweep for observers: incoming data are counted, and reported from the job's own thread."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from drivers.plant.sweep import SweepRecord
 from drivers.trackers.protocol import Packet, Track
 
 _TRACE_S = 0.1
-"""Time between two points of the trace [s]: the noise of a point is some 0.3 mm/s of speed then."""
+"""Time between two points of the speed trace [s]: the noise of a point is then some 0.3 mm/s."""
 
 
 @dataclass(frozen=True)
 class _Counts:
-    """Points and samples that have come, and that did not, as in ``SweepLive``."""
+    """Received and missing points and samples, as in ``SweepLive``."""
 
     points: int = 0
     points_missing: int = 0
@@ -34,7 +34,7 @@ class _Counts:
 
 @dataclass
 class _Part:
-    """One recording, from when its motion begins."""
+    """One recording from the start of its motion."""
 
     arm: RecordingArm
     clock: Clock
@@ -47,7 +47,7 @@ class _Part:
     latest_s: float = 0.0
 
     def reached_s(self) -> float:
-        """The time of the motion that is sent now [s]."""
+        """Return the time in the motion that is being sent now [s]."""
         now_s = self.clock.now_s()
         if self.began_s is None:
             self.began_s = now_s
@@ -56,9 +56,9 @@ class _Part:
 
 @dataclass
 class LiveSweep:
-    """What has come of one sweep. ``received`` takes packets from any thread; all else is the job's thread's.
+    """Progress of one sweep. ``received`` may be called from any thread, all else only from the job's thread.
 
-    ``so_far`` was told last, ``interval_s`` lies between two points of the tracker [s], ``tell`` hears of each change.
+    ``so_far`` is the last report, ``interval_s`` the period of the tracker's points [s]; ``tell`` receives each report.
     """
 
     so_far: SweepLive
@@ -67,23 +67,23 @@ class LiveSweep:
     _packets: deque[Packet] = field(default_factory=deque)
     _part: _Part | None = None
     _ended: _Counts = _Counts()
-    """Of the parts that have ended."""
+    """Counts of the parts that have ended."""
     _began_s: float | None = None
     _last: tuple[float, Array] | None = None
-    """Stamp [s] and place [m] of the newest point of the trace."""
+    """Timestamp [s] and position [m] of the newest point of the trace."""
     _trace: list[tuple[float, float]] = field(default_factory=list)
     _arrived_s: float | None = None
 
     def received(self, packet: Packet) -> None:
-        """Keep a packet until the job's thread looks."""
+        """Queue a packet for the job's thread."""
         self._packets.append(packet)
 
     def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float, *, recorded: bool = True) -> None:
-        """A part moves next, by the motion's times ``s_s`` (m,) [s], one each ``period_s`` [s]; mostly on record."""
+        """Begin a part with the motion's times ``s_s`` (m,) [s], one per ``period_s`` [s]; usually recorded."""
         self._part, self._last = _Part(arm, clock, s_s, period_s, recorded), None
 
     def look(self) -> None:
-        """Tell how far the part is that moves now."""
+        """Report the progress of the current part."""
         part = self._part
         assert part is not None
         if not part.recorded:
@@ -96,18 +96,18 @@ class LiveSweep:
         self._say(now, self._ended + _Counts(*points, *part.arm.recorded()))
 
     def end(self, joints: JointRecord, track: Track, reached_s: float | None) -> None:
-        """A part was recorded: up to ``reached_s`` of the motion, where the beam broke, or to its end."""
+        """End a recorded part: at ``reached_s`` of the motion, where the beam broke, or at its end if None."""
         if self._part is not None:
             self._take(self._part)
         counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
         self._end(counts, reached_s)
 
     def end_unrecorded(self) -> None:
-        """The arm has finished its way off the record."""
+        """End the motion of the arm without a recording."""
         self._end(_Counts(), None)
 
     def calculated(self, record: SweepRecord) -> None:
-        """The whole sweep was recorded at once; points without the beam are NaN."""
+        """Report a sweep that was computed as a whole; points without the beam are NaN."""
         seen = np.isfinite(record.p_M[:, 0])
         self._follow(record.point_time_s[seen], record.p_M[seen])
         self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
@@ -116,7 +116,7 @@ class LiveSweep:
         self._end(_Counts(int(seen.sum()), int((~seen).sum()), *samples), None)
 
     def _end(self, counts: _Counts, reached_s: float | None) -> None:
-        """Tell what a part has brought that was recorded as far as ``end`` says."""
+        """Report a part that ended at ``reached_s``, or at the end of the motion if None."""
         broken = reached_s is not None
         self._ended += counts
         now = replace(
@@ -129,7 +129,7 @@ class LiveSweep:
         self._say(now, self._ended)
 
     def _take(self, part: _Part) -> None:
-        """Count what has come since the last look."""
+        """Process the packets received since the last look."""
         while self._packets:
             packet = self._packets.popleft()
             if not len(packet.p_M):
@@ -141,7 +141,7 @@ class LiveSweep:
             self._follow(packet.device_time_s, packet.p_M)
 
     def _follow(self, time_s: Array, p_M: Array) -> None:
-        """Let points (n, 3) [m] at their stamps (n,) [s] go into the trace."""
+        """Add points (n, 3) [m] at timestamps (n,) [s] to the trace."""
         began_s = self._began_s = float(time_s[0]) if self._began_s is None else self._began_s
         self.so_far = replace(self.so_far, distance_m=float(np.linalg.norm(p_M[-1])))
         chosen = np.unique(np.floor((time_s - began_s) / _TRACE_S), return_index=True)[1]
@@ -155,7 +155,7 @@ class LiveSweep:
             self._last = at_s, place
 
     def _say(self, now: SweepLive, counts: _Counts) -> None:
-        """Tell how far the sweep is, with what has come and what is new of the trace."""
+        """Report the progress of the sweep with the counts and the new part of the trace."""
         trace, self._trace = tuple(self._trace), []
         self.so_far = replace(now, **asdict(counts), trace=trace)
         self.tell(self.so_far)

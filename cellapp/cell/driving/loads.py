@@ -1,8 +1,8 @@
-"""Loads of a plan: which one hangs, who hangs the next, and whether the controllers know it.
+"""Loads of a plan: which one is attached, who attaches the next one, and whether the controllers are set to it.
 
-An arm carries another load from one stop to the next where the plan says so. The arms go home, the cell is closed, a
-person hangs the load and sets the payload of the controller; then the cell is opened anew, and every driver checks it.
-A simulated cell hangs its loads itself.
+If the plan says so, an arm carries another load from some stop on. Then the arms go home, the cell is closed, and a
+person attaches the load and sets the controller's payload; the cell is opened anew, and every driver checks the
+payload. A simulated cell attaches its loads itself.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 
 Hung = Callable[[str], bool]
-"""Tells a person what to hang and returns whether it hangs; False where nobody is there."""
+"""Callback: tells a person what to attach; returns whether it is attached, False if nobody is there."""
 
 _HUNG = "hung_load"
-"""Name of the document with the number of the load that hangs; it is part of the file format."""
+"""Name of the document with the index of the attached load; part of the file format."""
 
 
 def hung_load(run: RunFile) -> int:
-    """The load that was hung last, from 0; 0 in a run whose load was never changed."""
+    """Return the index of the load that was attached last; 0 in a run whose load was never changed."""
     text = run.read_result(_HUNG)
     try:
         return 0 if text is None else int(text)
@@ -35,16 +35,16 @@ def hung_load(run: RunFile) -> int:
 
 
 def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> Profile:
-    """Have a load hung, with the cell closed; the run keeps that it hangs. A simulated cell needs nobody.
+    """Have a load attached while the cell is closed, and record that in the run. A simulated cell needs nobody.
 
-    ``stated`` is what a person says that arms carry [kg]; without it ``hung`` is asked. Returned is the cell with it.
+    ``stated`` is what the arms carry according to a person [kg]; if None, ``hung`` is called. Return the new profile.
 
     Raises
     ------
     InputError
-        If the stated load is not the one that is due.
+        If the stated load is not the one that comes next.
     Stopped
-        If nobody hangs it.
+        If nobody attaches it.
     """
     profile, hangs = run.profile, hung_load(run)
     before, due = profile.with_load(hangs), profile.with_load(load)
@@ -72,9 +72,9 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
 
 
 def require_load(cell: Cell, profile: Profile) -> None:
-    """See that every arm of an open cell carries the load of the profile and knows it; a simulated cell hangs it.
+    """Check that every arm of an open cell carries the profile's load and is set to it; a simulated cell attaches it.
 
-    Raises ``HardwareError`` if a controller reports another payload, or does not answer. Nothing has moved.
+    Raise ``HardwareError`` if a controller reports another payload, or does not answer. Nothing has moved.
     """
     for name, arm in profile.arms.items():
         if cell.person is not None:
@@ -86,10 +86,10 @@ def require_load(cell: Cell, profile: Profile) -> None:
 
 
 def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> Profile:
-    """The cell with the loads that commands are for, each an arm and its payload [kg], None where it does not matter.
+    """Return the profile with the loads that commands are for: pairs of arm and payload [kg], None if any will do.
 
-    An arm carries another one than ``payload`` if all its commands are for the same one and the profile lists it: its
-    driver then expects that on the controller, and a simulated cell hangs it. Otherwise nothing changes.
+    An arm's ``payload`` changes only if all its commands are for the same load and the profile lists that load. Its
+    driver then expects it on the controller, and a simulated cell attaches it.
     """
     asked: dict[str, set[float]] = {}
     for name, load_kg in loads_kg:
@@ -104,14 +104,14 @@ def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> 
 
 
 def require_known_loads(cell: Cell, loads_kg: Iterable[tuple[str, float]]) -> None:
-    """Raise ``HardwareError`` unless the controllers of an open cell are set to what commands are for [kg]."""
+    """Raise ``HardwareError`` unless the controllers of an open cell are set to the commands' loads [kg]."""
     for name, load_kg in loads_kg:
         if doubt := known_payload(cell.arms[name], load_kg):
             raise HardwareError(f"arm {name}: not moved for {load_kg:g} kg: {doubt}; nothing was moved")
 
 
 def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
-    """References of the arms that carry another load than the plan's first one, and which, in words."""
+    """Return the references of arms with another load than the plan's first one -> that load, in words."""
     loads = {name: arm.payload for name, arm in profile.arms.items() if arm.payload != planned.arms[name].payload}
     return {f"arm {name}": f" with {load.mass:g} kg" for name, load in loads.items()}
 

@@ -1,6 +1,6 @@
-"""Measure a few SMR points from the tracker's new station, one arm after the other, each predicted better than before.
+"""Measure a few SMR points from the tracker's new station, one arm after the other, each better predicted than before.
 
-The station is known roughly only: ``smr_search`` finds the first SMR around its prediction, and the next ones at once.
+The station is known only roughly: ``smr_search`` searches for the first SMR, and finds the next ones at once.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 
 DIAGNOSTIC_POINTS = 4
-"""Points of each arm from which a motion of its base, or of its SMR, can be told from that of the tracker."""
+"""Points of each arm needed to distinguish a motion of its base, or of its SMR, from one of the tracker."""
 _REPEATS = 5
-"""Measurements of each point: what scatters from one to the next falls below half."""
+"""Measurements of each point: their mean has less than half the scatter of one."""
 _RUN_UP_RAD = np.radians(2.0)
-"""Last motion of each joint to a point: as short as most of a plan, and well beyond any play."""
+"""Last motion of each joint before a point [rad]: as short as most of a plan, well beyond any backlash."""
 _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""Consecutive SMRs that are not found after which the job ends: before the first one was found, and after."""
+"""Consecutive missed SMRs after which the job ends: before the first one is found, and after."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocatedStation:
-    """The points, the station that explains them best, and if it does not explain them, other motions that might."""
+    """Points, best fitting station, and if it does not explain the points, other motions that might."""
 
     found: tuple[FoundPoint, ...]
     points: Mapping[str, ArmPoints]
@@ -62,11 +62,11 @@ class LocatedStation:
 
 @dataclass(frozen=True, eq=False)
 class LocateTask:
-    """What to measure.
+    """Settings of the measurement.
 
-    ``model`` is in the tracker frame of its calibration, ``rough_T`` (4, 4) maps that into a guess of the present one,
-    ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` are wanted of all arms
-    together. Up to ``still_m`` [m] of drift count as no motion.
+    ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
+    one. ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` is the total number
+    over all arms. Up to ``still_m`` [m] of drift count as no motion.
     """
 
     profile: Profile
@@ -87,17 +87,17 @@ def locate_station(
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
 ) -> LocatedStation:
-    """Measure the points, one arm at a time and the others at home; more of them where they do not fit together.
+    """Measure the points, one arm at a time with the others at home; measure more if they do not fit together.
 
-    ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion. ``open_with`` opens the cell.
+    ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
+    called before the first motion. ``open_with`` opens the cell.
 
     Raises
     ------
     HardwareError
-        If a device fails, all arms have been stopped then; or if too few SMRs are found.
+        If a device fails (all arms have been stopped), or if too few SMRs are found.
     InputError
-        If the points that were found lie together or on one line.
+        If the found points are too close together or on one line.
     Stopped, Aborted
         On request; the arms have been braked.
     """
@@ -119,8 +119,8 @@ def locate_station(
 
 
 def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tuple[Cause, ...]]:
-    """Measure and fit; where one motion does not explain the points, measure more and see what does."""
-    count, left = divmod(task.points, len(task.candidates))  # the first arms take what is left over
+    """Measure and fit; if one motion does not explain the points, measure more and look for the cause."""
+    count, left = divmod(task.points, len(task.candidates))  # the first arms take the remainder
     measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
     fit = measuring.fit()
     if fit.explains:
@@ -154,11 +154,11 @@ class _Measuring:
 
     @property
     def found(self) -> list[FoundPoint]:
-        """What was found so far."""
+        """Points found so far."""
         return self.search.found
 
     def measure(self, wanted: Mapping[str, int]) -> None:
-        """Measure until every arm has its number of points, or has no more to offer; other arms then measure more."""
+        """Measure until each arm has its number of points, or no more candidates; other arms then measure more."""
         total = max(sum(wanted.values()), len(self.found))
         for name, count in wanted.items():
             self._measure_arm(name, count - sum(one.arm == name for one in self.found), total)
@@ -168,7 +168,7 @@ class _Measuring:
             self.notes.append(f"{len(self.found)} of {counted(total, 'point')} could be measured")
 
     def fit(self) -> StationFit:
-        """The station from the points alone. Raises ``InputError`` if they do not fix it."""
+        """Fit the station to the points alone. Raise ``InputError`` if they do not determine it."""
         return fit_station(
             self.task.model,
             self.search.points(),
@@ -178,7 +178,7 @@ class _Measuring:
         )
 
     def _measure_arm(self, name: str, count: int, total: int) -> None:
-        """Measure ``count`` points of one arm, as long as it can be moved to any that the tracker should see."""
+        """Measure ``count`` points of one arm, as long as there are candidates that the tracker should see."""
         while count > 0:
             self.checkpoint()
             q = self.stops.best(name, self.search.T_new_old)
@@ -190,7 +190,7 @@ class _Measuring:
                 count -= 1
 
     def _visit(self, name: str, q: Vector) -> bool:
-        """Move to joint positions and measure there; a refused motion or an SMR that is not found is noted."""
+        """Move to joint positions and measure; note a refused motion or an SMR that is not found."""
         try:
             state = self._go(name, q)
         except MotionRefused as error:
@@ -208,9 +208,9 @@ class _Measuring:
         return True
 
     def _go(self, name: str, q: Vector) -> ArmState:
-        """Move one arm, straight if it can return home from there, else via home; the one that was away goes home.
+        """Move one arm straight if it can return home from there, else via home; first move the previous arm home.
 
-        Its last motion is short where the gate accepts that: effects that depend on the motion are known for such ones.
+        The last motion is short if the gate accepts that: the model knows effects that depend on the motion for those.
         """
         if self._away and self._away != name:
             self.mover.move({self._away: self._homes[self._away]})

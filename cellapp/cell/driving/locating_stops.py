@@ -1,4 +1,4 @@
-"""Which joint positions tell most about where the tracker stands: chosen one by one, as the station becomes known."""
+"""Choose the joint positions with most information about the tracker's station, one by one as it becomes known."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.relocation import relocated
 
 _MOST_CANDIDATES = 300
-"""More joint positions of one arm than this are thinned out: many of them are alike."""
+"""Maximum number of candidates per arm; more are thinned out, because many of them are alike."""
 _KNOWN_BEFORE = np.array([0.1, 0.1, 0.1, 0.05, 0.05, 0.05]) ** -2.0
-"""Information [1/m^2, 1/rad^2] before the first point: it keeps the criterion finite; after three it is negligible."""
+"""Prior information [1/m^2, 1/rad^2]: it keeps the criterion finite; after three points it is negligible."""
 _LEAST_SIGMA_M = 1e-5
-"""No point is better than the tracker's 10 um, whatever the model states."""
+"""Lower limit of a point's standard uncertainty [m]: the tracker's 10 um, whatever the model states."""
 
 
 @dataclass(eq=False)
 class LocatingStops:
-    """Joint positions that one arm at a time can be measured at, the others at home.
+    """Joint positions at which one arm at a time can be measured, the others at home.
 
     ``candidates``: arm -> (n, N) [rad], joint positions where the model is known: those of its readings.
     """
@@ -43,9 +43,9 @@ class LocatingStops:
         self._information = np.diag(_KNOWN_BEFORE)
 
     def best(self, name: str, T_new_old: Array) -> Array | None:
-        """The joint positions (N,) [rad] of an arm that add most, seen from the tracker at ``T_new_old`` (4, 4).
+        """Return an arm's joint positions (N,) [rad] with most information, for a tracker at ``T_new_old`` (4, 4).
 
-        They are not offered again. None if no others can be reached and seen.
+        They are not returned again. None if no others can be reached and seen.
         """
         model = relocated(self.model, T_new_old)
         tried = self._tried.setdefault(name, set())
@@ -62,11 +62,11 @@ class LocatingStops:
         return None
 
     def measured(self, name: str, q: Array, T_new_old: Array) -> None:
-        """Count what a measured point (N,) [rad] tells."""
+        """Add the information of a point measured at ``q`` (N,) [rad]."""
         self._information = self._information + _information(relocated(self.model, T_new_old), name, q[None])[0]
 
     def _spread(self, model: CellModel, name: str) -> Array:
-        """Mean variance [m^2] by which the station moves the candidates of all arms, with each one measured, (n,)."""
+        """Return the mean variance [m^2] of all candidates due to the station if each one were measured, (n,)."""
         J = [twist_columns(model.predict(other, q)) for other, q in self.candidates.items()]
         mean = sum(np.einsum("nai,naj->ij", own, own) / len(own) for own in J) / len(J)
         covariances = np.linalg.inv(self._information + _information(model, name, self.candidates[name]))
@@ -97,7 +97,7 @@ def _thinned(q: Array) -> Array:
 
 
 def _information(model: CellModel, name: str, q: Array) -> Array:
-    """Information (n, 6, 6) about a twist of the tracker frame from a point at each of ``q`` (n, N) [rad]."""
+    """Return the information (n, 6, 6) about a twist of the tracker frame from a point at each ``q`` (n, N) [rad]."""
     p_M = model.predict(name, q)
     J = twist_columns(p_M)
     variance = np.maximum(model.arms[name].measured_uncertainty(q), _LEAST_SIGMA_M) ** 2

@@ -1,4 +1,4 @@
-"""Measuring one SMR at a stop: repeats until the mean is precise enough, and waits for causes that pass."""
+"""Measure one SMR at a stop: repeat until the mean is precise enough, and wait while temporary causes prevent it."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ class SmrMeasurement:
     supervisor: Supervisor
     repeat: Repeat
     tracker_ready: Callable[[], bool]
-    """Connects and prepares the tracker again; whether it is ready then."""
+    """Callback that connects and prepares the tracker again; returns whether it is ready then."""
 
     def at_arm(self, name: str, q: Vector) -> Point:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raises like ``Mover.measure``."""
+        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raise as ``Mover.measure``."""
         return self._precise(f"arm {name}", lambda: self.mover.measure(name, q))
 
     def at_nest(self, name: str, expected_M: Vector) -> Point:
-        """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raises like ``Mover.measure``."""
+        """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raise as ``Mover.measure``."""
         return self._precise(f"nest {name}", lambda: self.mover.measure_at(expected_M, f"nest {name}"))
 
     def _precise(self, what: str, measure: Measure) -> Point:
-        """Repeat until the standard deviation of the mean is small enough, or the profile's number is reached."""
+        """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
         first = self._patient(what, measure)
         if self.repeat.precision is None:
             return first
@@ -57,7 +57,7 @@ class SmrMeasurement:
         return mean_point(points)
 
     def _patient(self, what: str, measure: Measure) -> Point:
-        """Measure; where the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
+        """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
         while True:
             try:
                 return measure()
@@ -86,8 +86,8 @@ class SmrMeasurement:
 def mean_point(points: list[Point]) -> Point:
     """Return the mean of repeated measurements of a resting SMR.
 
-    The tracker's covariance has a part that repeats do not reduce (its angles and its scale), so that of one
-    measurement is kept; ``precision_M`` is the standard deviation of the mean.
+    Its covariance is that of one measurement, because repeats do not reduce all of the tracker's errors (angles,
+    scale); ``precision_M`` is the standard error of the mean.
     """
     if len(points) == 1:
         return points[0]
@@ -105,7 +105,7 @@ def mean_point(points: list[Point]) -> Point:
 
 
 def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
-    """Return the mean orientation; None where one was not measured."""
+    """Return the mean orientation; None if one is missing."""
     quaternions = [one for one in measured if one is not None]
     if len(quaternions) < len(measured):
         return None
@@ -113,6 +113,6 @@ def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
 
 
 def _deviation_of_mean(points: list[Point]) -> float:
-    """Largest standard deviation of the mean of a coordinate [m]."""
+    """Return the largest standard error of the mean over the coordinates [m]."""
     positions = np.array([point.p_M for point in points])
     return float((positions.std(axis=0, ddof=1) / np.sqrt(len(points))).max())

@@ -1,4 +1,4 @@
-"""Motion and measurement in an open cell: the gate checks every motion, and a doubt about one arm stops all arms."""
+"""Motion and measurement in an open cell: the gate checks every motion; doubt about one arm stops all arms."""
 
 from __future__ import annotations
 
@@ -28,38 +28,38 @@ from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, Track
 Vector = NDArray[np.float64]
 
 _MOVE_ALLOWANCE_S = 10.0
-"""Start and settling of a motion, added to twice its ideal duration."""
+"""Time for start and settling of a motion [s], added to twice its ideal duration to get the timeout."""
 _ROUND_S = 1.0
-"""Longest wait for one arm before its speed slider is read: a lowered slider makes a motion longer."""
+"""Longest wait for one arm [s] before its speed slider is read again: a lowered slider makes a motion longer."""
 _LOOK_S = 0.5
-"""The same where somebody looks on."""
+"""Replaces ``_ROUND_S`` [s] if a ``look`` callback is given."""
 _LEAST_FRACTION = 0.01
-"""A lower speed slider counts as 0: the motion would take a hundred times as long."""
+"""Lower fractions of the speed slider count as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
-"""Longest wait for an arm whose speed slider is at 0."""
+"""Longest wait [s] for an arm whose speed slider is at 0."""
 WRONG_TARGET_M = 0.05
-"""Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
+"""Tolerance of predictions [m]: nominal geometry predicts an SMR better; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
-"""Well above the repeatability of a joint, well below any planned step."""
+"""Tolerance for having arrived [rad]: well above a joint's repeatability, well below any planned step."""
 _MEASURING_TRIES = 2
-"""A beam that somebody crossed is usually free at the second try."""
+"""Tries of a measurement: if somebody crossed the beam, it is usually free at the second try."""
 
 
 Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
-"""Shows a person where the arms are and where the first motion leads, name -> (N,) [rad]; whether it is allowed."""
+"""Callback: shows a person the start and the end of the first motion, name -> (N,) [rad]; returns whether to move."""
 
 
 def no_one(detail: Detail) -> None:
-    """Takes details of motions that nobody watches."""
+    """Discard details of motions that nobody watches."""
 
 
 def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
-    """Return how long a motion by ``way`` (N,) [rad] takes at most [s]: speed is reached, held and taken away."""
+    """Return the longest duration [s] of a motion by ``way`` (N,) [rad] with trapezoidal speed profiles."""
     return float((np.abs(way) / speeds + speeds / accelerations).max())
 
 
 def _last_signs(q: Vector, before: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Sign of each joint's last motion (N,) along ``q`` (m, N) [rad]; ``before`` for joints that hardly moved."""
+    """Return the sign of each joint's last motion (N,) along ``q`` (m, N) [rad]; ``before`` if a joint hardly moved."""
     away = q[-1] - q
     moved = np.abs(away) > MOVED_RAD
     last = len(q) - 1 - np.argmax(moved[::-1], axis=0)
@@ -76,8 +76,8 @@ class MotionRefused(CellappError):
 class Mover:
     """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
-    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``, and
-    nothing moves while that is latched. ``emit`` takes the beginning and the end of every motion.
+    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``; nothing
+    moves while that is latched. ``emit`` is called at the beginning and at the end of every motion.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Mover:
     ) -> None:
         self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
         self.carried = {name: arm.payload for name, arm in profile.arms.items()}
-        """What each arm carries by the profile."""
+        """Payload of each arm according to the profile."""
         self._emit = emit
         self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
         self._step: dict[str, Vector] = {}
@@ -98,18 +98,18 @@ class Mover:
         self._rested_at: dict[str, Vector] = {}
         self._departure: dict[str, Vector] | None = None
         self.speed = 1.0
-        """Share of the profile's speed for the next motions."""
+        """Fraction of the profile's speed for the next motions."""
         self.stop: int | None = None
-        """Stop to which the next motions lead; None on other ways."""
+        """Stop to which the next motions lead; None for other motions."""
 
     def slow_start(self, visited: int | None = None) -> None:
-        """Move slowly on real hardware while fewer stops are ``visited`` than the profile asks for; None: always."""
+        """Set the slow speed of real arms if fewer stops are ``visited`` than the profile asks for; None: always."""
         slow = self._profile.collection.slow_start
         slowly = self._profile.moves_hardware and (visited is None or visited < slow.stops)
         self.speed = slow.speed if slowly else 1.0
 
     def positions(self) -> dict[str, Vector]:
-        """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
+        """Return the joint positions (N,) of all arms [rad]. Raise ``CellStopped`` if one is not ready or moves."""
         positions = {}
         for name in self._cell.arms:
             state = self._state(name)
@@ -126,17 +126,19 @@ class Mover:
         return positions
 
     def rests_at(self, targets: Mapping[str, Vector]) -> bool:
-        """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raises as ``positions``."""
+        """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raise as ``positions``."""
         q = self.positions()
         return all(bool(np.abs(q[name] - target).max() <= _AT_TARGET_RAD) for name, target in targets.items())
 
     def departure(self) -> dict[str, Vector] | None:
-        """Return where the last motion began, name -> (N,) [rad]: the straight way back from a motion cut short was
-        checked; from a path it was not."""
+        """Return the joint positions where the last motion began, name -> (N,) [rad].
+
+        From an interrupted motion the gate has checked the straight way back to them; from a path it has not.
+        """
         return self._departure
 
     def refusal(self, *legs: Mapping[str, Vector]) -> str:
-        """Return why the arms must not move to the targets of each leg in turn; empty if they may."""
+        """Return why the gate refuses the legs (each with targets) one after the other; empty if it accepts them."""
         start = self.positions()
         for targets in legs:
             end = {**start, **targets}
@@ -147,9 +149,9 @@ class Mover:
         return ""
 
     def confirm_first(self, targets: Mapping[str, Vector], confirm: Confirm | None) -> None:
-        """Let a person confirm the first motion, which goes home first if the gate refuses ``targets``.
+        """Let a person confirm the first motion: to ``targets``, or home if the gate refuses those.
 
-        Raises ``InputError`` if the person does not allow it; nothing has moved.
+        Raise ``InputError`` if the person does not allow it; nothing has moved.
         """
         if confirm is None:
             return
@@ -183,7 +185,7 @@ class Mover:
         return states
 
     def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Start all arms and wait until they have settled. The gate has accepted the motion."""
+        """Start all arms and wait until they have settled; the gate must have accepted the motion."""
         allowed = {name: joint_rates(self._profile.arms[name], self.speed) for name in targets}
         expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
         self._emit(
@@ -200,29 +202,29 @@ class Mover:
     def follow(
         self, name: str, q: Vector, s: Vector, period_s: float, look: Callable[[], None] | None = None
     ) -> FollowedPath:
-        """Let an arm at the beginning of a path follow it, while the others rest, and wait until it is at rest.
+        """Let an arm at the beginning of a path follow it while the others rest; wait until it is at rest.
 
-        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``. ``look`` is called when it sets out and each
-        half second of the way.
+        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``. ``look`` is called at the start and then each
+        half second.
 
         Parameters
         ----------
         name : str
         q : array, shape (m, N)
-            Joint positions [rad], one each ``period_s`` [s].
+            Joint positions [rad], one per ``period_s`` [s].
         s : array, shape (m,)
-            Arc lengths [m], for the gate's words.
+            Arc lengths [m], for the gate's messages.
 
         Raises
         ------
         MotionRefused
-            If the gate refuses, or this arm cannot follow a stream; nothing has moved.
+            If the gate refuses, or this arm cannot follow streamed positions; nothing has moved.
         CellStopped
             As ``move``.
         """
         start = self.positions()
         others = {other: here for other, here in start.items() if other != name}
-        checked = np.concatenate([start[name][None], q])  # from where the arm really is
+        checked = np.concatenate([start[name][None], q])  # from the arm's actual position
         refusal = refuse_path(self._bodies, name, checked, others, np.append(s[:1], s), self._cell.gate)
         if refusal:
             raise MotionRefused(f"refused to follow the path: {refusal}")
@@ -231,10 +233,10 @@ class Mover:
     def follow_together(
         self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
     ) -> dict[str, FollowedPath]:
-        """Let arms at the beginning of their paths follow them all at once, and wait until all are at rest.
+        """Let arms at the beginning of their paths follow them simultaneously; wait until all are at rest.
 
-        As ``follow``, arm -> positions (m, N) [rad] and the time between two of them [s]. Arms that are no longer where
-        the gate has expected them beside one another are a doubt, which stops all.
+        Like ``follow``; ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. If the arms are no longer
+        where the gate expected them relative to each other, that is a doubt, which stops all.
         """
         start = self.positions()
         period_s = min(its for _, its in paths.values())
@@ -264,13 +266,13 @@ class Mover:
         look: Callable[[], None] | None,
         round_s: float = _LOOK_S,
     ) -> dict[str, FollowedPath]:
-        """Let arms follow paths that the gate has accepted from ``start``, and wait until they are at rest."""
+        """Let arms follow paths from ``start`` that the gate has accepted; wait until they are at rest."""
         arms = {name: arm for name in paths if isinstance(arm := self._cell.arms[name], PathFollower)}
         for name in paths:
             if name not in arms:
                 raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
         self._record_foreign_steps(start)
-        self._departure = dict(start)  # straight back there is another way, which the gate checks as any motion
+        self._departure = dict(start)  # the straight way back is a different motion, which the gate checks
         expected_s = max(len(q) * period_s for q, period_s in paths.values())
         ends = {name: q[-1] for name, (q, _) in paths.items()}
         self._emit(MotionBegun(self.stop, vectors({name: start[name] for name in paths}), vectors(ends), expected_s))
@@ -291,21 +293,21 @@ class Mover:
         return found
 
     def _confirm_links(self) -> None:
-        """Make sure that every link of every arm answers now, also those of arms that stay at rest.
+        """Check that every link of every arm responds now, also of arms that stay at rest.
 
-        Raises ``CellStopped`` if one does not: nothing begins beside a doubt.
+        Raise ``CellStopped`` if one does not: no motion begins while there is a doubt.
         """
         arms = self._cell.arms
         _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
         for name, error in errors.items():
             raise self.stop_cell(cause_of(name, error)) from error
-        self._reaction.check()  # the watch has asked the tracker
+        self._reaction.check()  # the tracker watch has queried the tracker
 
     def _tracker_died(self, reason: str) -> None:
         self._reaction.trigger(StopCause("tracker", reason))
 
     def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
-        """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""
+        """Record motions since the last completed one of this object: interrupted ones, or of an arm moved by hand."""
         for name, q in start.items():
             step = q - self._rested_at.get(name, q)
             moved = np.abs(step) > MOVED_RAD
@@ -313,11 +315,11 @@ class Mover:
                 self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
 
     def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
-        """Record the last motion of each joint. Raises ``CellStopped`` if the arm did not reach its target."""
+        """Record the last motion of each joint. Raise ``CellStopped`` if the arm did not reach its target."""
         step = commanded - start
         moved = np.abs(step) > MOVED_RAD
         self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
-        if moved.any() or name not in self._step:  # an arm that is there already keeps its last motion
+        if moved.any() or name not in self._step:  # an arm that was already there keeps its last motion
             self._step[name] = np.where(moved, reached - start, 0.0)
         self._rested_at[name] = reached
         miss = float(np.abs(reached - commanded).max())
@@ -326,9 +328,9 @@ class Mover:
             raise self.stop_cell(StopCause("gate", text, name))
 
     def go_home(self, names: Sequence[str] | None = None) -> None:
-        """Move the arms, or those of ``names``, home one at a time, in an order that the gate accepts.
+        """Move the arms (all, or ``names``) home one at a time, in an order that the gate accepts.
 
-        Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
+        Raise as ``move``; ``MotionRefused`` if none of the remaining arms can move home.
         """
         homes = home_positions(self._profile)
         waiting = list(homes if names is None else names)
@@ -338,9 +340,9 @@ class Mover:
             waiting.remove(name)
 
     def go_home_unless_clear(self, name: str, q: Vector) -> None:
-        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and home from there.
+        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and from there home.
 
-        So an arm is never stranded. Raises as ``move`` does.
+        This prevents stranding the arm. Raise as ``move``.
         """
         home = home_positions(self._profile)[name]
         if self.refusal({name: q}, {name: home}):
@@ -349,10 +351,10 @@ class Mover:
     def _settled(
         self, names: Sequence[str], timeout_s: float, look: Callable[[], None] | None = None, round_s: float = _LOOK_S
     ) -> dict[str, ArmState]:
-        """Wait for the arms in turn, until each of them was at rest in the same round; ``look`` is called in each, in
-        which one arm is waited for ``round_s`` [s] at most.
+        """Wait in rounds until all arms are at rest in the same round; return their states.
 
-        A doubt about any arm brakes all of them, which ends every wait at once.
+        Each round calls ``look`` and waits at most ``round_s`` [s] for each arm. A doubt about any arm brakes all of
+        them, which ends every wait at once.
         """
         for name in names:
             self._rest_since_s.pop(name, None)
@@ -388,23 +390,23 @@ class Mover:
         raise self.stop_cell(StopCause("fault", text, late))
 
     def approach(self, name: str) -> NDArray[np.int8]:
-        """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""
+        """Return the sign of each joint's last motion (N,); 0 if the joint has not moved yet."""
         return self._approach[name]
 
     def step(self, name: str) -> Vector | None:
-        """Return each joint's last motion (N,) with its sign [rad]; None if the arm has not moved yet."""
+        """Return each joint's last motion (N,) [rad], signed; None if the arm has not moved yet."""
         return self._step.get(name)
 
     def rested_s(self, name: str) -> float | None:
         """Return how long an arm has been at rest [s]; None if it has not moved yet.
 
-        If its controller does not report when it came to rest, this counts from when it was seen to have settled.
+        If its controller does not report when it came to rest, count from when it was seen to have settled.
         """
         since_s = self._rest_since_s.get(name)
         return None if since_s is None else self._cell.clock.now_s() - since_s
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
-        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises as soon as the cell is stopped."""
+        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""
         left_s = dwell_s - (self.rested_s(name) or 0.0)
         if left_s > 0.0:
             with self._cell.pulse.waiting():
@@ -413,7 +415,7 @@ class Mover:
         cancel.check()
 
     def measure(self, name: str, q: Vector) -> Point:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]; tries twice.
+        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]; try twice.
 
         Raises
         ------
@@ -422,15 +424,17 @@ class Mover:
         NotReady
             If the tracker is not ready to measure.
         CellStopped
-            If the tracker itself fails, or the cell was stopped meanwhile.
+            If the tracker itself fails, or the cell was stopped in the meantime.
         """
         return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
 
     def measure_at(
         self, expected_M: Vector, what: str, within_m: float | None = None, tries: int = _MEASURING_TRIES
     ) -> Point:
-        """Measure the SMR of ``what`` at ``expected_M`` (3,) [m], ``within_m`` [m] of it; None: as far as a prediction
-        may be off. Raises as ``measure``."""
+        """Measure the SMR of ``what``, expected at ``expected_M`` (3,) [m]; reject points beyond ``within_m`` [m].
+
+        ``within_m`` is ``WRONG_TARGET_M`` if None. Raise as ``measure``.
+        """
         within_m = WRONG_TARGET_M if within_m is None else within_m
         problem: TrackerError = TargetLost("not tried")
         for _ in range(tries):
@@ -458,7 +462,7 @@ class Mover:
     def stop_cell(self, cause: StopCause) -> CellStopped:
         """Stop the cell; return the exception for its first cause, which may be an earlier one.
 
-        An arm that was braked is the consequence of a cause, not another one.
+        That an arm was braked is a consequence of a cause, not another cause.
         """
         first = self._reaction.cause
         if first is None or not isinstance(cause.error, MotionStopped):

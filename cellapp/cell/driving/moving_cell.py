@@ -1,4 +1,4 @@
-"""An open cell whose arms a job moves: attended, confirmed by a person before the first motion, and slow at first."""
+"""Open a cell whose arms a job moves: attended, confirmed by a person before the first motion, slow at first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cellapp.robot.model import CellModel
 
 @dataclass(frozen=True, eq=False)
 class MovingCell:
-    """An open cell with all arms at home; ``hold`` waits while a person pauses."""
+    """Open cell with all arms at home; ``hold`` waits while a person pauses."""
 
     cell: Cell
     reaction: StopReaction
@@ -27,7 +27,7 @@ class MovingCell:
     mover: Mover
     hold: Callable[[], None]
     began_s: float
-    """When the arms began to move [s], by the cell's clock."""
+    """Start of the first motion on the cell's clock [s]."""
 
 
 @contextmanager
@@ -44,9 +44,9 @@ def moving_cell(
 ) -> Iterator[MovingCell]:
     """Open the cell of a profile and move all arms home.
 
-    ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion. ``open_with`` opens the cell. ``measures``: the tracker is needed. ``slow_visits`` is as in
-    ``Mover.slow_start``. Raises as ``attended_cell`` and ``Mover`` do; ``InputError`` if the first motion is not
+    ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
+    called before the first motion. ``open_with`` opens the cell. ``measures`` requires a ready tracker. ``slow_visits``
+    is as in ``Mover.slow_start``. Raise as ``attended_cell`` and ``Mover``; ``InputError`` if the first motion is not
     confirmed.
     """
     bodies, homes = cell_bodies(profile, model), home_positions(profile)

@@ -1,4 +1,4 @@
-"""What the doctor says of several SMRs on a flange, and of reference nests that tie tracker stations."""
+"""Findings of the doctor about several SMRs on a flange, and about reference nests that tie tracker stations."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from cellapp.robot.kinematics.transforms import Array
 from drivers.findings import Finding
 
 _DISTANCE_M = 1e-3
-"""By how much offsets may contradict a stated distance: offsets are often as drawn."""
+"""Largest difference [m] between offsets and a stated distance: offsets are often taken from drawings."""
 _LOOSE_MM = 0.05
-"""From this on a tie is coarser than the tracker: some 40 µm at 4 m."""
+"""Uncertainty [mm] above which a tie is reported as loose: the tracker's own is some 40 µm at 4 m."""
 
 
 def nest_findings(cell: CellBodies, profile: Profile, homes: Mapping[str, Array]) -> Iterator[Finding]:
-    """Each placed arm with several SMRs: offsets checked, what they tell of the orientation, what is seen at home."""
+    """Check each placed arm with several SMRs: offsets, uncertainty of the orientation, visibility at home."""
     nests = Nests.of(profile.model_copy(update={"arms": {name: profile.arms[name] for name in homes}}), cell)
     for name in nests.names:
         smr, subject = profile.arms[name].smr, f"arm {name}: nests"
@@ -47,7 +47,7 @@ def nest_findings(cell: CellBodies, profile: Profile, homes: Mapping[str, Array]
 
 
 def reference_nest_findings(path: Path, cell: CellBodies | None, homes: Mapping[str, Array]) -> Iterator[Finding]:
-    """How well the nests of a file tie each station to the first one, at the SMR of each arm at home."""
+    """Report how well the nests of a file tie each station to the first one, at the SMR of each arm at home."""
     subject = "reference nests"
     try:
         first, ties = read_reference_nests(path, {})
@@ -67,13 +67,13 @@ def reference_nest_findings(path: Path, cell: CellBodies | None, homes: Mapping[
 
 
 def _contradictions(smr: Smr) -> list[str]:
-    """Stated distances that known offsets contradict, and nests at the same place."""
+    """Return stated distances that known offsets contradict, and nests at the same position."""
     places = dict(zip(smr.names, nest_offsets(smr), strict=True))
     found = []
     for one in smr.distances:
         first, second = one.between
         apart = float(np.linalg.norm(places[first] - places[second]))
-        if abs(apart - one.distance) > _DISTANCE_M:  # not where an offset is unknown
+        if abs(apart - one.distance) > _DISTANCE_M:  # False if an offset is unknown (NaN)
             said = f"distances say {one.distance * 1e3:.2f} mm"
             found.append(f"offsets put {first} and {second} {apart * 1e3:.2f} mm apart, {said}")
     return found + [
@@ -84,7 +84,7 @@ def _contradictions(smr: Smr) -> list[str]:
 
 
 def _orientation(cell: CellBodies, profile: Profile, name: str, home: Array, known: Array) -> str:
-    """How well an orientation follows from the nests at home: about the axis that is known least."""
+    """Return how well the nests determine the orientation at home: about the least certain axis."""
     words = f"{len(profile.arms[name].smr.names)} nests"
     if len(known) < 3:
         return f"{words}; what they tell of the orientation is known once they are measured"
@@ -97,7 +97,7 @@ def _orientation(cell: CellBodies, profile: Profile, name: str, home: Array, kno
 
 
 def _at_home(cell: CellBodies, nests: Nests, profile: Profile, name: str, homes: Mapping[str, Array]) -> Finding:
-    """Which nests the tracker sees with all arms at home."""
+    """Report which nests the tracker sees with all arms at home."""
     at = {arm: q[None] for arm, q in homes.items()}
     others = {arm: q for arm, q in at.items() if arm != name}
     seen = {nests.names[name]: bool(visible(cell, name, at[name], others)[0])}

@@ -1,4 +1,4 @@
-"""The orientation of a flange at rest from several SMRs: the further nests are measured after the arm's SMR."""
+"""Determine the orientation of a flange at rest from several SMRs: measure the arm's SMR, then the further nests."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 
 _FITS = 5.0
-"""Misfit of the figure to the measured nests, in standard deviations of a coordinate, above which no orientation is
-stated: a nest was moved, or another SMR measured."""
+"""Largest misfit between shape and measured nests, in standard deviations of a coordinate. Above it no orientation is
+stated: a nest was moved, or another SMR was measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class NestPoses:
-    """Measures arms at rest; where the nests of an arm are a known figure, with the orientation of the figure.
+    """Measures arms at rest, with the orientation if the nests of an arm have a known shape.
 
-    ``shapes`` are by arm, ``nests`` say which of them the tracker sees and where.
+    ``shapes`` are by arm; ``nests`` tells which nests the tracker sees, and where.
     """
 
     shapes: Mapping[str, NestShape]
@@ -38,7 +38,7 @@ class NestPoses:
     def of(
         cls, profile: Profile, model: CellModel | None, bodies: CellBodies, found: Mapping[str, NestShape]
     ) -> NestPoses:
-        """The figures ``found`` from readings that ``model`` was calibrated by; else as the profile has the nests."""
+        """Use the shapes ``found`` from the readings of ``model``'s calibration, else the profile's nests."""
         shapes, offsets = {}, {}
         for name, arm in profile.arms.items():
             if len(arm.smr.names) < 3:
@@ -55,11 +55,11 @@ class NestPoses:
         return cls(shapes, Nests.of(profile, bodies, offsets))
 
     def measure(self, mover: Mover, name: str, q: Vector) -> Point:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad], then its nests. Raises like ``Mover.measure``."""
+        """Measure the SMR of an arm at rest at ``q`` (N,) [rad], then its nests. Raise as ``Mover.measure``."""
         return self.turned(mover, name, q, mover.measure(name, q))
 
     def turned(self, mover: Mover, name: str, q: Vector, point: Point) -> Point:
-        """The measured ``point`` of an arm at rest at ``q`` (N,) [rad] with the orientation that its nests show."""
+        """Measure the nests of an arm at rest at ``q`` (N,) [rad]; return ``point`` with the resulting orientation."""
         shape = self.shapes.get(name)
         if shape is None or point.quaternion_M is not None:
             return point
@@ -71,16 +71,16 @@ class NestPoses:
 
 
 def nest_shapes(run: RunFile) -> dict[str, NestShape]:
-    """The figure of the nests of every arm of a run that has readings of several and shows one."""
+    """Return the shapes of nests, by arm, of a run with readings of several nests that determine one."""
     own = {name: run.rows(name) for name in run.arms()}
     found = {name: nest_stops(run.profile, name, rows).shape for name, rows in own.items() if has_nests(rows)}
     return {name: shape for name, shape in found.items() if shape is not None}
 
 
 def turned_by(shape: NestShape, measured: Mapping[str, Point]) -> Point:
-    """The point of the first nest with the orientation of the figure, where three nests were measured and fit it.
+    """Return the point of the first nest with the orientation of the shape, if three measured nests fit it.
 
-    Its standard uncertainty is that about the axis that is known least.
+    Its standard uncertainty is that about the least certain axis.
     """
     point = measured[shape.names[0]]
     if len(measured) < 3:
@@ -91,7 +91,7 @@ def turned_by(shape: NestShape, measured: Mapping[str, Point]) -> Point:
             p_M[0, place] = measured[nest].p_M
             information[0, place] = np.linalg.inv(measured[nest].covariance_M)
     rotation, origin, covariance = poses(shape.points_S, p_M, information)
-    if np.isfinite(shape.noise_m):  # NaN where no readings show the scatter of the figure
+    if np.isfinite(shape.noise_m):  # NaN if no readings show the scatter of the shape
         left = np.nan_to_num(p_M[0] - origin[0] - shape.points_S @ rotation[0].T)
         square = float(np.einsum("ka,kab,kb->", left, information[0], left))
         noise_m = np.sqrt(np.mean([np.trace(one.covariance_M) for one in measured.values()]) / 3.0)

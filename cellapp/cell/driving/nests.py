@@ -1,4 +1,4 @@
-"""Further SMRs on a flange: which of them the tracker sees at a stop, and the cheapest order to measure them."""
+"""Further SMRs on a flange: which of them the tracker sees at a stop, and the shortest order to measure them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_IN_ALL_ORDERS = 6
-"""Nests whose orders are all compared; more are taken as the profile names them."""
+"""Largest number of nests for which all orders are compared; more are measured in the profile's order."""
 
 
 @dataclass(frozen=True)
 class Nests:
-    """The nests of each arm whose offset is known, as cells in which the arm's SMR is in that nest.
+    """Nests of known offset of each arm, as cells in which the arm's SMR is in that nest.
 
     Attributes
     ----------
     names : mapping
-        Arm -> name of its SMR, of arms with nests.
+        Arm with nests -> name of its SMR.
     cell : CellBodies
-        With each arm's SMR where the profile has it.
+        Cell with each arm's SMR as in the profile.
     cells : mapping
         Arm -> nest -> cell.
     """
@@ -41,9 +41,9 @@ class Nests:
     def of(
         cls, profile: Profile, cell: CellBodies, found: Mapping[str, Mapping[str, Array]] = MappingProxyType({})
     ) -> Nests:
-        """The nests of a profile; those of unknown offset cannot be pointed at and are left out.
+        """Return the nests of a profile, without those of unknown offset, where the tracker cannot be pointed.
 
-        Offsets ``found``, arm -> nest -> (3,) [m] in F, come before those of the profile.
+        Offsets ``found``, arm -> nest -> (3,) [m] in F, take precedence over the profile's.
         """
         names, cells = {}, {}
         for name, arm in profile.arms.items():
@@ -56,14 +56,14 @@ class Nests:
         return cls(names, cell, cells)
 
     def seen(self, name: str, q: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
-        """Whether the tracker sees each nest of an arm at n stops of all arms, arm -> (n, N) [rad]."""
+        """Return whether the tracker sees each nest of an arm at n stops; ``q`` maps all arms to (n, N) [rad]."""
         others = {other: rows for other, rows in q.items() if other != name}
         return {nest: visible(cell, name, q[name], others) for nest, cell in self.cells.get(name, {}).items()}
 
     def in_order(self, name: str, q: Mapping[str, Array]) -> list[tuple[str, Array]]:
-        """The nests of an arm that the tracker sees at one stop, arm -> (N,) [rad], and where it expects them (3,) [m].
+        """Return an arm's visible nests at one stop (arm -> (N,) [rad]) with their expected positions (3,) [m].
 
-        In the order in which the beam has the shortest way from the arm's SMR, which is measured first.
+        The order minimises the rotation of the beam, starting from the arm's SMR, which is measured first.
         """
         at = {other: rows[None] for other, rows in q.items()}
         seen = [nest for nest, visible_there in self.seen(name, at).items() if visible_there[0]]
@@ -75,7 +75,7 @@ class Nests:
         return [(nest, places[nest]) for nest in order]
 
     def notes(self, q: Mapping[str, Array]) -> list[str]:
-        """At how many of n stops, arm -> (n, N) [rad], the tracker sees how many nests."""
+        """Report for n stops (arm -> (n, N) [rad]) at how many the tracker sees each nest, and an orientation."""
         found = []
         for name, own in self.names.items():
             seen = self.seen(name, q)
@@ -99,7 +99,7 @@ def _with_smr_at(cell: CellBodies, name: str, offset_F: Array) -> CellBodies:
 
 
 def _way(start: Array, places: list[Array]) -> float:
-    """Angle that the beam turns through from a point (3,) to others in turn [rad]."""
+    """Return the angle [rad] that the beam turns from a point (3,) through others in order."""
     beams = np.array([start, *places])
     beams = beams / np.linalg.norm(beams, axis=1, keepdims=True)
     return float(np.arccos(np.clip(np.sum(beams[1:] * beams[:-1], axis=1), -1.0, 1.0)).sum())

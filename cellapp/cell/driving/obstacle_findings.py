@@ -1,4 +1,4 @@
-"""What the doctor says about obstacles: how near each is at home, what stands on it, what covers a mounted one."""
+"""Findings of the doctor about obstacles: distances at home, arms standing on them, capsules of mounted ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.findings import Finding
 
 
 def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[Finding]:
-    """Yield a finding for each obstacle of the cell, and for each that is mounted on an arm."""
+    """Yield a finding for each obstacle of the cell, and for each obstacle mounted on an arm."""
     found = list(obstacle_clearances(cell, homes))
     for obstacle in cell.obstacles:
         yield _standing(cell, obstacle.name, [one for one in found if one.obstacle == obstacle.name])

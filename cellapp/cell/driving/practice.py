@@ -1,4 +1,4 @@
-"""What is watched while stops are measured: the air, and the model that is refitted after each stop."""
+"""Running estimates while stops are measured: air temperature, and the model refitted after each stop."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from cellapp.robot.kinematics.transforms import Array
 from drivers.sensors.protocol import AirReading, AirSensor, SensorError
 
 Note = Callable[[str, str], None]
-"""Takes a level of the log ("info", "warning") and a sentence."""
+"""Callback with a log level ("info", "warning") and a sentence."""
 
 
 @dataclass
 class AirTemperature:
-    """Air temperature from the weather station; None while it fails, which is noted once.
+    """Air temperature from the weather station; None while the station fails, which is noted once.
 
-    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air. ``heard`` takes
-    every reading.
+    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air. ``heard`` is
+    called with every reading.
     """
 
     sensor: AirSensor
@@ -37,7 +37,7 @@ class AirTemperature:
     state: Literal["new", "working", "failed"] = "new"
 
     def at_stop(self, stop: int) -> float | None:
-        """Read the air temperature [degC]."""
+        """Read the air temperature [degC]; None if the station fails."""
         reading = self._read(stop)
         return None if reading is None else reading.temperature_c
 
@@ -57,7 +57,7 @@ class AirTemperature:
 
 
 class LiveModel:
-    """The models of all arms, refitted after each stop. An arm whose model cannot be fitted is measured without one."""
+    """Models of all arms, refitted after each stop. An arm whose model cannot be fitted is measured without one."""
 
     def __init__(
         self, profile: Profile, planned: Mapping[str, Array], stored: Mapping[str, Readings], note: Note
@@ -83,7 +83,7 @@ class LiveModel:
             self._latest[name] = report
 
     def add(self, stop: int, rows: Mapping[str, Reading]) -> list[StopReport | Suspicion]:
-        """Refit with the readings of a stop; return a report for each arm that has a model, and suspicions."""
+        """Refit with the readings of a stop; return a report for each arm with a model, and suspicions."""
         found: list[StopReport | Suspicion] = []
         innovations = {}
         for name, reading in rows.items():
@@ -102,27 +102,27 @@ class LiveModel:
         return [*found, *self._suspicions.at_stop(stop, innovations)]
 
     def forget_suspicions(self) -> None:
-        """Start afresh, after a person has looked at the cell."""
+        """Reset the suspicions after a person has inspected the cell."""
         self._suspicions.forget()
 
     @property
     def standard_error_mm(self) -> dict[str, float]:
-        """Standard uncertainty of a predicted SMR position from the parameters, by arm; arms without a model lack."""
+        """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm with a model."""
         return {name: report.standard_error_mm for name, report in self._latest.items()}
 
     def residuals(self) -> dict[str, Residuals]:
-        """What the models leave of all readings, by arm, in the order in which they came; arms without a model lack."""
+        """Return the residuals of all readings in order of arrival, by arm with a model."""
         found = {name: fit.residuals() for name, fit in self._fits.items()}
         return {name: one for name, one in found.items() if one is not None}
 
     def lengths_m(self, name: str, readings: Readings) -> list[float | None]:
-        """What the model of an arm leaves of readings that it has not learnt from [m]; None without a model."""
+        """Return the residual lengths [m] of readings that were not used in the fit; None without a model."""
         fit = self._fits.get(name)
         lengths = None if fit is None or not len(readings) else fit.lengths_m(readings.q, readings.p_M)
         return [None] * len(readings) if lengths is None else list(lengths.tolist())
 
     def accurate_enough(self, stops_done: int) -> bool:
-        """Whether the asked standard error is reached by every arm, after the least number of stops."""
+        """Return whether every arm has the requested standard error, after the minimum number of stops."""
         asked = self._finish.standard_error
         if asked is None or stops_done < self._finish.least_stops or set(self._latest) != set(self._fits):
             return False

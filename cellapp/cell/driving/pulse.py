@@ -1,4 +1,4 @@
-"""The sign of life of the job in an open cell: people see how old it is, whatever the job is doing."""
+"""Heartbeat of the job in an open cell: others can see its age, whatever the job is doing."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from contextlib import contextmanager
 
 
 def asleep() -> float:
-    """Age of the data [s] while the job waits on purpose: a wait of its own is no silence."""
+    """Return 0, the age [s] of data while the job waits on purpose: its own waiting is not silence."""
     return 0.0
 
 
 class JobPulse:
-    """When the job's thread last gave a sign of life. It writes; any thread may read, without waiting."""
+    """Time of the last sign of life of the job's thread, which writes it; any thread can read it without waiting."""
 
     def __init__(self) -> None:
         self._beat_s = time.monotonic()
         self._waits_for: Callable[[], float] | None = None
 
     def beat(self) -> None:
-        """Give a sign of life."""
+        """Record a sign of life."""
         self._beat_s = time.monotonic()
 
     @contextmanager
     def waiting(self, age_s: Callable[[], float] = asleep) -> Iterator[None]:
-        """While this context is open the job waits for a device and is as alive as its data, of age ``age_s`` [s]."""
+        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s]."""
         self.beat()
         self._waits_for = age_s
         try:

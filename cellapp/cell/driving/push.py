@@ -1,4 +1,4 @@
-"""Push compensated targets to the arms; with verification, measure where the SMRs really go, and correct the rest."""
+"""Push compensated targets to the arms; with verification, measure the SMRs there and correct remaining errors."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from cellapp.robot.model import CellModel
 
 @dataclass
 class Visited:
-    """What was done so far; the caller keeps it if the job is stopped."""
+    """Results so far; the caller keeps them if the job is stopped."""
 
     targets: list[MeasuredTarget] = field(default_factory=list)
     pairs: list[MeasuredPair] = field(default_factory=list)
 
     def add(self, found: Findings, judge: Judge, *, verify: bool) -> None:
-        """Take what was found at one target."""
+        """Add the findings of one target."""
         self.targets += found.targets(judge)
         pair = found.pair(judge) if verify else None
         if pair is not None:
             self.pairs.append(pair)
 
     def result(self, stopped: str = "") -> VerifyResult:
-        """The result of what was done; ``stopped`` says why it is not all."""
+        """Return the result so far; ``stopped`` says why targets are missing."""
         return VerifyResult(
             arms=by_arm(self.targets),
             targets=tuple(self.targets),
@@ -70,23 +70,23 @@ def push(
     open_with: Opened | None = None,
     visited: Visited | None = None,
 ) -> VerifyResult:
-    """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
+    """Send every command to its arm, the other arms at home; if ``verify``, drive both commands and measure.
 
-    The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is how often at
-    most the remaining error is measured and corrected. ``repeatability_m`` is the standard deviation of a coordinate
-    of each arm's SMR as measured after repeated motions, below which nothing is corrected; zero where it is not known.
+    The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is the maximum
+    number of corrections of the remaining error. ``repeatability_m`` is the standard deviation of a coordinate of each
+    arm's SMR over repeated motions [m], zero if unknown; smaller errors are not corrected.
 
-    ``nests`` are the figures of several SMRs on a flange, by arm, as the calibration's readings have them: they are
-    measured too and give the orientation.
+    ``nests`` maps arms to the shapes of several SMRs on a flange, as in the calibration's readings: they are measured,
+    too, and give the orientation.
 
-    ``judge`` decides on tolerances; left out, by what the profile alone says. ``opened`` is called with the open cell
-    before anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``open_with``
-    opens the cell. ``visited`` takes each target as soon as it is done.
+    ``judge`` decides on tolerances; if None, by the profile alone. ``opened`` is called with the open cell before
+    anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. ``open_with``
+    opens the cell. Each target is added to ``visited`` when it is done.
 
     Raises
     ------
     InputError
-        If no target can be commanded at all, or commands, model and profile are of other arms or SMR mounts.
+        If no target can be commanded, or commands, model and profile are of different arms or SMR mounts.
     HardwareError
         If an arm or the tracker fails; all arms have been stopped.
     Stopped, Aborted
@@ -117,7 +117,7 @@ def push(
 def _visit_all(
     visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited, listener: Listener
 ) -> str:
-    """Visit all targets in their order; return why some are left out, because measurements contradict the model."""
+    """Visit all targets in order; return why the rest was left out if measurements contradict the model, else empty."""
     by_target = grouped((command.target.name, command) for command in commands)
     agreement, total = Agreement(), len(by_target)
     for done, (name, own) in enumerate(by_target.items()):

@@ -1,8 +1,8 @@
-"""The reaction of the whole cell to a doubt: all arms brake at once and in parallel; diagnosis comes afterwards.
+"""Reaction of the whole cell to a doubt: all arms brake at once and in parallel; diagnosis comes afterwards.
 
-The first cause latches the reaction. Nothing moves until ``release``, which reconnects every arm. The act that latches
-it withdraws every arm's permission to begin a motion before it returns; brakes and the watch for rest follow in threads
-of their own, so that neither waits for the job.
+The first cause latches the reaction. Nothing moves until ``release``, which reconnects every arm. The call that latches
+it withdraws every arm's permission to start a motion before it returns. Braking and watching until rest run in threads
+of their own; they do not wait for the job.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from drivers.trackers.protocol import TrackerError
 
 CauseKind = Literal["fault", "safety stop", "link lost", "host stalled", "stop", "abort", "gate", "tracker", "engine"]
 HaltListener = Callable[[str, Halt], None]
-"""Receives the name of an arm and how far its halt is, from any thread; returns soon."""
+"""Callback with the name of an arm and the state of its halt, from any thread; must return soon."""
 
 _BRAKED = Halt("braking", "its stop was commanded")
 _AT_REST = Halt("at rest", "it was seen at rest")
 
 
 def ignore_halt(name: str, halt: Halt) -> None:
-    """A listener for those who do not look."""
+    """Ignore the state of a halt."""
 
 
 @dataclass(frozen=True)
 class StopCause:
-    """Why the cell stopped; ``arm`` is None if no single arm is the cause."""
+    """Why the cell stopped; ``arm`` is None if the cause is not one arm."""
 
     kind: CauseKind
     text: str
@@ -43,7 +43,7 @@ class StopCause:
 
 
 class CellStopped(HardwareError):
-    """The cell was stopped; the message is the cause. Raised in the job; the arms brake already."""
+    """The cell was stopped; the message is the cause. Raised in the job's thread, while the arms brake already."""
 
     def __init__(self, cause: StopCause) -> None:
         super().__init__(f"{cause.text}; a stop was sent to all arms")
@@ -51,14 +51,14 @@ class CellStopped(HardwareError):
 
 
 class Halting(Protocol):
-    """What must end its work when the cell stops: the tracker."""
+    """Device that must end its work when the cell stops: the tracker."""
 
     def halt(self) -> None:
         """End the running measurement; from any thread."""
 
 
 def cause_of(name: str, error: ArmError) -> StopCause:
-    """Return the cause that an arm's error is."""
+    """Return the stop cause for an arm's error."""
     kind: CauseKind = "fault"
     if isinstance(error, ProtectiveStop | EmergencyStop):
         kind = "safety stop"
@@ -70,7 +70,7 @@ def cause_of(name: str, error: ArmError) -> StopCause:
 
 
 class StopReaction:
-    """The latch and the brakes of one open cell. ``trigger`` may be called from any thread, the rest from the job's.
+    """Latch and brakes of one open cell. ``trigger`` may be called from any thread, all else from the job's thread.
 
     Parameters
     ----------
@@ -78,10 +78,10 @@ class StopReaction:
         Arm by name.
     tracker : Halting
     together : callable
-        Calls functions of all devices at once. Where it returns at once, each arm is watched until it rests by the
-        thread that brakes it; else, in simulated time, by ``wait_at_rest``.
+        Calls functions of all devices concurrently. If it returns at once (threads), the thread that brakes an arm also
+        watches it until it rests; else, in simulated time, ``wait_at_rest`` does.
     listener : callable
-        Is told when an arm was seen at rest after a halt, or was not; it may take its time.
+        Called when an arm was seen at rest after a halt, or was not; it may take some time.
     """
 
     def __init__(
@@ -95,38 +95,38 @@ class StopReaction:
         self._causes: tuple[StopCause, ...] = ()
         self._lock = threading.RLock()
         self._halts: dict[str, Halt] = {}
-        self._watched: set[str] = set()  # arms that a thread watches until they rest
+        self._watched: set[str] = set()  # arms that a thread is watching until they rest
         self._rested = threading.Condition(self._lock)
         for name, arm in arms.items():
             arm.watch(partial(self._doubt, name))
 
     @property
     def cause(self) -> StopCause | None:
-        """The first cause since the last ``release``; None if nothing happened."""
+        """First cause since the last ``release``; None if there is none."""
         return self._causes[0] if self._causes else None
 
     @property
     def causes(self) -> tuple[StopCause, ...]:
-        """All causes since the last ``release``, oldest first; of a device one of each kind."""
+        """All causes since the last ``release``, oldest first; one of each kind per device."""
         return self._causes
 
     @property
     def halts(self) -> Mapping[str, Halt]:
-        """How far the halt of each arm is; without the arms that were not halted."""
+        """State of the halt of each halted arm."""
         return dict(self._halts)
 
     def trigger(self, cause: StopCause) -> None:
-        """Brake all arms at once, again if they brake already, and keep the cause.
+        """Brake all arms at once, even if they brake already, and store the cause.
 
-        No arm accepts a motion any more when this returns.
+        When this returns, no arm accepts a motion.
         """
         with self._lock:
             known = any((cause.kind, cause.arm) == (one.kind, one.arm) for one in self._causes)
-            if not known or cause.kind in ("stop", "abort"):  # a person's second stop is another one
+            if not known or cause.kind in ("stop", "abort"):  # a person's second stop counts again
                 self._causes = (*self._causes, cause)
             for name, arm in self._arms.items():
                 arm.refuse_motion()
-                if self._halts.get(name, _BRAKED).state != "not seen at rest":  # it stays so until it is seen
+                if self._halts.get(name, _BRAKED).state != "not seen at rest":  # keep that state until seen at rest
                     self._halts[name] = Halt("asked", cause.text)
         self._together([*(partial(self._halt, name) for name in self._arms), self._halt_tracker])
 
@@ -139,9 +139,9 @@ class StopReaction:
             raise CellStopped(self._causes[0])
 
     def wait_at_rest(self) -> dict[str, str]:
-        """Wait until every arm rests, all at once; return why an arm was not seen at rest, name -> reason."""
+        """Wait until every arm rests, in parallel; return arm -> reason for arms that were not seen at rest."""
         with self._rested:
-            self._rested.wait_for(lambda: not self._watched)  # every call of a driver ends in bounded time
+            self._rested.wait_for(lambda: not self._watched)  # terminates: every call of a driver has a timeout
             waiting = [name for name in self._arms if self._halts.get(name, _BRAKED).state in ("asked", "braking")]
         _, errors = answers_of_all(self._together, {name: self._arms[name].stop for name in waiting})
         for name in waiting:
@@ -149,17 +149,17 @@ class StopReaction:
         return {name: halt.reason for name, halt in self._halts.items() if halt.state == "not seen at rest"}
 
     def release(self, known: Sequence[StopCause]) -> None:
-        """Reconnect all arms, after a person allowed it or for a cause that is no danger. Nothing moves.
+        """Reconnect all arms, after a person allowed it or the cause was harmless. Nothing moves.
 
-        ``known`` are the causes that were considered. The latch opens first: a doubt that comes meanwhile closes it.
+        ``known`` are the causes that the caller knows. The latch opens first, so that a new doubt closes it again.
 
         Raises
         ------
         HardwareError
-            If another cause came, or an arm is not ready; the cell is stopped then.
+            If another cause came, or an arm is not ready; then the cell is stopped.
         """
         with self._rested:
-            self._rested.wait_for(lambda: not self._watched)  # else an old watch ends after the latch is open
+            self._rested.wait_for(lambda: not self._watched)  # no old watch may end after the latch is open
             if self._causes != tuple(known):
                 raise CellStopped(self._causes[-1])
             self._causes = ()
@@ -183,11 +183,11 @@ class StopReaction:
     # -- the stop of one arm -------------------------------------------------------------------------------------------
 
     def _halt(self, name: str) -> None:
-        """Brake an arm and, where time is real, watch it until it rests; one thread watches."""
+        """Brake an arm and, in real time, watch it until it rests, unless another thread watches it already."""
         arm, reason = self._arms[name], ""
         try:
             arm.brake()
-        except ArmError as error:  # the watch asks again and reports an arm that was not seen at rest
+        except ArmError as error:  # the watch retries, and reports an arm that was not seen at rest
             reason = str(error)
         with self._lock:
             if self._halts.get(name, _BRAKED).state == "asked":
@@ -208,14 +208,14 @@ class StopReaction:
                 self._rested.notify_all()
 
     def _conclude(self, name: str, seen: Halt) -> None:
-        """Note whether an arm was seen at rest, and tell the listener; without the lock, as that may write a file."""
+        """Record whether an arm was seen at rest; notify the listener without the lock, because it may write a file."""
         with self._lock:
             before, self._halts[name] = self._halts.get(name), seen
         if before is None or before.state != seen.state:
             self._listener(name, seen)
 
     def _halt_tracker(self) -> None:
-        with suppress(TrackerError):  # a tracker that does not answer shows at the next measurement
+        with suppress(TrackerError):  # a tracker that does not answer is detected at the next measurement
             self._tracker.halt()
 
 

@@ -1,8 +1,8 @@
-"""What a run recorded while it was collected, in the order of time; everything here only reads.
+"""Recorded events of a run's collection in chronological order; read only.
 
-A run stores the readings, the reference measurements and the log. The ways between stops are not stored: an arm is
-taken to move straight to its next stop, at the profile's speed, and to be there when its dwell began. Ways home and for
-warming up are left out.
+A run stores the readings, the reference measurements and the log. The motions between stops are not stored: an arm is
+assumed to move straight to its next stop at the profile's speed and to arrive when its dwell began. Motions home and
+for warming up are left out.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from cellapp.ground.progress import (
 from cellapp.robot.model.nominal import joint_rates
 
 UNTIMED_STOP_S = 10.0
-"""Pace of readings without times: a motion of some seconds, and a few seconds for the points of two arms."""
+"""Time per stop for readings without times [s]: a motion of some seconds, and a few seconds to measure two arms."""
 _LAST_WORDS = timedelta(seconds=1.0)
-"""A session logs why it ended just after its end; what a later verb logs comes later."""
+"""A session logs its end within this time after it; later lines are from later verbs."""
 
 Plan = Mapping[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
 class Visit:
-    """The arms stood at a stop: its readings in the order of measurement, none if every SMR was missed."""
+    """Visit of a stop, with its readings in the order of measurement; none if every SMR was missed."""
 
     stop: int
     readings: Mapping[str, Reading]
@@ -54,7 +54,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class ReferenceGroup:
-    """Reference measurements that were made together; ``drift_mm`` is as in ``ReferenceReport``."""
+    """Reference measurements made together; ``drift_mm`` is as in ``ReferenceReport``."""
 
     rows: tuple[ReferenceRow, ...]
     drift_mm: Mapping[str, float]
@@ -66,9 +66,9 @@ What = Detail | Step | str
 
 @dataclass(frozen=True)
 class Moment:
-    """What happened at a time of the run's clock [s]; a step is complete then, a text is a note.
+    """Event at a time of the run's clock [s]; a step is complete at that time, a text is a note.
 
-    ``rank`` is the order at one time: SMRs that were missed, the steps to which they belong, other lines of the log.
+    ``rank`` orders events of the same time: missed SMRs, then their steps, then other lines of the log.
     """
 
     time_s: float
@@ -78,19 +78,19 @@ class Moment:
 
 @dataclass(frozen=True)
 class Recording:
-    """All moments of a run in their order.
+    """All events of a run in chronological order.
 
     Attributes
     ----------
     moments : tuple of Moment
     visits : int
-        Number of stops that were visited.
+        Number of visited stops.
     readings : mapping
         Arm -> number of readings.
     planned : mapping
-        Arm -> joint positions (n, N) [rad] of all stops; of the readings where there is no plan.
+        Arm -> joint positions (n, N) [rad] of all stops; of the readings if there is no plan.
     timed : bool
-        Whether the readings have times; otherwise the pace is ``UNTIMED_STOP_S``.
+        Whether the readings have times; if not, each stop takes ``UNTIMED_STOP_S``.
     """
 
     moments: tuple[Moment, ...]
@@ -106,7 +106,7 @@ class Recording:
 
 
 def read_recording(run: RunFile) -> Recording:
-    """Read what a run recorded. Raises ``InputError`` if there are no readings, or the file cannot be read."""
+    """Read what a run recorded. Raise ``InputError`` if there are no readings, or the file cannot be read."""
     readings = {name: run.readings(name) for name in run.arms()}
     if not readings:
         raise InputError(
@@ -143,7 +143,7 @@ def read_recording(run: RunFile) -> Recording:
 
 
 def _visits(readings: Mapping[str, Readings], *, timed: bool) -> list[Visit]:
-    """Readings grouped by stop, in the order of measurement: arms that stood there at other times are other visits."""
+    """Group readings by stop in the order of measurement; arms measured there at other times are separate visits."""
     rows = [
         (one.time_s if timed else place, stop, name, one)
         for name, arm in readings.items()
@@ -160,7 +160,7 @@ def _visits(readings: Mapping[str, Readings], *, timed: bool) -> list[Visit]:
 
 
 def _rows(arm: Readings) -> Iterable[tuple[float, int, Reading]]:
-    """Yield place in the order of measurement, stop and reading."""
+    """Yield position in the order of measurement, stop, and reading."""
     for row, stop in enumerate(arm.configuration.tolist()):
         sigma_m, covariance_M = _number(arm.sigma_m, row), _given(arm.covariance_M, row)
         reading = Reading(
@@ -185,7 +185,7 @@ def _number(values: NDArray[np.float64] | None, row: int) -> float | None:
 
 
 def _reference_groups(run: RunFile) -> list[ReferenceGroup]:
-    """References measured together: after the same number of stops of a session, each name once."""
+    """Group references measured together: after the same number of stops of a session, each name once."""
     groups: list[list[tuple[ReferenceRow, float]]] = []
     for row, drift in zip(run.references(), reference_drifts(run), strict=True):
         latest = [one for one, _ in groups[-1]] if groups else []
@@ -203,10 +203,10 @@ def _reference_groups(run: RunFile) -> list[ReferenceGroup]:
 
 
 class _Timeline:
-    """Moments of visits and reference measurements, each not before the one that it follows."""
+    """Events of visits and reference measurements, with times that never decrease."""
 
     def __init__(self, run: RunFile, plan: Plan, missed_s: Mapping[int, float]) -> None:
-        """``missed_s`` is when the last SMR was missed at a stop [s]."""
+        """``missed_s`` maps a stop to the time when the last SMR was missed there [s]."""
         self.moments: list[Moment] = []
         self._profile, self._plan, self._missed_s = run.profile, plan, missed_s
         self._half_s = 0.5 * run.profile.tracker.averaging
@@ -217,13 +217,13 @@ class _Timeline:
         self._reference_q = {name: q[first] for name, q in plan.items() if len(q)}
 
     def begins_s(self, step: Step) -> float:
-        """Return the time of the first measurement [s]."""
+        """Return the time of the step's first measurement [s]."""
         if isinstance(step, ReferenceGroup):
             return step.rows[0].time_s
         return min((one.time_s for one in step.readings.values()), default=self._missed_s.get(step.stop, 0.0))
 
     def add(self, step: Step) -> None:
-        """Append the moments of a step; steps come in the order of ``begins_s``."""
+        """Append the events of a step; steps must come in the order of ``begins_s``."""
         if isinstance(step, ReferenceGroup):
             self._move("reference measurements", None, self._reference_q, {}, step.rows[0].time_s - self._half_s)
             self._at(step.rows[-1].time_s + self._half_s, step)
@@ -256,7 +256,7 @@ class _Timeline:
         readings: Mapping[str, Reading],
         ends_s: float,
     ) -> None:
-        """Append a note and a motion to planned positions, or to those of the readings, that ends at a time [s]."""
+        """Append a note and a motion, ending at ``ends_s`` [s], to planned positions, else those of the readings."""
         reached = {**planned, **{name: one.q for name, one in readings.items()}}
         targets = {**reached, **planned}
         start = {name: self._q.get(name, q) for name, q in targets.items()}
@@ -276,7 +276,7 @@ class _Timeline:
 
 
 def _line_moments(time_s: float, line: Event, missed: Outcome | None, kind: str | None) -> list[Moment]:
-    """What a line of the log tells: a request that was recorded under ``kind``, an SMR that was missed, or itself."""
+    """Return the events of a log line: a request recorded under ``kind``, a missed SMR, or the line itself."""
     state = None if kind is None else state_of(kind)
     if kind is not None and state is not None:
         return [Moment(time_s, StateChange(state, line.text.removeprefix(f"{kind}: ")), 2)]
@@ -288,10 +288,10 @@ def _line_moments(time_s: float, line: Event, missed: Outcome | None, kind: str 
 
 
 def _timed_lines(run: RunFile, first_s: float, last_s: float) -> list[tuple[float, Event]]:
-    """Lines that sessions of collecting logged, with their times on the run's clock [s].
+    """Return the lines that collecting sessions logged, with their times on the run's clock [s].
 
-    Lines before a session's first measurement have no such time, nor has any line of an older version. They are placed
-    between their neighbours by the working time: what passed within sessions.
+    Lines before a session's first measurement have no such time, nor has any line of an older version. Their times are
+    interpolated over the working time, which is the time within sessions.
     """
     sessions, events = run.sessions(), run.events()
     spans = _spans(sessions, events)
@@ -309,7 +309,7 @@ def _timed_lines(run: RunFile, first_s: float, last_s: float) -> list[tuple[floa
 
 
 def _spans(sessions: Sequence[Session], events: Sequence[Event]) -> list[tuple[datetime, datetime]]:
-    """Begin and end of each session; one in which the program died ends with its last line."""
+    """Return begin and end of each session; a session in which the program died ends with its last log line."""
     began = [_utc(session.began) for session in sessions]
     next_began = [*began, None][1:]
     spans = []
@@ -321,12 +321,12 @@ def _spans(sessions: Sequence[Session], events: Sequence[Event]) -> list[tuple[d
 
 
 def _worked_s(spans: Sequence[tuple[datetime, datetime]], when: datetime) -> float:
-    """Working time before ``when`` [s]."""
+    """Return the working time (within sessions) before ``when`` [s]."""
     return sum(max((min(when, ended) - began).total_seconds(), 0.0) for began, ended in spans)
 
 
 def _utc(text: str) -> datetime:
-    """Return a stored time. Raises ``InputError`` if the text is none."""
+    """Parse a stored time. Raise ``InputError`` if the text is no time."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:

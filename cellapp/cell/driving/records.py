@@ -14,7 +14,7 @@ from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
 
 End = Literal["complete", "accurate enough"]
-"""How collecting ends by itself."""
+"""How a collecting session ends regularly: all stops done, or the requested accuracy reached early."""
 
 
 class SweepCount(Record):
@@ -75,7 +75,7 @@ class CollectResult(Result, schema="cellapp-collect"):
     omitted_when_none = frozenset({"replaced"})
 
     def complaints(self) -> list[str]:
-        """Why this collection does not count as done, in words; empty if it does."""
+        """Return why this collection does not count as done; empty if it does."""
         if self.outcome == "accurate enough" or self.missing_share <= self.tolerated_share:
             return []
         return [
@@ -192,7 +192,7 @@ class CollectionResult(Result, schema="cellapp-collection"):
 
     @property
     def last(self) -> SessionRecord | None:
-        """The last session that collected what was left; None if there is none."""
+        """Last session that collected remaining stops (none measured again); None if there is none."""
         return next((one for one in reversed(self.sessions) if not one.again), None)
 
 

@@ -1,4 +1,4 @@
-"""Suspicions from reference measurements: nests that stand still, and the arms at the reference stop."""
+"""Detect suspicions from reference measurements: fixed nests, and the arms at the reference stop."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 class ReferenceWatch:
-    """Judge reference measurements, each against the one before (a jump) and against the first (drift).
+    """Judges reference measurements, each against the previous one (a jump) and against the first one (drift).
 
-    Drift of a reference is raised once until it is back within the limit.
+    Drift of a reference is raised once until it is within the limit again.
 
     Parameters
     ----------
@@ -28,14 +28,14 @@ class ReferenceWatch:
         self._drifted: set[str] = set()
 
     def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
-        """Suspicions from the references' positions (3,) [m]: ``arms`` by their names, the others are nests."""
+        """Return suspicions from the references' positions (3,) [m]; names in ``arms`` are arms, the others nests."""
         jumps = self._beyond(points_M, self._last)
         beyond = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
         drifts = {name: size for name, size in beyond.items() if name not in self._drifted}
         self._drifted = (self._drifted - points_M.keys()) | beyond.keys()
         shared = len(self._last.keys() & points_M.keys())
         for name, point in points_M.items():
-            if name in jumps or name not in self._first:  # a jump is raised once: the next ones are judged from here
+            if name in jumps or name not in self._first:  # raise a jump once: later points are relative to this one
                 self._first[name] = point
             self._last[name] = point
         fixed = [name for name in jumps if name not in arms]

@@ -1,4 +1,4 @@
-"""Reference measurements during a run: the arms at the first planned stop, and fixed nests. Their drift is limited."""
+"""Measure references during a run: the arms at the first planned stop, and fixed nests. Their drift is limited."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 
 
 def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
-    """Return the nests of a profile, name -> position (3,) in the tracker frame M [m]."""
+    """Return the nests of a profile, name -> position (3,) [m] in the tracker frame M."""
     nests = profile.collection.reference.nests
     if not nests or profile.tracker.pose is None:
         return {}
@@ -32,9 +32,9 @@ def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
 
 @dataclass
 class References:
-    """Measures the references of one session and compares them with their first measurement in the run.
+    """Measures the references of one session and compares them with their first measurements in the run.
 
-    ``accept_drift``: the first measurements of this session replace those of earlier ones.
+    If ``accept_drift``, the first measurements of this session replace those of earlier ones.
     """
 
     run: RunFile
@@ -44,8 +44,8 @@ class References:
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
     carried: Mapping[str, str] = field(default_factory=dict)
-    """Reference -> what the arm carries, in words, where that is not the first load: an arm that sinks under another
-    load does not drift."""
+    """Reference -> what its arm carries, in words, if that is not the first load. Such references are compared
+    separately: an arm that sags more under another load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -57,12 +57,12 @@ class References:
     def check(self, states: Mapping[str, Vector], stops_done: int, began_s: float) -> ReferenceReport:
         """Measure all references with the arms at ``states`` (name -> q (N,) [rad]) and store them.
 
-        A drift above the limit suspends the job as the profile allows.
+        If the drift is above the limit, suspend the job as the profile allows.
 
         Raises
         ------
         HardwareError
-            If the drift stays above the limit and no person attends the job.
+            If the drift stays above the limit and nobody attends the job.
         """
         limit_m = self.run.profile.collection.reference.drift
         report = self._measured(states, stops_done, began_s)
@@ -84,7 +84,7 @@ class References:
                     f"{text}; look for a moved tracker, nest or SMR. If the change is understood, continue with"
                     " --resume --accept-drift, else start a new run"
                 )
-            self._first_M.clear()  # the person saw the drift and resumed: later drift counts from here
+            self._first_M.clear()  # the person saw the drift and resumed: from now on drift is relative to here
             latest[0] = self._measured(states, stops_done, began_s)
         return latest[0]
 
@@ -103,7 +103,7 @@ class References:
         return ReferenceReport(drift_mm, self.run.profile.collection.reference.drift * 1e3)
 
     def _points(self, states: Mapping[str, Vector]) -> dict[str, Point]:
-        """Measure the arms at ``states`` and the nests; one that cannot be measured is recorded."""
+        """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
         measure: dict[str, Callable[[], Point]] = {
             f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
         }

@@ -1,4 +1,4 @@
-"""Rehearsing a plan without the tracker: first the controllers alone, then real arms, one safe step more each time."""
+"""Rehearse a plan without the tracker: first only the controllers, then real arms, in steps of increasing risk."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class RehearsedMotion:
-    """A motion to a stop, or None on other ways: how long it took and should have taken [s], and for each arm the
-    largest distance of a joint from where it was commanded [rad]."""
+    """Motion to a stop (None: another motion), with its actual and expected duration [s] and, for each arm, the largest
+    deviation of a joint from its commanded position [rad]."""
 
     stop: int | None
     seconds: float
@@ -38,18 +38,18 @@ class RehearsedMotion:
 
 @dataclass
 class Rehearsal:
-    """What was found on a rung.
+    """Results of one rung.
 
     Attributes
     ----------
     visited : list of int
-        Stops that were reached, from 0.
+        Indices of the stops that were reached.
     refused : dict
         Stop -> why the gate or a controller refused it.
     notes : tuple of str
-        What the controllers said.
+        Messages of the controllers.
     ended : str
-        Why the rung ended early; empty if it did not.
+        Why the rung ended early; empty if it was completed.
     """
 
     visited: list[int] = field(default_factory=list)
@@ -67,14 +67,14 @@ def rehearse(
     control: JobControl,
     confirm: Confirm | None,
 ) -> Rehearsal:
-    """Drive the planned stops of a run for one rung, with ``arms``; the others stay where they are. Nothing is stored.
+    """Drive the planned stops of a run for one rung with ``arms``; the others stay where they are. Store nothing.
 
-    What a device refuses or a fault ends is in the result.
+    Refusals by a device, and a fault that ends the rung, are in the result.
 
     Raises
     ------
     InputError
-        Without a plan, if the first motion is not confirmed, or a record of the run is damaged.
+        Without a plan, if the first motion is not confirmed, or if a record of the run is damaged.
     Stopped, Aborted
         If a person stopped it; the arms have been braked.
     """
@@ -138,7 +138,7 @@ class _Driver:
         self.listener(Progress("rehearse", len(stops), len(stops), "done"))
 
     def _to_stop(self, stop: int) -> None:
-        """As collecting does; arms of a part of the cell go straight, or from home."""
+        """Move as collecting does; if only some arms of the cell move, go straight or from home."""
         if set(self.arms) == set(self.work.plan):
             self.travel.to_stop(stop)
             return
@@ -152,7 +152,7 @@ class _Driver:
         return {name: q for name, q in self.work.targets(stop).items() if name in self.arms}
 
     def _note(self, detail: Detail) -> None:
-        """Keep time and deviation of a motion from the reports of its beginning and end."""
+        """Record duration and deviation of a motion from the reports of its beginning and end."""
         now_s = self.cell.clock.now_s()
         if isinstance(detail, MotionBegun):
             self._begun = detail, now_s

@@ -1,4 +1,4 @@
-"""Play a run back as the events of its collecting, at its own pace or faster; nothing moves, no device is opened."""
+"""Replay the collection of a run as events, at its own pace or faster; nothing moves, no device is opened."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from cellapp.ground.progress import (
 
 JOB = "replay"
 SLOWEST, FASTEST = 1.0, 100.0
-"""Times the recorded pace. Beyond a hundred, a stop passes in less than a tenth of a second."""
+"""Limits of the pace relative to the recorded one. Beyond 100, a stop would take less than a tenth of a second."""
 
 _DUE_S = 1e-3
-"""An event is due when less than this is left: no wait is more exact."""
+"""An event is due if less than this [s] is left: waiting is no more exact."""
 
 Clock = Callable[[], float]
-"""Returns the time since an arbitrary origin [s]; never decreases."""
+"""Function that returns the time since an arbitrary origin [s]; never decreases."""
 
 
 @dataclass(frozen=True)
 class TimedEvent:
-    """An event of a recording, ``time_s`` after its beginning [s]; its ``eta_s`` is the recorded time that is left."""
+    """Event of a recording, ``time_s`` after its beginning [s]; its ``eta_s`` is the recorded time left."""
 
     time_s: float
     event: Progress
@@ -52,7 +52,7 @@ def replay_run(
     speed: float = SLOWEST,
     clock: Clock = time.monotonic,
 ) -> ReplayResult:
-    """Play back what a run recorded, ``speed`` times as fast as it was collected; the run is only read.
+    """Replay what a run recorded, ``speed`` times as fast as it was collected; only read the run.
 
     A person may pause and resume, and end it with ``stop`` or ``abort``.
 
@@ -85,9 +85,9 @@ def replay_run(
 
 
 def replay_events(profile: Profile, recording: Recording) -> Iterator[TimedEvent]:
-    """Yield the events of a recording with their times; the running model is refitted as it was while collecting.
+    """Yield the events of a recording with their times; refit the running model as during collecting.
 
-    A session that was resumed is played back as one with the sessions before it.
+    A resumed session is replayed as one with the sessions before it.
     """
     player = _Player(profile, recording)
     start_s = recording.moments[0].time_s
@@ -101,11 +101,11 @@ def replay_events(profile: Profile, recording: Recording) -> Iterator[TimedEvent
 
 
 class _Player:
-    """Turns moments into notes and details, with the models and watches of a collecting session."""
+    """Converts recorded events into notes and details, with the running model and reference watch of a session."""
 
     def __init__(self, profile: Profile, recording: Recording) -> None:
         self.done = 0
-        """Stops that were visited."""
+        """Number of visited stops."""
         self._stored = {moment.what.text for moment in recording.moments if isinstance(moment.what, LogReport)}
         self._notes: list[LogReport] = []
         self._model = LiveModel(profile, recording.planned, {}, self._note)
@@ -115,7 +115,7 @@ class _Player:
         self._state: JobState = "running"
 
     def play(self, what: What) -> Iterator[tuple[str, Detail | None]]:
-        """Yield the notes and details of one moment."""
+        """Yield the notes and details of one recorded event."""
         match what:
             case str():
                 yield what, None
@@ -136,7 +136,7 @@ class _Player:
             yield "", self._notes.pop(0)
 
     def _reference(self, group: ReferenceGroup) -> Iterator[Detail]:
-        """Yield the suspicions and the report of reference measurements; each session has a watch of its own."""
+        """Yield suspicions and report of reference measurements; each session has its own watch."""
         session = group.rows[0].session
         if self._watch is None or self._watch[0] != session:
             self._watch = session, ReferenceWatch(self._limit_m)
@@ -144,19 +144,19 @@ class _Player:
         yield ReferenceReport(group.drift_mm, self._limit_m * 1e3)
 
     def _note(self, level: str, text: str) -> None:
-        """Pass on what the model notes, unless the run's log tells it in its own place."""
+        """Queue a note of the model, unless the run's log contains it already."""
         if text not in self._stored:
             self._notes.append(LogReport(level, text))
 
 
 class _Pacer:
-    """Passes events on when they are due; the time of a pause does not count."""
+    """Passes events on when they are due; the clock stops during a pause."""
 
     def __init__(self, listener: Listener, control: JobControl, clock: Clock, began_s: float) -> None:
         self._listener, self._control, self._clock, self._began_s = listener, control, clock, began_s
 
     def emit(self, event: Progress, due_s: float) -> None:
-        """Pass an event on, ``due_s`` after the beginning [s]. Raises ``Stopped`` or ``Aborted`` on request."""
+        """Pass an event on, ``due_s`` after the beginning [s]. Raise ``Stopped`` or ``Aborted`` on request."""
         while True:
             left_s = self._began_s + due_s - self._clock()
             request = self._control.wait_while("none", timeout_s=max(left_s, 0.0))

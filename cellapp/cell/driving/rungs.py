@@ -1,4 +1,4 @@
-"""The rungs of a rehearsal, from the safest on; light, as requests name them."""
+"""Rungs of a rehearsal, the safest first; without heavy imports, because requests name them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RungName = Literal["simulation", "one-arm", "ten-stops", "both-arms"]
 
 @dataclass(frozen=True)
 class Rung:
-    """A step of the rehearsal: how many stops (None: all), which share of the profile's speed, one arm or all."""
+    """Step of the rehearsal: number of stops (None: all), fraction of the profile's speed, one arm or all."""
 
     stops: int | None
     share: float
@@ -26,4 +26,4 @@ RUNGS: Mapping[RungName, Rung] = {
     "ten-stops": Rung(10, 0.05, True, False, "ten stops of one arm at 5 % speed"),
     "both-arms": Rung(10, 0.05, False, False, "ten stops of all arms at 5 % speed"),
 }
-"""In the order in which they are climbed."""
+"""Rungs in the order in which they are taken."""

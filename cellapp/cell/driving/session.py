@@ -1,4 +1,4 @@
-"""One session of collecting in an open cell: visit the stops, measure, store; hold where the cell or a person asks."""
+"""One collecting session in an open cell: visit the stops, measure, store; pause when the cell or a person asks."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 MOST_MISSED_IN_A_ROW = 10
-"""The plan has visible stops only: this many misses in a row are a fault of the tracker or of the targets."""
+"""Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
 
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
-"""What is recorded of a session that needs nobody's attention afterwards."""
+"""Kinds of recorded requests that need nobody's attention afterwards; all others are logged as warnings."""
 
 T = TypeVar("T")
 
@@ -54,9 +54,9 @@ T = TypeVar("T")
 class CollectSession:
     """Collects the remaining stops of a run with the devices of an open cell.
 
-    ``profile`` is that of the run, its arms with the load of the stops. ``number`` is the session's number in the run.
-    With ``accept_drift``, drift counts from this session's first reference measurements. ``confirm`` is asked once,
-    before the first motion.
+    ``profile`` is the run's profile, with the payloads that the arms carry at these stops. ``number`` is the number of
+    the session in the run. If ``accept_drift``, drift is relative to the first reference measurements of this session.
+    ``confirm`` is called once, before the first motion.
     """
 
     run: RunFile
@@ -72,12 +72,12 @@ class CollectSession:
     confirm: Confirm | None = None
     notes: list[str] = field(default_factory=list)
     began_s: float | None = None
-    """Start of the run on the cell's clock [s]; controllers have clocks of their own, which are not used."""
+    """Start of the run on the cell's clock [s]; the controllers' own clocks are not used."""
 
     def __post_init__(self) -> None:
         profile = self.profile
         self._settings = profile.collection
-        self._is_loaded = profile.loads > 1  # then each reading says with which load, and none is left out early
+        self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
         self._queue = StopQueue(self.work)
         self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
         self._supervisor = Supervisor(
@@ -103,7 +103,7 @@ class CollectSession:
         self._nests = Nests.of(profile, self.bodies)
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
-        if self.work.again:  # the model is to judge them anew
+        if self.work.again:  # leave out the stops to be measured again: the model judges them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
         driver = SweepDriver(
@@ -119,12 +119,12 @@ class CollectSession:
     # -- the session ---------------------------------------------------------------------------------------------------
 
     def collect(self) -> End:
-        """Visit all stops of the queue.
+        """Visit all stops of the queue; return how the session ended.
 
         Raises
         ------
         HardwareError
-            If something needs a person and none attends the job.
+            If a person is needed and nobody attends the job.
         Stopped, Aborted
         InputError
             If the run file cannot be written.
@@ -146,7 +146,7 @@ class CollectSession:
                 end = "accurate enough"
                 break
         else:
-            for stop in () if self.work.again else self._sweeps.stops:  # of stops of an earlier session
+            for stop in () if self.work.again else self._sweeps.stops:  # left over from an earlier session
                 self._with_recovery(partial(self._sweep, stop))
         self._queue.close()
         self._until_reference = 0
@@ -156,7 +156,7 @@ class CollectSession:
         return end
 
     def _with_recovery(self, act: Callable[[], T]) -> T:
-        """Do something; after a halt of the cell from which it recovers, do it again from its beginning."""
+        """Call ``act``; after a halt from which the cell recovers, call it again from its beginning."""
         while True:
             try:
                 self._supervisor.checkpoint()
@@ -168,12 +168,12 @@ class CollectSession:
                 self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
 
     def _after_resume(self) -> None:
-        """Begin carefully again: a person may have been in the cell, or changed something in it."""
+        """Restart slowly and without suspicions: a person may have been in the cell, or changed something in it."""
         self._travel.slow_again()
         self._model.forget_suspicions()
 
     def _visit_next(self) -> bool:
-        """Move to the next stop, measure, store; return whether the asked accuracy is reached."""
+        """Move to the next stop, measure and store; return whether the requested accuracy is reached."""
         stop = self._queue.next()
         assert stop is not None
         self._wait_for_air(stop)
@@ -189,7 +189,7 @@ class CollectSession:
         rows, outcomes, further = self._measure(stop, states)
         self._store(stop, rows, outcomes, further)
         self._queue.done()
-        if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserves
+        if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserve stops
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()
         self._until_reference -= 1
@@ -198,7 +198,7 @@ class CollectSession:
         return not (self.work.again or self._is_loaded) and self._model.accurate_enough(self._queue.finished)
 
     def _sweep(self, stop: int) -> None:
-        """Record the sweeps that are left about a stop, the arms resting at it; stops that were left out have none."""
+        """Record the remaining sweeps about a stop, with the arms at rest there; skip stops that were left out."""
         if stop not in self._sweeps.stops or stop in self._forbidden:
             return
         at = self.work.targets(stop)
@@ -212,7 +212,7 @@ class CollectSession:
             self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
 
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
-        """Refit the running model and say what it shows; suspicions are logged."""
+        """Refit the running model and report what it shows; log suspicions."""
         for detail in self._model.add(stop, rows):
             if isinstance(detail, Suspicion):
                 self._suspect(detail)
@@ -225,11 +225,11 @@ class CollectSession:
 
     @property
     def standard_error_mm(self) -> dict[str, float]:
-        """Standard uncertainty of a predicted SMR position from the parameters, by arm."""
+        """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
         return self._model.standard_error_mm
 
     def _check_missed(self, rows: Mapping[str, Reading]) -> None:
-        """Hold, or raise ``HardwareError``, after too many stops in a row without any reading."""
+        """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
         self._missed = 0 if rows else self._missed + 1
         if self._missed < MOST_MISSED_IN_A_ROW:
             return
@@ -241,7 +241,7 @@ class CollectSession:
     # -- before and between stops --------------------------------------------------------------------------------------
 
     def _wait_for_tracker(self) -> None:
-        """Wait for a tracker that was not ready when the cell was opened, as the profile allows."""
+        """Wait, as long as the profile allows, for a tracker that was not ready when the cell was opened."""
         if not self.cell.tracker_unmet:
             return
         text = "; ".join(self.cell.tracker_unmet)
@@ -249,7 +249,7 @@ class CollectSession:
             self.cell.require_tracker()
 
     def _leave_out_forbidden_stops(self) -> None:
-        """Ask every controller about the joint positions of all stops before anything moves."""
+        """Ask every controller, before anything moves, which stops it forbids; leave those out."""
         forbidden, errors = forbidden_stops(self.cell, self.work, home_positions(self.run.profile))
         for name, error in errors.items():
             raise self._mover.stop_cell(cause_of(name, error))
@@ -259,7 +259,7 @@ class CollectSession:
             self._queue.replace()
 
     def _confirm_first_motion(self) -> None:
-        """Let a person confirm the motion that comes first."""
+        """Let a person confirm the first motion."""
         first = self._queue.next()
         homes = home_positions(self.run.profile)
         if self._settings.warm_up > 0.0:
@@ -269,11 +269,11 @@ class CollectSession:
         self._mover.confirm_first(homes if first is None else self._travel.first_leg(first), self.confirm)
 
     def _allowed_stops(self) -> list[int]:
-        """Stops that are not stored and that no controller forbids."""
+        """Return the stops that are not stored yet and that no controller forbids."""
         return [stop for stop in self.work.stops if stop not in self._forbidden]
 
     def _warm_up(self) -> None:
-        """Exercise the arms along the first planned stops for the profile's time."""
+        """Exercise the arms along the first planned stops for the profile's warm-up time."""
         if self._warm_until_s is None:
             self._warm_until_s = self.cell.clock.now_s() + self._settings.warm_up
         stops = self._allowed_stops()
@@ -284,37 +284,37 @@ class CollectSession:
                     break
                 self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
                 self._supervisor.checkpoint()
-                with suppress(MotionRefused):  # the next one may be reached
+                with suppress(MotionRefused):  # the next stop may be reachable
                     self._travel.to_stop(stop)
         if self._settings.warm_up > 0.0:
             self._travel.home()
 
     def _reference_stop(self) -> int:
-        """The first stop of the plan that no controller forbids: the same in every session."""
+        """Return the first stop of the plan that no controller forbids: the same one in every session."""
         return next(stop for stop in range(self.work.planned) if stop not in self._forbidden)
 
     def _measure_references(self) -> None:
-        """Measure the references where they are due: the arms at the reference stop, and fixed nests."""
+        """Measure the references if they are due: the SMRs at the reference stop, and fixed nests."""
         every = self._settings.reference.every
         if every == 0 or self._until_reference > 0:
             return
         self._emit(note="reference measurements")
         self._until_reference = every
         try:
-            self._travel.home()  # always from the same side: hysteresis of the joints is no drift
+            self._travel.home()  # approach from the same side each time: joint hysteresis must not look like drift
             states = self._travel.to_stop(self._reference_stop())
         except MotionRefused as error:
             self._note(f"after {counted(self._queue.finished, 'stop')}: no reference measurements: {error}")
             return
         began_s = self._begin(self.cell.clock.now_s())
-        self._until_reference = 0  # until it is done: a stop of the cell repeats it
+        self._until_reference = 0  # until the measurements are complete: after a halt they are repeated
         positions = {name: state.q for name, state in states.items()}
         report = self._references.check(positions, self._queue.finished, began_s)
         self._until_reference = every
         self._emit(report)
 
     def _wait_for_air(self, stop: int) -> None:
-        """Suspend while the air is out of the profile's limits. Raises ``HardwareError`` if it stays so."""
+        """Suspend while the air temperature is out of the profile's limits; raise ``HardwareError`` if it stays so."""
         limits = self._settings.air.temperature
         if limits is None or self._air is None:
             return
@@ -333,7 +333,7 @@ class CollectSession:
             raise HardwareError(f"{text}; continue with --resume when it has settled")
 
     def _end_at_home(self) -> None:
-        """Move all arms home, and note the smallest distance between them if it was observed."""
+        """Move all arms home; note the smallest distance between them if distances are observed."""
         try:
             self._travel.home_at_once(home_positions(self.run.profile))
         except MotionRefused as error:
@@ -348,7 +348,7 @@ class CollectSession:
     ) -> tuple[dict[str, Reading], list[Outcome], dict[str, list[Reading]]]:
         """Measure the arms in the order of their dwell times.
 
-        Return the readings of their SMRs, why one was not measured, and the readings of further nests.
+        Return the readings of their SMRs, an outcome for each SMR that was not measured, and readings of further nests.
         """
         temperature_c = None if self._air is None else self._air.at_stop(stop)
         rows: dict[str, Reading] = {}
@@ -377,7 +377,7 @@ class CollectSession:
     def _at_nests(
         self, stop: int, name: str, states: Mapping[str, ArmState], temperature_c: float | None
     ) -> Iterator[Reading]:
-        """Measure the further nests of an arm that the tracker should see; one that it does not see is logged."""
+        """Measure the further nests of an arm that should be visible; log each one that the tracker does not see."""
         for nest, expected_M in self._nests.in_order(name, {arm: state.q for arm, state in states.items()}):
             try:
                 point = self._measurement.at_nest(f"{nest} of arm {name}", expected_M)
@@ -387,7 +387,7 @@ class CollectSession:
             yield replace(self._reading(stop, name, states[name], point, temperature_c), smr=nest)
 
     def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
-        """Return the reading of a point that was just measured; its dwell ends at the middle of the averaging."""
+        """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return Reading(
             q=state.q,
@@ -409,7 +409,7 @@ class CollectSession:
         )
 
     def _begin(self, now_s: float) -> float:
-        """Return when the run began on the cell's clock [s]; the first call sets it."""
+        """Return the start of the run on the cell's clock [s]; the first call sets it."""
         if self.began_s is None:
             self.began_s = now_s - self.work.earlier_s
         return self.began_s
@@ -421,7 +421,7 @@ class CollectSession:
         outcomes: list[Outcome],
         further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
     ) -> None:
-        """Store a stop; where the disk refuses, hold for a person, who may free it, and try again."""
+        """Store a stop; if writing fails, pause so that a person can free the disk, then try again."""
         while True:
             try:
                 if self.work.again:
@@ -447,7 +447,7 @@ class CollectSession:
         self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
 
     def _record(self, kind: str, reason: str) -> None:
-        """Record a request or a suspension in the run; a full disk must not keep the arms from being attended to."""
+        """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
         text = record_sentence(kind, reason)
         level = "info" if kind in _HARMLESS else "warning"
         if state_of(kind) is None:
@@ -472,7 +472,7 @@ class CollectSession:
         return None if self.began_s is None else self.cell.clock.now_s() - self.began_s
 
     def _tracker_ready(self) -> bool:
-        """Connect and prepare the tracker again; whether it is ready to measure."""
+        """Connect and prepare the tracker again; return whether it is ready to measure."""
         return not start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
 
     def _reconnect_tracker(self) -> None:

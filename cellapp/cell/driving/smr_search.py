@@ -1,7 +1,7 @@
-"""Find SMRs near their predictions from a tracker whose station is known roughly only; each one found tells it better.
+"""Find SMRs near their predictions although the tracker's station is known only roughly; each one found improves it.
 
-The tracker is pointed at a lattice of places around a prediction that are as far apart as a tracker searches by itself.
-Every SMR found makes the station better known, so that the next ones are found at once.
+The tracker is pointed at lattice positions around a prediction, spaced by the range of a tracker's own search. Every
+SMR that is found improves the station, so that the next ones are found at once.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 
 _ROUGH_M, _ROUGH_RAD = 0.05, np.radians(1.0)
-"""Standard deviation of a station that was paced out, or of a stand that was kicked: coordinates and angles."""
+"""Standard deviation of a station that was paced out, or of a stand that was kicked: coordinates [m], angles [rad]."""
 _REACH = 3.0
-"""Radius of the search for an SMR, in standard deviations of its prediction."""
+"""Search radius for an SMR, in standard deviations of its prediction."""
 _REACH_M = (0.05, 0.16)
-"""Least and largest distance within which an SMR is searched for: beyond, the search would take too long."""
+"""Limits of the search radius [m]: with a larger one the search would take too long."""
 _LATTICE_M = 0.057
-"""Spacing of the places that the tracker is pointed at: no place is farther than 50 mm from one of a cubic lattice, the
-least distance within which a tracker's driver accepts an SMR."""
+"""Spacing of the positions that the tracker is pointed at [m]: no point is farther than 50 mm from a point of this
+cubic lattice, and every tracker's driver accepts an SMR within at least 50 mm."""
 _KNOWN_M = 1e-3
-"""A station that predicts SMRs this well, far within the least reach, need not be known better to find the next one."""
+"""Prediction error [m] below which the station is not fitted again: it is far within the smallest search radius."""
 APART_M = 0.4
-"""Least distance between SMRs that are there together: more than twice as far as one is searched for, so that none is
-mistaken for another."""
+"""Least distance [m] between SMRs that are present at the same time: more than twice the largest search radius, so that
+none is mistaken for another."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPoint:
-    """A measured point: its arm, the joint positions (N,) [rad] of its controller, by how much it was off [m].
+    """Measured point with its arm and the joint positions (N,) [rad] of its controller.
 
-    ``point`` is the mean of the measurements, whose positions are ``repeats_M`` (k, 3) [m]. ``others`` are the joint
-    positions of the other arms then, name -> (N,) [rad].
+    ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
+    are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
     """
 
     arm: str
@@ -65,10 +65,10 @@ class FoundPoint:
 
 @dataclass(eq=False)
 class SmrSearch:
-    """Measures SMRs, ``repeats`` times each.
+    """Searches for SMRs and measures each ``repeats`` times.
 
-    ``model`` is in the tracker frame of its calibration, ``rough_T`` (4, 4) maps that into a guess of the present one;
-    ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement: a person may pause there.
+    ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
+    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement; it may wait.
     """
 
     profile: Profile
@@ -87,30 +87,29 @@ class SmrSearch:
 
     @property
     def T_new_old(self) -> Array:
-        """The station (4, 4) as it is known from the points so far."""
+        """Station (4, 4) as estimated from the points so far."""
         return self._so_far[0]
 
     def points(self) -> dict[str, ArmPoints]:
-        """The points by arm, as a fit takes them."""
+        """Return the points by arm, in the format of a fit."""
         return points_of(self.found)
 
     def measure(self, name: str, state: ArmState) -> FoundPoint | str:
-        """Measure the SMR of an arm at rest where it is predicted, or near there; why it was not found otherwise.
+        """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
 
-        A point that was found makes the station better known. Raises as ``Mover.measure``, and what ``checkpoint``
-        raises.
+        A point that is found improves the station. Raise as ``Mover.measure`` and ``checkpoint``.
         """
         found = self._search(name, state)
         if isinstance(found, FoundPoint):
             self.found.append(found)
-            # compute the station again, unless it predicted the point well enough already
+            # fit the station again, unless it predicted the point well enough already
             if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
                 fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
                 self._so_far = fit.T_new_old, fit.covariance
         return found
 
     def _reach_m(self, p_M: Vector) -> float:
-        """How far from a predicted point (3,) [m] its SMR is searched for."""
+        """Return the search radius [m] around a predicted point (3,) [m]."""
         J = twist_columns(p_M[None])[0]
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(J @ self._so_far[1] @ J.T)[-1]))
         return float(np.clip(_REACH * sigma_m, *_REACH_M))
@@ -118,7 +117,7 @@ class SmrSearch:
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
         conditions = self._conditions(name, state)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
-        # where the SMR of an arm is predicted from the station so far, (3,) [m]
+        # predict the SMR of the arm with the station so far, (3,) [m]
         own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
         expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
         reach_m, problem = self._reach_m(expected), ""
@@ -136,7 +135,7 @@ class SmrSearch:
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
 
     def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:
-        """What is known of the arm where it came to rest, one row."""
+        """Return the known conditions of the arm at rest, one row."""
         step, rested_s = self.mover.step(name), self.mover.rested_s(name)
         averaging_s = self.profile.tracker.averaging
         return MeasurementConditions(
@@ -149,7 +148,7 @@ class SmrSearch:
 
 
 def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:
-    """Points by arm, as a fit takes them."""
+    """Return the points by arm, in the format of a fit."""
     points: dict[str, ArmPoints] = {}
     by_chance = share_of_chance(found)
     for name in dict.fromkeys(one.arm for one in found):
@@ -170,12 +169,12 @@ def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:
 
 
 def _only(others: Mapping[str, Vector]) -> tuple[str, Array] | None:
-    """The other arm of a cell of two and its joint positions (1, K) [rad]; None in other cells."""
+    """Return the other arm of a cell of two, with its joint positions (1, K) [rad]; None in other cells."""
     return next(((name, q[None]) for name, q in others.items()), None) if len(others) == 1 else None
 
 
 def share_of_chance(found: Sequence[FoundPoint]) -> float:
-    """Share of the tracker's covariance that repeats scatter by, 0 to 1: only this share falls by averaging."""
+    """Return the fraction (0 to 1) of the tracker's covariance that repeats show: averaging reduces only this part."""
     squares = 0.0
     for one in found:
         off = one.repeats_M - one.repeats_M.mean(axis=0)
@@ -185,13 +184,13 @@ def share_of_chance(found: Sequence[FoundPoint]) -> float:
 
 
 def covariances(found: Sequence[FoundPoint], by_chance: float) -> Array:
-    """Covariances of the means of repeats (m, 3, 3) [m^2]."""
+    """Return the covariances of the means of repeats (m, 3, 3) [m^2]."""
     left = [1.0 - by_chance * (1.0 - 1.0 / len(one.repeats_M)) for one in found]
     return np.array([part * one.point.covariance_M for part, one in zip(left, found, strict=True)])
 
 
 def lattice(reach_m: float) -> list[Vector]:
-    """Offsets (3,) [m] of a cubic lattice within a distance, the nearest first."""
+    """Return the offsets (3,) [m] of a cubic lattice within a radius, nearest first."""
     count = int(reach_m / _LATTICE_M)
     steps = np.array(list(product(range(-count, count + 1), repeat=3)), dtype=np.float64) * _LATTICE_M
     distance = np.linalg.norm(steps, axis=1)
@@ -200,7 +199,7 @@ def lattice(reach_m: float) -> list[Vector]:
 
 
 def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
-    """Conditions of single points as those of all; what one of them lacks is unknown for all."""
+    """Concatenate the conditions of single points; a condition that one of them lacks is unknown for all."""
 
     def joined(values: Sequence[Array | NDArray[np.int8] | None]) -> Array | None:
         known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]

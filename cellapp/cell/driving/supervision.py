@@ -1,4 +1,4 @@
-"""A person's requests and the cell's stops while a job runs: pause, hold after a stop, suspend, resume."""
+"""A person's requests and halts of the cell while a job runs: pause, hold after a halt, suspend, resume."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from drivers.clock import slept_s
 
 SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
 Record = Callable[[str, str], None]
-"""Records what happened in the run: kind ("pause", "stop", "suspend", "resume", ...) and the reason."""
+"""Callback that records an event in the run: kind ("pause", "stop", "suspend", "resume", ...) and reason."""
 
 _POLL_S = 0.1
-"""How soon a resumed job notices; a stop does not wait for this, it brakes in the thread of the person."""
+"""Polling period of a paused job [s]; a stop does not wait for it, it brakes in the person's thread."""
 _FRESH_S = 0.3
-"""Data of an arm that are older say nothing about now."""
+"""Largest age [s] of data of an arm that still describe its current state."""
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
 
 
 Opened = Callable[..., AbstractContextManager[Cell]]
-"""Opens the cell of a profile in place of ``open_cell``; ``watch_clearance`` observes distances in a simulated cell."""
+"""Replacement of ``open_cell`` for a profile; ``watch_clearance`` observes the distances in a simulated cell."""
 
 
 def opening(
     profile: Profile, control: JobControl, opened: Opened | None = None, *, watch_clearance: bool = False
 ) -> AbstractContextManager[Cell]:
-    """Return what opens the cell of a profile: ``opened``, else ``open_cell``, which a person's stop ends."""
+    """Return the context that opens the cell: by ``opened``, else by ``open_cell``, which a person's stop ends."""
     if opened is None:
         return open_cell(profile, control=control, watch_clearance=watch_clearance)
     return opened(profile, watch_clearance=watch_clearance) if watch_clearance else opened(profile)
@@ -46,25 +46,25 @@ def opening(
 def attended_cell(
     profile: Profile, control: JobControl, opened: Opened | None = None
 ) -> Iterator[tuple[Cell, StopReaction]]:
-    """Open the cell of a profile and wire it to its brakes. Raises as ``open_cell`` and ``reacting`` do."""
+    """Open the cell of a profile and connect it to its brakes. Raise as ``open_cell`` and ``reacting``."""
     with opening(profile, control, opened) as cell, reacting(cell, control) as reaction:
         yield cell, reaction
 
 
 @contextmanager
 def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
-    """Wire the doubts of all arms and a person's stop to the brakes of all arms while this context is open.
+    """While this context is open, let doubts of all arms and a person's stop brake all arms.
 
-    Meanwhile ``control.live`` tells what is known of the cell, whatever the job is doing.
+    Meanwhile ``control.live`` returns the state of the cell, whatever the job is doing.
 
-    Whatever ends the context with an exception also stops the arms, and they are watched until they rest.
+    Any exception that ends the context also stops the arms, which are then watched until they rest.
 
     Raises
     ------
     HardwareError
-        If a doubt about a device stopped the cell; the message is the cause, with arms that were not seen at rest.
+        If a doubt about a device stopped the cell; the message states the cause and the arms not seen at rest.
     Stopped, Aborted
-        If a person did.
+        If a person stopped or aborted the job.
     """
     reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
     brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb, control)))
@@ -82,7 +82,7 @@ def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
 
 
 def _settle_earlier_doubts(cell: Cell, control: JobControl) -> None:
-    """Record that arms rest which an earlier job could not see at rest."""
+    """Record which arms that an earlier job did not see at rest are at rest now."""
     for name, arm in cell.arms.items():
         live = arm.live()
         if not live.moving and live.age_s < _FRESH_S:
@@ -90,7 +90,7 @@ def _settle_earlier_doubts(cell: Cell, control: JobControl) -> None:
 
 
 def _live(cell: Cell, reaction: StopReaction) -> CellLive:
-    """What is known of an open cell now."""
+    """Return the current state of an open cell."""
     halts, arms = reaction.halts, {name: arm.live() for name, arm in cell.arms.items()}
     return CellLive(
         {name: ArmLive(_known(live.age_s), live.moving, halts.get(name)) for name, live in arms.items()},
@@ -105,7 +105,7 @@ def _known(age_s: float) -> float | None:
 
 
 def _end_of(error: BaseException, reaction: StopReaction, control: JobControl) -> BaseException:
-    """The exception that ends a job after ``error``, when the arms rest or were watched for long enough."""
+    """Return the exception that ends a job after ``error``; first wait until the arms rest or the watch times out."""
     unseen = reaction.wait_at_rest()
     kinds = {cause.kind for cause in reaction.causes}
     if unseen and isinstance(error, CellappError | Cancelled):
@@ -118,7 +118,7 @@ def _end_of(error: BaseException, reaction: StopReaction, control: JobControl) -
 
 
 def _personal(verb: str, control: JobControl) -> StopCause:
-    """The cause that a person is, who asks for something or goes away."""
+    """Return the stop cause of a person, who makes a request or leaves."""
     if verb == "abort":
         return StopCause("abort", _BY_PERSON[verb])
     return StopCause("stop", control.left or _BY_PERSON["stop"])
@@ -129,8 +129,8 @@ def _watch_out(unseen: dict[str, str]) -> list[str]:
 
 
 def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
-    """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
-    reaction.check()  # first: what stopped the arms is to be recorded
+    """Wait, with the arms at rest, while a person pauses. Raise ``CellStopped``, ``Stopped`` or ``Aborted``."""
+    reaction.check()  # first, so that the cause of a halt is recorded
     control.check()
     while control.request in ("pause", "stop"):
         _attend(cell, control)
@@ -139,7 +139,7 @@ def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -
 
 
 def _attend(cell: Cell, control: JobControl) -> None:
-    """Wait a moment for a person, in real time; in a simulated cell, its time passes too."""
+    """Wait one polling period for a person, in real time; the clock of a simulated cell advances too."""
     cell.pulse.beat()
     control.wait_while("pause", "stop", timeout_s=_POLL_S)
     cell.clock.wait(_POLL_S, lambda duration_s: None)
@@ -147,7 +147,7 @@ def _attend(cell: Cell, control: JobControl) -> None:
 
 @dataclass
 class Supervisor:
-    """Holds a job where a person or the cell asks for it. All waits let the cell's clock pass."""
+    """Holds a job when a person or the cell asks for it. The cell's clock advances during all waits."""
 
     cell: Cell
     control: JobControl
@@ -157,12 +157,12 @@ class Supervisor:
     record: Record
     emit: Callable[[Detail], None]
     after_resume: Callable[[], None]
-    """Called when a job resumes after a halt, a hold or a suspension."""
+    """Callback when a job resumes after a halt, a hold or a suspension."""
     _slept_s: float = field(default_factory=slept_s)
     _used: Counter[str] = field(default_factory=Counter)
 
     def checkpoint(self) -> None:
-        """Hold here while paused; the arms rest. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+        """Wait while paused, with the arms at rest. Raise ``CellStopped``, ``Stopped`` or ``Aborted``."""
         paused = self.control.request == "pause"
         if paused:
             self._say("pause", StateChange("paused", "paused by a person"))
@@ -171,20 +171,20 @@ class Supervisor:
             self._say("resume", StateChange("running", "resumed by a person"))
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass with the arms at rest. Raises ``CellStopped`` as soon as the cell is stopped."""
+        """Let time pass with the arms at rest. Raise ``CellStopped`` as soon as the cell is stopped."""
         with self.cell.pulse.waiting():
             self.cell.clock.wait(duration_s, self.control.wait)
         self.reaction.check()
 
     def recover(self, stopped: CellStopped) -> None:
-        """Hold after a halt of the cell until the arms may move again, then release them. Nothing moves here.
+        """After a halt of the cell, hold until the arms may move again, then release them; do not move them.
 
         Raises
         ------
         Stopped, Aborted
             If a person ended the job.
         HardwareError
-            If the cause needs a person and none attends the job, or an arm was not seen at rest.
+            If the cause needs a person and nobody attends the job, or an arm was not seen at rest.
         """
         unseen = self.reaction.wait_at_rest()
         known = self.reaction.causes
@@ -193,7 +193,7 @@ class Supervisor:
         text = "; ".join([*(cause.text for cause in causes), *_watch_out(unseen)])
         self._say(causes[0].kind, StateChange("aborted" if "abort" in kinds else "stopped", text))
         for cause in causes[1:]:
-            if cause.kind in _BY_PERSON:  # under its own name, though another cause came first
+            if cause.kind in _BY_PERSON:  # recorded under its own kind, although another cause came first
                 self.record(cause.kind, cause.text)
         if unseen and (self.control.cancelled or not self.control.holds):
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
@@ -202,12 +202,12 @@ class Supervisor:
             return
         if not self.control.holds:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
-        if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
+        if kinds != {"stop"}:  # a stop alone holds already; a person may have resumed it before another cause came
             self.control.hold()
         self._hold_for_person(text, known)
 
     def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
-        """Resume after a stall of this computer, if the profile allows it and nothing else has happened."""
+        """Resume after a stall of this computer if the profile allows it and nothing else happened; return whether."""
         allowed = self.suspend.host_stall
         if self._asleep_s() > allowed.wait or not self._begin("host_stall", text):
             return False
@@ -224,14 +224,14 @@ class Supervisor:
         return True
 
     def _asleep_s(self) -> float:
-        """How long this computer slept since the last question [s]: a night in its bag is no stall."""
+        """Return how long this computer slept since the last call [s]: a suspended laptop is not a stall."""
         before, self._slept_s = self._slept_s, slept_s()
         return self._slept_s - before
 
     def suspended(self, kind: SuspensionKind, reason: str, ready: Callable[[], bool]) -> bool:
-        """Wait with the arms at rest until ``ready``, as the profile allows; return whether it came about.
+        """Wait with the arms at rest until ``ready``, as long as the profile allows; return whether it became ready.
 
-        ``ready`` is asked every ``retry`` seconds. Raises ``CellStopped`` as soon as the cell is stopped.
+        ``ready`` is called every ``retry`` seconds. Raise ``CellStopped`` as soon as the cell is stopped.
         """
         if not self._begin(kind, reason):
             return False
@@ -248,7 +248,7 @@ class Supervisor:
         return False
 
     def hold(self, reason: str) -> bool:
-        """Wait for a person to resume, where one attends the job; return whether one did."""
+        """Wait until a person resumes, if one attends the job; return whether one did."""
         if not self.control.holds:
             return False
         self.control.hold()
@@ -256,9 +256,9 @@ class Supervisor:
         return True
 
     def _hold_for_person(self, reason: str, shown: Sequence[StopCause]) -> None:
-        """Wait until the request to hold is taken back and every arm is ready; only then release the latch.
+        """Wait until the hold request is withdrawn and every arm is ready; only then release the latch.
 
-        ``shown`` are the causes that were recorded. One that comes meanwhile is shown, and needs another ``resume``.
+        ``shown`` are the causes recorded so far. A cause that comes meanwhile is shown and needs another ``resume``.
         """
         shown = tuple(shown)
         while True:
@@ -273,7 +273,7 @@ class Supervisor:
                     return
                 causes = self.reaction.causes
                 reason = causes[-1].text
-                for cause in causes[len(shown) :]:  # a person's stop too, where a doubt followed it
+                for cause in causes[len(shown) :]:  # includes a person's stop that a doubt followed
                     self.record(cause.kind, cause.text)
             except HardwareError as error:
                 reason, causes = str(error), self.reaction.causes
@@ -284,13 +284,13 @@ class Supervisor:
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
-        """Reconnect what the stop cut off. Raises ``HardwareError`` if something is not ready, or a new cause came."""
+        """Reconnect the tracker if it was a cause; release. Raise ``HardwareError`` if not ready, or on a new cause."""
         if any(cause.kind == "tracker" for cause in known):
             self.reconnect_tracker()
         self.reaction.release(known)
 
     def _begin(self, kind: SuspensionKind, reason: str) -> bool:
-        """Whether another suspension for this cause is allowed; counts and announces it."""
+        """Return whether another suspension for this cause is allowed; if so, count and announce it."""
         allowed: Suspension = getattr(self.suspend, kind)
         if self._used[kind] >= allowed.times:
             return False

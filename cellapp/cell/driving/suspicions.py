@@ -1,18 +1,18 @@
-"""Suspicions while stops are measured: a wrong SMR, a loose SMR, a bumped tracker, drift.
+"""Detect faults while stops are measured: a wrong SMR, a loose SMR, a bumped tracker, drift.
 
-Each reading is compared with the model that did not know it (``online.Innovation``). Without a fault these deviations
-are about zero, with the covariance that the model states; unmodelled physics is part of it. Where stops follow each
-other on short ways it makes neighbours alike: their dependence over the run so far reduces what they count together
+Each reading is compared with the model fitted without it (``online.Innovation``). Without a fault these deviations have
+zero mean and the covariance that the model states, which includes unmodelled physics. Unmodelled physics correlates
+consecutive stops that are close to each other: their correlation over the run so far reduces their joint weight
 (integrated autocorrelation: Bartlett, J. R. Stat. Soc. B 8 (1946) 27). A fault leaves a pattern in the deviations:
 
-- an SMR that slipped: the same offset in the flange frame at every stop since then, of one arm;
+- an SMR that slipped: from some stop on the same offset in the flange frame, of one arm;
 - an SMR with play: more scatter than before, of one arm;
-- a bumped tracker: one rigid motion in the tracker frame of all arms since then; of one arm: its base moved;
+- a bumped tracker: from some stop on one rigid motion of all arms in the tracker frame; of one arm: its base moved;
 - drift: such a motion that grows.
 
-For each pattern and each stop at which it may have begun, the test statistic is the decrease of chi-square by the best
-offset, motion or scatter (a generalised likelihood ratio; Basseville, Nikiforov, Detection of Abrupt Changes (1993),
-ch. 7). One bad reading alone never raises a suspicion of this kind: its share of the statistic is bounded.
+The test statistic of each pattern and each stop at which it may have begun is the decrease of chi-square by the best
+offset, motion or scatter (generalised likelihood ratio; Basseville, Nikiforov, Detection of Abrupt Changes (1993),
+ch. 7). A single bad reading never raises such a suspicion: its contribution to the statistic is bounded.
 """
 
 from __future__ import annotations
@@ -31,54 +31,54 @@ from cellapp.ground.progress import Suspicion
 from cellapp.robot.kinematics.transforms import Array
 
 _CHANCE = 3e-10
-"""Probability of a pattern without a fault below which it is an alarm. Found by trial: less than 1 in 100 runs of 400
-stops of the simulated cell with gravity and backlash then raises anything. Unmodelled physics makes large deviations
-more frequent than normal ones, and a run has some 1e5 correlated tests."""
+"""Alarm threshold: probability of a pattern without a fault. Found by trial: less than 1 in 100 runs of 400 stops of
+the simulated cell with gravity and backlash then raises any alarm. It is so small because unmodelled physics makes
+large deviations more frequent than a normal distribution does, and a run has some 1e5 correlated tests."""
 _TRACE = 1e-3
-"""Probability of the likeliest pattern above which a stop shows no trace of a suspicion."""
+"""If the likeliest pattern is more probable than this without a fault, a stop shows no trace of a suspicion."""
 _CLEARED_AFTER = 10
-"""Stops without a trace after which a suspicion is cleared and may be raised again."""
+"""Consecutive stops without a trace after which a suspicion is cleared and may be raised again."""
 _LEAST_FREEDOM = 20.0
-"""Degrees of freedom of the model's scatter from which deviations are judged; below, the model knows too little."""
+"""Degrees of freedom of the model's scatter needed to judge deviations; with fewer its covariance is too uncertain."""
 _CLIP = 4.0
-"""Largest length of a deviation in standard uncertainties that counts, exceeded once in a thousand stops."""
+"""Length at which a deviation is clipped [standard uncertainties]; exceeded once in a thousand stops."""
 _HISTORY = 80
-"""Stops that are kept."""
+"""Number of recent stops that are kept."""
 _STEPS = (*range(2, 11), 12, 15, 20, 30, 40, 60, 80)
-"""Numbers of stops since a sudden change."""
+"""Tested numbers of stops since a sudden change."""
 _RAMPS = (20, 40, 80)
-"""Numbers of stops since a slow change began."""
+"""Tested numbers of stops since a slow change began."""
 _PARAMETER_COST = 4.0
-"""Chi-square that a parameter of a pattern must be worth where patterns are compared (BIC for some 50 coordinates)."""
+"""Chi-square that each parameter of a pattern costs when patterns are compared (BIC for some 50 coordinates)."""
 _DECISIVE = 6.0
-"""Difference of chi-square, less these costs, from which one of two patterns is believed: odds of 20."""
+"""Lead in chi-square, less these costs, with which one of two patterns is accepted: odds of 20."""
 _PATIENCE = 5
-"""Stops for which an undecided alarm waits; then the likeliest pattern is named."""
+"""Number of stops that an undecided alarm waits; then the likeliest pattern is reported."""
 _OTHER_SMR_M = 2e-3
-"""Offset of an SMR from which it is another one, or not in its seat: play of a loose one is smaller."""
+"""Larger offsets mean another SMR, or one that is not in its seat: the play of a loose one is smaller [m]."""
 _ALONG_NORMAL = math.cos(math.radians(30.0))
-"""An SMR of another size, or one not in its seat, is off along the axis of its seat."""
+"""Cosine of the largest angle between offset and seat axis for another SMR, or one that is not in its seat."""
 _ELSEWHERE_M = 1e-3
-"""Least distance from the expected position at which a reading is compared with the other arms' SMRs."""
+"""Distance from the expected position from which a reading is compared with the other arms' SMRs [m]."""
 _GROSS = 12.0
-"""The same in standard uncertainties; the fit gives such a reading no weight."""
+"""The same in standard uncertainties; the fit gives such a reading zero weight."""
 _SETTLED_AFTER = 15
-"""Stops after which a deviation counts for the dependence: a fault makes neighbours alike too, but is found before."""
+"""Delay [stops] before a deviation enters the correlation: a fault correlates stops too, but is detected earlier."""
 _INDEPENDENT_PAIRS = 20.0
-"""Weight of the assumption that neighbours are independent."""
+"""Weight of the prior that consecutive stops are independent [pairs of stops]."""
 _MOST_ALIKE = 0.8
-"""Largest correlation of neighbours that is allowed for: nine such stops tell as much as one."""
+"""Upper limit of the correlation of consecutive stops: then nine of them carry as much information as one."""
 _LIKELY_CHANGE = 0.05
-"""Standard deviation of an offset [m] or motion [m, rad]: far above any, it only settles what readings leave open."""
+"""Prior standard deviation of an offset [m] or motion [m, rad]: so wide that it only regularises the estimate."""
 _NO_GEOMETRY_M = 2e-3
-"""Scatter about the model beyond that of any arm and of any unmodelled physics."""
+"""Scatter about the model [m] larger than any arm's and any unmodelled physics: the geometry itself is wrong."""
 
 ChangeKind = Literal["slip", "play", "move", "drift"]
 _Key = tuple[str, str | None]
 
 
 def _shares() -> Array:
-    """Share of a change that acts on a reading (patterns, ages): by pattern and by the reading's age, 0 the newest."""
+    """Return the fraction (patterns, ages) of a change that acts on a reading, by pattern and age (0 is the newest)."""
     age = np.arange(_HISTORY)
     steps = [np.where(age < stops, 1.0, 0.0) for stops in _STEPS]
     return np.array(steps + [np.clip((stops - age) / stops, 0.0, None) for stops in _RAMPS])
@@ -95,21 +95,21 @@ _SQUARE, _COUNT, _COLUMNS = 63, 64, 65
 
 @dataclass(frozen=True)
 class _Explanation:
-    """A pattern that may explain the recent deviations, at its best number of stops.
+    """Pattern that may explain the recent deviations, with its best number of stops.
 
     Attributes
     ----------
     kind : str
         ``slip`` or ``play`` of an SMR, ``move`` of the tracker or of a base, slow ``drift``.
     arm : str or None
-        None: all arms.
+        None if it is of all arms.
     chi_square : float
         Decrease of chi-square, or of twice the negative log likelihood.
     parameters : int
     chance : float
         Probability of such deviations without a fault.
     value : array, shape (3,), (6,) or (0,)
-        Offset in the flange [m]; or shift [m] and rotation [rad] in the tracker frame.
+        Offset in the flange frame [m]; or translation [m] and rotation [rad] in the tracker frame.
     stops : int
         Number of stops since the change.
     """
@@ -129,10 +129,10 @@ class _Explanation:
 
 
 class _History:
-    """Recent stops of one arm, newest first: normal equations of an offset and of a motion, in rows of one table.
+    """Recent stops of one arm, newest first: normal equations of an offset and of a motion, a row of a table per stop.
 
     Columns: ``b`` (clipped), ``A``, ``b`` (not clipped) of an offset in the flange, the same of a motion in the tracker
-    frame, clipped square of the deviation, 1. All are zero at a stop without a reading.
+    frame, clipped square of the deviation, 1. A stop without a reading has zeros.
     """
 
     def __init__(self) -> None:
@@ -143,7 +143,7 @@ class _History:
 
     @property
     def dependence(self) -> float:
-        """How many stops tell as much as an independent one: (1 + r) / (1 - r) with the correlation r of neighbours."""
+        """Number of stops with the information of one independent stop: (1 + r) / (1 - r), r the lag-1 correlation."""
         r = min(max(self._product / self._square, 0.0), _MOST_ALIKE)
         return (1.0 + r) / (1.0 - r)
 
@@ -153,7 +153,7 @@ class _History:
         return int(self._table[:, _COUNT].sum())
 
     def clear(self) -> None:
-        """Forget all stops."""
+        """Discard all stops."""
         self._table[:] = 0.0
 
     def push(self, found: Innovation | None, center_M: Array) -> None:
@@ -182,12 +182,12 @@ class _History:
             self._square += 0.5 * float(first @ first + second @ second)
 
     def sums(self) -> tuple[Array, Array]:
-        """Sums of the columns over the stops of each pattern (patterns, columns), with its shares and their squares."""
+        """Return sums of the columns (patterns, columns), weighted by each pattern's shares and by their squares."""
         return _SHARES @ self._table, _SQUARED_SHARES @ self._table
 
 
 class Suspicions:
-    """Judge every stop; each suspicion is raised once until it clears.
+    """Judges every stop; raises each suspicion once until it is cleared.
 
     Parameters
     ----------
@@ -199,13 +199,13 @@ class Suspicions:
         self._normals_F = normals_F
         self._histories = {name: _History() for name in normals_F}
         self._quiet: dict[_Key, int] = {}
-        """Suspicions that were raised, and for how many stops they have left no trace."""
+        """Raised suspicions -> number of consecutive stops without a trace of them."""
         self._center_M: Array | None = None
         self._undecided = 0
         self._stops: deque[int] = deque(maxlen=_HISTORY)
 
     def forget(self) -> None:
-        """Start afresh, after a person has looked at the cell."""
+        """Reset everything after a person has inspected the cell."""
         self._quiet.clear()
         self._undecided = 0
         self._stops.clear()
@@ -213,7 +213,7 @@ class Suspicions:
             history.clear()
 
     def at_stop(self, stop: int, found: Mapping[str, Innovation | None]) -> tuple[Suspicion, ...]:
-        """Suspicions that a stop raises; ``found`` is the newest ``OnlineFit.innovation`` of each arm, None without."""
+        """Return the suspicions that a stop raises; ``found`` has each arm's new ``OnlineFit.innovation``, or None."""
         self._stops.appendleft(stop)
         usable = {name: one for name, one in found.items() if one is not None and one.freedom >= _LEAST_FREEDOM}
         wrong = _wrong_smrs(stop, usable)
@@ -230,7 +230,7 @@ class Suspicions:
         return new
 
     def _explanations(self) -> list[_Explanation]:
-        """The best explanation of each kind, for each arm and for all together."""
+        """Return the best explanation of each kind, for each arm and for all arms together."""
         sums = {name: history.sums() for name, history in self._histories.items() if history.count}
         freedom = {name: history.freedom for name, history in self._histories.items()}
         depends = {name: history.dependence for name, history in self._histories.items()}
@@ -251,7 +251,7 @@ class Suspicions:
         return found
 
     def _changes(self, explanations: list[_Explanation]) -> list[Suspicion]:
-        """The likeliest of the changes, if there is one and it is decided."""
+        """Return the likeliest change in a list, empty if there is no alarm or it is undecided."""
         open_ones = [one for one in explanations if not self._stands(one.arm)]
         if not any(one.chance < _CHANCE for one in open_ones):
             self._undecided = 0
@@ -264,12 +264,12 @@ class Suspicions:
         return [self._words(best)]
 
     def _stands(self, arm: str | None) -> bool:
-        """Whether a suspicion stands that explains the deviations of an arm, or of all."""
+        """Return whether a raised suspicion already explains the deviations of an arm, or of all if None."""
         explained = {key[1] for key in self._quiet}
         return None in explained or (explained >= self._histories.keys() if arm is None else arm in explained)
 
     def _words(self, best: _Explanation) -> Suspicion:
-        """The suspicion that an explanation means."""
+        """Return the suspicion, with its text, for an explanation."""
         since = f"since stop {self._stops[min(best.stops, len(self._stops)) - 1] + 1}"
         size = f"{float(np.linalg.norm(best.value[:3])) * 1e3:.2f} mm"
         turn = f"{float(np.linalg.norm(best.value[3:])) * 1e3:.2f} mrad"
@@ -291,7 +291,7 @@ class Suspicions:
         return Suspicion("tracker moved", text)
 
     def _clear_quiet(self, explanations: list[_Explanation], wrong: list[Suspicion]) -> None:
-        """Clear suspicions that have left no trace for some stops; their arms' histories begin anew."""
+        """Clear suspicions without a trace for some stops, and the histories of their arms."""
         for key in list(self._quiet):
             arms = [key[1]] if key[1] is not None else list(self._histories)
             chances = [one.chance for one in explanations if one.arm in arms]
@@ -304,7 +304,7 @@ class Suspicions:
 
 
 def _slip(arm: str, linear: Array, squared: Array, freedom: float, depends: float) -> list[_Explanation]:
-    """The best offset of an arm's SMR in the flange frame, as a list of one; empty without readings."""
+    """Return the best offset of an arm's SMR in the flange frame, as a list of one; empty without readings."""
     columns = linear[_SUDDEN, _SLIP_B], squared[_SUDDEN, _SLIP_A], linear[_SUDDEN, _SLIP_RAW]
     return _best("slip", arm, *columns, linear[_SUDDEN, _COUNT], freedom, depends)
 
@@ -317,7 +317,7 @@ def _motion(
     freedom: float,
     depends: float,
 ) -> list[_Explanation]:
-    """The best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
+    """Return the best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
     rows = _SUDDEN if kind == "move" else _SLOW
     columns = linear[rows, _MOVE_B], squared[rows, _MOVE_A], linear[rows, _MOVE_RAW]
     return _best(kind, arm, *columns, linear[rows, _COUNT], freedom, depends)
@@ -333,7 +333,7 @@ def _best(
     freedom: float,
     depends: float,
 ) -> list[_Explanation]:
-    """The best of the patterns by their normal equations, b (patterns, p) and A (patterns, p p).
+    """Return the best of the patterns, as a list, from their normal equations b (patterns, p) and A (patterns, p p).
 
     Patterns with fewer coordinates than twice the parameters are left out: they would explain anything.
     """
@@ -351,10 +351,10 @@ def _best(
 
 
 def _play(arm: str | None, linear: Array, freedom: float, depends: float) -> list[_Explanation]:
-    """The best increase of the scatter, as a list of one; empty without readings.
+    """Return the best increase of the scatter, as a list of one; empty without readings.
 
-    Squares of alike neighbours are hardly alike, so that its chance needs no allowance; its gain is compared with those
-    of other patterns, and has the same as these.
+    Squares of correlated stops are hardly correlated, so that the probability needs no allowance for it. The gain is
+    reduced like those of the other patterns, with which it is compared.
     """
     coordinates = 3.0 * linear[_SUDDEN, _COUNT]
     ratio = np.maximum(linear[_SUDDEN, _SQUARE] / np.maximum(coordinates, 1.0), 1.0)
@@ -367,7 +367,7 @@ def _play(arm: str | None, linear: Array, freedom: float, depends: float) -> lis
 
 
 def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:
-    """Arms whose reading is where another arm's SMR should be, or whose readings fit no geometry at all."""
+    """Find arms whose reading is where another arm's SMR should be, or whose readings fit no geometry at all."""
     suspicions = []
     for name, one in found.items():
         off = float(np.linalg.norm(one.off_M))
@@ -390,7 +390,7 @@ def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:
 
 
 def _of_slip(arm: str, since: str, offset_F: Array, normal_F: Array) -> Suspicion:
-    """A large offset along the axis of the SMR's seat is another SMR, or one not in its seat; else it slipped."""
+    """Report a large offset along the axis of the seat as another SMR or one not in its seat; else as a slipped SMR."""
     size = float(np.linalg.norm(offset_F))
     if size > _OTHER_SMR_M and abs(float(offset_F @ normal_F)) > _ALONG_NORMAL * size * float(np.linalg.norm(normal_F)):
         text = f"arm {arm}: {since} its SMR is {size * 1e3:.1f} mm off along its axis: another SMR, or not in its seat?"

@@ -1,7 +1,7 @@
-"""Sweeps while a run is collected: at a stop that was measured each arm swings and is recorded, the others resting, or
-the other one swinging beside it.
+"""Record sweeps while a run is collected: at a measured stop each arm swings and is recorded, while the others rest, or
+the other one swings too.
 
-A simulated cell calculates a sweep at once; others are driven and recorded through their drivers (``driven_sweep``).
+A simulated cell computes a sweep at once; real arms are driven and recorded through their drivers (``driven_sweep``).
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from cellapp.robot.paths.sweep import Sweep
 from drivers.plant.sweep import SweepRecord
 
 CYCLE_S = 0.008
-"""Time between two joint positions of a sweep that a simulated controller is given [s]."""
+"""Time between two joint positions of a sweep [s], as sent to a simulated controller."""
 
 Say = Callable[[str], None]
 
 
 def sweeps_left(run: RunFile) -> dict[int, list[PlannedSweep]]:
-    """The planned sweeps that are not recorded to their end, by stop."""
+    """Return the planned sweeps that are not completely recorded yet, by stop."""
     done = {(state.arm, state.part_of or state.name) for state in recording_states(run) if state.reached_s is None}
     return grouped((sweep.stop, sweep) for sweep in read_sweeps(run) if (sweep.arm, sweep.name) not in done)
 
 
 class Sweeps:
-    """The planned sweeps of a run that are not recorded yet. ``note`` is for a person, ``tell`` what one who looks on
-    hears, with a sentence."""
+    """Planned sweeps of a run that are not recorded yet. ``note`` receives warnings for a person, ``tell`` the progress
+    for whoever watches, with a sentence."""
 
     def __init__(
         self, run: RunFile, driver: SweepDriver, session: int, note: Say, tell: Callable[[SweepLive, str], None]
@@ -61,14 +61,14 @@ class Sweeps:
 
     @property
     def stops(self) -> tuple[int, ...]:
-        """Stops at which a sweep is left to be recorded."""
+        """Stops with sweeps that remain to be recorded."""
         return tuple(self._waiting)
 
     def at_stop(self, stop: int, at: Mapping[str, Array], checkpoint: Callable[[], None]) -> Sequence[str]:
-        """Sweep every arm about the joint positions ``at`` which all arms rest; names of the arms that were recorded.
+        """Sweep every arm about the positions ``at`` where all arms rest; return the names of the recorded arms.
 
-        ``checkpoint`` raises where a stop of the cell or a person forbids further motion. A sweep that the gate refuses
-        is left out with a note. What was recorded before something is raised is stored; the rest stays to be done.
+        ``checkpoint`` raises if a halt of the cell or a person forbids further motion. A sweep that the gate refuses is
+        left out with a note. On an exception, recordings so far are stored and the other sweeps remain to be done.
         """
         recorded: list[str] = []
         waiting = self._waiting.get(stop, [])
@@ -85,18 +85,18 @@ class Sweeps:
         return recorded
 
     def leave_out(self, stop: int, reason: str) -> None:
-        """Give up the sweeps of a stop."""
+        """Leave out the sweeps of a stop."""
         self._note(f"stop {stop + 1}: its sweeps are left out: {reason}")
         self._waiting.pop(stop, None)
 
     def _motions(self, sweep: PlannedSweep, at: Mapping[str, Array]) -> dict[str, Sweep]:
-        """The planned motions of all arms that move, slower as long as the arms start slowly."""
+        """Return the planned motions of all moving arms, slowed down during a slow start."""
         speed = self._driver.mover.speed
         planned = sweep.motions(at)
         return {name: replace(motion, period_s=motion.period_s / speed) for name, motion in planned.items()}
 
     def _record(self, sweep: PlannedSweep, motions: Mapping[str, Sweep], at: Mapping[str, Array]) -> bool:
-        """Record one sweep about the stop ``at``; whether anything was stored."""
+        """Record one sweep about the stop ``at``; return whether anything was stored."""
         motion = motions[sweep.arm]
         begins = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
         self._tell(begins)
@@ -118,15 +118,17 @@ class Sweeps:
         return stored > 0
 
     def _beside(self, sweep: PlannedSweep, at: Mapping[str, Array], n: int, swung: Array | None) -> Array | None:
-        """Joint positions (n, K) [rad] of the other arm, also where it rests while others swing; None where all rest:
-        recordings of a session have the same columns."""
+        """Return the other arm's joint positions (n, K) [rad]; None if the other arm rests in all sweeps of the run.
+
+        If it swings in some sweeps, its rest is given in the others: recordings of a session have the same columns.
+        """
         if swung is not None or self._run.profile.plan.other_arm == "resting":
             return swung
         (resting,) = (q for name, q in at.items() if name != sweep.arm)
         return np.repeat(resting[None], n, axis=0)
 
     def _stored(self, sweep: PlannedSweep, part: SweepPart) -> bool:
-        """Store a part of a sweep; whether it could be."""
+        """Store a part of a sweep; return False, with a note, if its data are refused."""
         name = self._free_name(sweep)
         try:
             recorded = _checked(self._run.profile, (sweep.arm, name), *_columns(part), self._session)
@@ -149,7 +151,7 @@ class Sweeps:
         return True
 
     def _free_name(self, sweep: PlannedSweep) -> str:
-        """A name for the next recording of a sweep."""
+        """Return an unused name for the next recording of a sweep."""
         taken = {state.name for state in recording_states(self._run) if state.arm == sweep.arm}
         names = (sweep.name, *(f"{sweep.name}.{number}" for number in range(2, len(taken) + 2)))
         return next(name for name in names if name not in taken)
@@ -158,8 +160,8 @@ class Sweeps:
 def calculated_streams(
     profile: Profile, key: Key, found: SweepRecord, beside: Array | None, session: str
 ) -> RecordedStreams:
-    """What a simulated cell calculated of a sweep, as a recording of the arm and name ``key``; ``beside`` (n, K) [rad]
-    are joint positions of the other arm at the stamps of the joints."""
+    """Convert a sweep that a simulated cell computed into a recording of the arm and name ``key``; ``beside`` (n, K)
+    [rad] are joint positions of the other arm at the joints' timestamps."""
     joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd, other_q=beside)
     return _checked(profile, key, joints, _point_columns(found.point_time_s, found.p_M, found.sigma_m), session)
 
@@ -173,7 +175,7 @@ def _checked(
 
 
 def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
-    """Columns of a stream of joints: those of each table (n, N) by its stem; None: it was not recorded."""
+    """Return the columns of a stream of joints from tables (n, N) by stem; a table is None if it was not recorded."""
     columns = {"time_s": time_s}
     for stem, table in tables.items():
         if table is not None:
@@ -182,13 +184,13 @@ def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
 
 
 def _point_columns(time_s: Array, p_M: Array, sigma_m: Array) -> dict[str, Array]:
-    """Columns of a stream of points (n, 3); without their uncertainties where one is not known."""
+    """Return the columns of a stream of points (n, 3); without uncertainties if one of them is unknown."""
     columns = {"time_s": time_s, **dict(zip(POINT, p_M.T, strict=True))}
     return {**columns, "sigma_m": sigma_m} if np.isfinite(sigma_m).all() else columns
 
 
 def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Columns of the joints and of the points of a part."""
+    """Return the columns of the joints and of the points of a part."""
     joints, track = part.joints, part.track
     samples = _joint_columns(
         joints.time_s,

@@ -1,4 +1,4 @@
-"""One target: drive its arm or arms there with each command, measure at rest, and correct what remains."""
+"""Visit one target: drive its arm or arms there with each command, measure at rest, and correct the remaining error."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ _UNSEEN = "not measured: the tracker does not see the SMR there"
 
 @dataclass(frozen=True)
 class TargetVisit:
-    """Visits targets with the arms of an open cell. The parameters are those of ``push``.
+    """Visits targets with the arms of an open cell; the parameters are those of ``push``.
 
-    ``hold`` is called between motions: a person may pause there.
+    ``hold`` is called between motions: it waits while a person pauses.
     """
 
     model: CellModel
@@ -61,7 +61,7 @@ class TargetVisit:
     def to(self, commands: Sequence[Command]) -> Findings:
         """Visit one target with the command of each of its arms.
 
-        A refused motion, measurement or correction becomes a note; what stops the cell is raised.
+        A refused motion, measurement or correction becomes a note; what stops the cell raises an exception.
         """
         found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0)
         for name, command in found.commands.items():
@@ -83,9 +83,9 @@ class TargetVisit:
     # -- driving and measuring -----------------------------------------------------------------------------------------
 
     def _drive(self, found: Findings) -> None:
-        """Drive and measure with the compensated commands first, on a way as in work.
+        """Drive and measure, first with the compensated commands, arriving as in work.
 
-        From the nominal ones the joints would move by less than their play, so that it would be open where they stand.
+        Arriving from the nominal commands, the joints would move by less than their backlash, which would stay open.
         """
         states, sent = self._go("compensated", found)
         mover = self.driver.mover
@@ -93,14 +93,14 @@ class TargetVisit:
         if not self.verify:
             return
         found.rounds.append(self._measure("compensated", found, states, sent))
-        if not found.rounds[0]:  # the nominal command is a millimetre away
+        if not found.rounds[0]:  # the nominal command, a millimetre away, would not be measured either
             return
         self._correct(found, states)
         if all(command.q_nominal is not None for command in found.commands.values()):
             found.nominal = self._measure("nominal", found, *self._go("nominal", found))
 
     def _go(self, kind: CommandKind, found: Findings) -> tuple[States, Mapping[str, Vector]]:
-        """Drive all arms of a target to their commands of one kind; return their states and what was sent."""
+        """Drive all arms of a target to their commands of one kind; return their states and the sent positions."""
         sent: dict[str, Vector] = {}
         sides = {} if kind == "nominal" else self._sides(found)
 
@@ -115,9 +115,9 @@ class TargetVisit:
         return self.driver.to(list(found.commands), command, sides), sent
 
     def _sides(self, found: Findings) -> dict[str, Vector]:
-        """The sides from which arms are to come: as stated; else, where they matter to the model, those of the way.
+        """Return the sides from which arms arrive: as stated; else, if they matter to the model, those of the way.
 
-        The last motion is then short, as in most stops of a plan: effects that depend on its size are known there.
+        The last motion is then short, as at most stops of a plan: effects that depend on its size are known there.
         """
         here = self.driver.mover.positions()
         sides = {}
@@ -129,7 +129,7 @@ class TargetVisit:
         return sides
 
     def _measure(self, kind: CommandKind, found: Findings, states: States, sent: Mapping[str, Vector]) -> Rest:
-        """Measure the SMRs of arms at rest; one that cannot be measured becomes its arm's note."""
+        """Measure the SMRs of arms at rest; an SMR that cannot be measured becomes a note of its arm."""
         rest: dict[str, Measured] = {}
         mover = self.driver.mover
         for name, command in found.commands.items():
@@ -164,10 +164,10 @@ class TargetVisit:
     # -- correcting ----------------------------------------------------------------------------------------------------
 
     def _correct(self, found: Findings, states: States) -> None:
-        """Correct what is significant until noise explains the rest, it no longer shrinks, or the rounds are used up.
+        """Correct significant errors until noise explains the rest, they no longer shrink, or the rounds are used up.
 
-        An error that noise does not explain is measured again before anything is corrected: of many targets, some show
-        one by chance, and a correction by it would make them worse.
+        An error that noise does not explain is measured again before it is corrected: among many targets some show one
+        by chance, and a correction by it would make them worse.
         """
         first = found.rounds[0]
         before_M: dict[str, Array] = {}
@@ -200,14 +200,14 @@ class TargetVisit:
             found.best = len(found.rounds) - 1
 
     def _corrected(self, name: str, last: Rest, first: Rest) -> Vector:
-        """The next command of an arm."""
+        """Return the next command of an arm."""
         return corrected_command(self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent)
 
     def _again(self, found: Findings, states: States, sent: Mapping[str, Vector], names: Sequence[str]) -> Rest:
         """Measure all arms again and return the means; empty if one cannot be measured.
 
-        The arms in ``names`` drive to their commands anew for each repeat; the others stay at rest. Both arms of a pair
-        are measured together.
+        The arms in ``names`` approach their commands again for each repeat; the others stay at rest. Both arms of a
+        pair are measured together.
         """
         sides = {name: found.rounds[0][name].approach for name in names}
         each: list[Rest] = []
@@ -220,6 +220,6 @@ class TargetVisit:
 
 
 def last_motion_matters(arm: ArmModel) -> bool:
-    """Whether an effect of the model depends on the last motion of the joints."""
+    """Return whether an effect of the model depends on the last motion of the joints."""
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
     return not variables.isdisjoint({DriverVariable.APPROACH, DriverVariable.STEP})

@@ -1,4 +1,4 @@
-"""Asking all arms of a cell at once: where time is real, one arm that is slow does not delay the others."""
+"""Call all arms of a cell concurrently: in real time, one slow arm does not delay the others."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import TypeVar
 from drivers.arms.protocol import ArmError
 
 Together = Callable[[Sequence[Callable[[], None]]], None]
-"""Calls functions, all at once where time is real."""
+"""Function that calls functions, concurrently if time is real."""
 T = TypeVar("T")
 
 
 def in_threads(calls: Sequence[Callable[[], None]]) -> None:
-    """Call every function in a thread of its own and return at once: one that hangs delays no other."""
+    """Call every function in a thread of its own and return at once: one that hangs does not delay the others."""
     without_thread = []
     for call in calls:
         try:
             threading.Thread(target=call, name="all arms", daemon=True).start()
-        except RuntimeError:  # the system has no thread left
+        except RuntimeError:  # the system cannot start another thread
             without_thread.append(call)
     one_by_one(without_thread)
 
 
 def one_by_one(calls: Sequence[Callable[[], None]]) -> None:
-    """Call every function in turn: simulated time does not pass meanwhile."""
+    """Call the functions one after the other: simulated time does not pass in the meantime."""
     for call in calls:
         call()
 
@@ -36,7 +36,7 @@ def answers_of_all(
 ) -> tuple[dict[str, T], dict[str, ArmError]]:
     """Call a function for each arm and wait for all; return answers and errors by arm.
 
-    Every call of a driver ends in bounded time.
+    This terminates: every call of a driver has a timeout.
     """
     answers: dict[str, T] = {}
     errors = {name: ArmError(f"arm {name}: its driver gave no answer") for name in calls}

@@ -1,8 +1,7 @@
-"""Read an arm that a person leads by hand with a ball in a socket. Nothing is moved, no freedrive is started.
+"""Read an arm whose ball a person guides by hand into a socket. Nothing is moved, no freedrive is started.
 
-In a simulated cell a simulated person leads the arm: its sockets stand where their names put them, always in the same
-place; names that differ only in a number at the end, as ``front_0`` and ``front_1``, are sockets of one block, 50 mm
-apart.
+In a simulated cell a simulated person guides the arm. The position of a socket follows from its name and never changes;
+names that differ only in a digit at the end, as ``front_0`` and ``front_1``, are sockets of one block, 50 mm apart.
 """
 
 from __future__ import annotations
@@ -26,33 +25,33 @@ from drivers.plant.sockets import touches
 from drivers.settings import SettingError
 
 REST_S = 0.5
-"""An arm is read when it has rested for so long [s]."""
+"""Rest [s] before an arm is read."""
 PATIENCE_S = 2.0
-"""How long it may take to come to rest [s]."""
+"""Longest wait [s] for an arm to come to rest."""
 BLOCK_M = 0.05
 """Distance of neighbouring sockets of a simulated block [m]."""
 _SEATING_M = 1.5e-5
 _SPREAD_RAD = 0.9
-"""How far a simulated person turns the joints from a socket's first posture [rad]."""
+"""Largest rotation of the joints [rad] by a simulated person from a socket's first posture."""
 _TURNED_RAD, _POSTURES = 2.0, 200
-"""How far, and in how many ways, a simulated person turns two arms of which one carries a socket."""
+"""Largest rotation [rad], and number, of random postures of two simulated arms of which one carries a socket."""
 _TRIES = 12
 
 ReadTouch = Callable[[str, int], Reading]
-"""Name of a socket and the number of touches before -> the arm's reading; raises ``Moving``, ``HardwareError``."""
+"""Function: socket name and number of earlier touches -> reading of the arm; raises ``Moving``, ``HardwareError``."""
 
 
 ReadBoth = Callable[[str, int], tuple[Array, Array]]
-"""Name of a socket on the other arm's flange and the number of touches before -> joints of the arm with the ball and of
-the one with the socket [rad]; raises as ``ReadTouch``."""
+"""Function: name of a socket on the other arm's flange and number of earlier touches -> joint positions [rad] of the
+arm with the ball and of the arm with the socket; raises as ``ReadTouch``."""
 
 
 class Moving(InputError):
-    """The arm does not rest, so that nothing was recorded."""
+    """The arm does not rest; nothing was recorded."""
 
 
 def touch_reader(profile: Profile, arm: str) -> ReadTouch:
-    """What reads touches of an arm.
+    """Return the function that reads touches of an arm.
 
     Raises
     ------
@@ -73,7 +72,7 @@ def touch_reader(profile: Profile, arm: str) -> ReadTouch:
 
 
 def both_reader(profile: Profile, arm: str) -> ReadBoth:
-    """What reads both arms of a pair, one of which carries a socket. Raises as ``touch_reader``."""
+    """Return the function that reads both arms of a pair, one of which carries a socket. Raise as ``touch_reader``."""
     (other,) = [name for name in profile.arms if name != arm]
     if profile.arms[arm].driver.needs_plant:
         return partial(_simulated_both, profile, arm, other)
@@ -100,7 +99,7 @@ def _read_touch(profile: Profile, arm: str, point: str, before: int) -> Reading:
 
 
 def _reading(q: Array, point: str, payload_kg: float | None, joint_temperature_c: Array | None) -> Reading:
-    """A touch; the last motions of the joints, led by hand, are not known."""
+    """Return a touch; the last joint motions are unknown because a person guided the arm."""
     return Reading(
         q=q,
         p_M=np.full(3, np.nan),
@@ -112,7 +111,7 @@ def _reading(q: Array, point: str, payload_kg: float | None, joint_temperature_c
 
 
 def _simulated_touch(plant: Plant, arm: str, point: str, before: int) -> Reading:
-    """A touch of a simulated person; posture number ``before`` of the socket."""
+    """Return a touch by a simulated person, in the socket's posture with index ``before``."""
     config = next(one for one in plant.config.arms if one.name == arm)
     low, high = config.limits.T
     block, number = _in_block(point)
@@ -130,7 +129,7 @@ def _simulated_touch(plant: Plant, arm: str, point: str, before: int) -> Reading
 
 
 def _simulated_both(profile: Profile, arm: str, other: str, socket: str, before: int) -> tuple[Array, Array]:
-    """Postures number ``before`` in which a simulated person seats the ball in the socket on the other arm's flange."""
+    """Return postures with index ``before`` in which a simulated person seats the ball in the other arm's socket."""
     place = np.random.default_rng(zlib.crc32(socket.encode())).uniform([-0.05, -0.05, 0.01], [0.05, 0.05, 0.1]).tolist()
     smr = profile.arms[other].smr.model_copy(update={"name": "ball", "nests": {"socket": Nest(offset=tuple(place))}})
     carrier = profile.arms[other].model_copy(update={"smr": smr})
@@ -140,7 +139,7 @@ def _simulated_both(profile: Profile, arm: str, other: str, socket: str, before:
     ball_M = plant.smr_positions(arm, q, approach=np.zeros_like(q))
     socket_M = plant.smr_positions(other, other_q, approach=np.zeros_like(other_q), nest="socket")
     apart_m = np.linalg.norm(socket_M[:, None] - ball_M, axis=2)
-    for k in np.argsort(apart_m.min(axis=1))[:_TRIES].tolist():  # from the nearest postures it is not far
+    for k in np.argsort(apart_m.min(axis=1))[:_TRIES].tolist():  # begin with the postures nearest to touching
         start = q[np.argmin(apart_m[k])][None]
         found = touches(plant, arm, socket_M[k], start, seating_m=_SEATING_M, rng=rng)
         if len(found):
@@ -149,12 +148,12 @@ def _simulated_both(profile: Profile, arm: str, other: str, socket: str, before:
 
 
 def _postures(plant: Plant, arm: str, rng: np.random.Generator) -> Array:
-    """Random postures (n, N) [rad] about that in which a simulated arm stands."""
+    """Draw random postures (n, N) [rad] around the current one of a simulated arm."""
     low, high = next(one for one in plant.config.arms if one.name == arm).limits.T
     return np.clip(plant.q(arm) + rng.uniform(-_TURNED_RAD, _TURNED_RAD, (_POSTURES, len(low))), low, high)
 
 
 def _in_block(point: str) -> tuple[str, int]:
-    """The block of a simulated socket and its place there; 10 places at most."""
+    """Return the block of a simulated socket and its index there (0 to 9)."""
     named = re.fullmatch(r"(.*?)_?([0-9])", point)
     return (point, 0) if named is None else (named[1], int(named[2]))

@@ -1,4 +1,4 @@
-"""A path of one arm while the tracker follows its SMR; one on which the beam broke is driven again."""
+"""Drive a path of one arm while the tracker follows its SMR; drive it again if the beam broke."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from drivers.arms.protocol import FollowedPath, PathFollower
 from drivers.trackers.protocol import TargetLost, Track, TrackerError, WrongTarget, stream_of
 
 INTERVAL_S = 0.01
-"""Of points measured while the arm moves: 1 mm at 100 mm/s."""
+"""Interval of points measured while the arm moves [s]: 1 mm at 100 mm/s."""
 MOST_RUNS = 4
-"""A path is driven so often at most: once, and again after each beam that broke."""
+"""Maximum number of runs of a path: one, and another one after each break of the beam."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedPath:
-    """A path that an arm followed to its end.
+    """Path that an arm followed to its end.
 
     Attributes
     ----------
     track : Track or None
-        Points that were measured meanwhile; None: nothing was to be, or the tracker does not measure a moving SMR.
+        Points measured in the meantime; None if not requested, or if the tracker cannot measure a moving SMR.
     arm : FollowedPath
-        What the arm reports.
+        Report of the arm.
     began_s : float
-        When it set out, on the cell's clock [s].
+        Start of the motion on the cell's clock [s].
     lost_beams : int
-        How often it was driven before and did not come to the end, as the beam broke.
+        Number of earlier runs that ended early because the beam broke.
     """
 
     track: Track | None
@@ -62,19 +62,19 @@ class PathDriver:
         start_M: Array | None = None,
         interval_s: float = INTERVAL_S,
     ) -> TrackedPath:
-        """Let an arm follow a path, measured each ``interval_s`` [s] where ``start_M`` (3,) [m] is given.
+        """Let an arm follow a path; measure every ``interval_s`` [s] if ``start_M`` (3,) [m] is given.
 
-        ``begin`` leads the arm to its beginning, where its SMR is at ``start_M``. Where the beam breaks, the arm slows
-        down along the path and rests; the SMR is measured there, and the whole path is driven again from its beginning.
+        ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M``. If the beam breaks, the arm
+        slows down along the path and rests; its SMR is measured there, and the whole path is driven again.
 
         Raises
         ------
         MotionRefused
             If the gate refuses.
         TargetLost, WrongTarget
-            If the SMR is not seen at the beginning, or the beam broke ``MOST_RUNS`` times.
+            If the SMR is not seen at the beginning, or the beam broke in all ``MOST_RUNS`` runs.
         CellStopped
-            As ``Mover.follow``, and if an SMR whose beam broke is not found again.
+            As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
         """
         if start_M is None or (streaming := stream_of(self.cell.tracker)) is None:
             begin()
@@ -90,7 +90,7 @@ class PathDriver:
             try:
                 arm = self._follow(name, trajectory)
             except BaseException:
-                with suppress(TrackerError):  # why the arm did not come to the end is to be reported
+                with suppress(TrackerError):  # report why the arm did not reach the end, not this
                     streaming.end_track()
                 raise
             track = streaming.end_track()
@@ -107,7 +107,7 @@ class PathDriver:
         return self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
 
     def _find_again(self, name: str) -> None:
-        """Measure the SMR where the arm rests, or stop the cell."""
+        """Measure the SMR where the arm rests; stop the cell if it is not found."""
         try:
             find_again(self.cell, self.mover, self.control, name)
         except (TargetLost, WrongTarget) as error:

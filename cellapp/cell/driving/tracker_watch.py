@@ -1,4 +1,4 @@
-"""Watching the tracker of an open cell: while the arms move, a tracker that died stops the cell at once."""
+"""Watch the tracker of an open cell: if it dies while the arms move, the cell stops at once."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ from drivers.trackers.protocol import (
 )
 
 Died = Callable[[str], None]
-"""Takes the reason, in a sentence, from any thread."""
+"""Callback with the reason, as a sentence, from any thread."""
 Watch = Callable[[Tracker, Died], AbstractContextManager[None]]
-"""Watches a tracker while its context is open. If the tracker is dead already, that is reported before it opens."""
+"""Context that watches a tracker while it is open. A tracker that is dead already is reported before it opens."""
 
 CONFIRM_WITHIN_S = 0.3
-"""A tracker that answers later counts as dead while the arms move; over a network it answers within milliseconds."""
+"""Timeout [s] after which a tracker counts as dead while the arms move; over a network it answers in milliseconds."""
 _EVERY_S = 0.04
-"""Between two questions: with its answer, an eighth of what a serial line of 115200 baud carries."""
+"""Period of the queries [s]: with the answers they take an eighth of a serial line of 115200 baud."""
 _DEAD_EVERY_S = 0.5
-"""Between two questions to a dead tracker while the arms rest."""
+"""Period of the queries of a dead tracker while the arms rest [s]."""
 _LOOK_S = 0.05
 _SILENT_S = 0.4
-"""Longest time without an answer, should a driver not keep to ``CONFIRM_WITHIN_S``. It counts by looks that come in
-time: a program that was not scheduled has not looked, and has not asked either."""
+"""Longest time without an answer [s], in case a driver does not keep to ``CONFIRM_WITHIN_S``. It is counted in periods
+of ``_LOOK_S`` that really ran: while this process is not scheduled, it neither counts nor sends queries."""
 _ONE_ANSWER_S = 5.0
-"""Longest wait for the answer that is under way when a job calls the tracker, and at the end."""
+"""Longest wait [s] for a pending answer when a job calls the tracker, and at the end."""
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 
 class TrackerMonitor:
-    """Wraps a tracker: passes calls on, and asks it again and again in between whether it answers.
+    """Wrapper of a tracker that forwards calls and, between them, queries repeatedly whether the tracker answers.
 
-    Its questions never overlap with the job's calls: a call waits for one answer at most, and nothing is asked while a
-    call is at work. While nothing is ``watching``, a tracker that is silent is not reported: ``data_age_s`` grows.
-    Questions are asked while the context is open.
+    Queries never overlap with the job's calls: a call waits for at most one answer, and there are no queries during a
+    call. Outside ``watching`` a silent tracker is not reported, but ``data_age_s`` grows.
+    Queries are sent while the context is open.
     """
 
     def __init__(self, tracker: Tracker) -> None:
@@ -65,9 +65,9 @@ class TrackerMonitor:
         self._reporting = threading.Lock()
         self._died: Died | None = None
         self._heard = 0
-        """Answers so far, of questions and calls."""
+        """Number of answers so far, to queries and calls."""
         self._calls = 0
-        """Calls of the job that are at work."""
+        """Number of the job's calls in progress."""
 
     def __enter__(self) -> Self:
         self._asking.start()
@@ -96,11 +96,11 @@ class TrackerMonitor:
         return self._alone(self._tracker.unmet)
 
     def confirm(self, within_s: float = CONFIRM_WITHIN_S) -> None:
-        """Make sure that the tracker answers now, as ``Tracker.confirm`` does."""
+        """Check that the tracker answers now, as ``Tracker.confirm``."""
         self._alone(self._tracker.confirm, within_s)
 
     def data_age_s(self) -> float:
-        """Return the age of the newest sign of life [s], as ``Tracker.data_age_s`` does."""
+        """Return the age of the newest sign of life [s], as ``Tracker.data_age_s``."""
         return self._tracker.data_age_s()
 
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
@@ -116,7 +116,7 @@ class TrackerMonitor:
         return self._alone(self._tracker.inclination)
 
     def halt(self) -> None:
-        """End the running measurement, at once and from any thread."""
+        """End the running measurement at once; may be called from any thread."""
         self._tracker.halt()
 
     def disconnect(self) -> None:
@@ -124,7 +124,7 @@ class TrackerMonitor:
         self._alone(self._tracker.disconnect)
 
     def _alone(self, call: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs) -> _T:
-        """Call the tracker when no question is under way. Raises ``TrackerLinkLost`` if that has no end."""
+        """Call the tracker when no query is pending. Raise ``TrackerLinkLost`` if a query does not end."""
         self._calls += 1  # calls come one at a time
         try:
             if not self._in_use.acquire(timeout=_ONE_ANSWER_S):
@@ -140,7 +140,7 @@ class TrackerMonitor:
 
     @contextmanager
     def watching(self, died: Died) -> Iterator[None]:
-        """Call ``died``, once, if the tracker does not answer now, or dies or falls silent before the context ends."""
+        """Call ``died`` once if the tracker does not answer now, or dies or falls silent before the context ends."""
         over = threading.Event()
         listening = threading.Thread(target=self._listen, args=(over,), name="tracker watch limit", daemon=True)
         self._died = died
@@ -164,7 +164,7 @@ class TrackerMonitor:
             died(reason)
 
     def _ask(self) -> None:
-        """Ask again and again while the job makes no call."""
+        """Query the tracker repeatedly while the job makes no call."""
         again_s = 0.0
         while not self._over.wait(_EVERY_S):
             at_rest = self._died is None
@@ -183,7 +183,7 @@ class TrackerMonitor:
                 again_s = time.monotonic() + _DEAD_EVERY_S
 
     def _listen(self, over: threading.Event) -> None:
-        """Report silence, even while a question hangs."""
+        """Report silence, even while a query hangs."""
         heard, looks = self._heard, 0
         while not over.wait(_LOOK_S):
             looks += 1
@@ -195,7 +195,7 @@ class TrackerMonitor:
 
 
 class StreamingTrackerMonitor(TrackerMonitor):
-    """A monitor of a tracker that measures an SMR while it moves."""
+    """Monitor of a tracker that can measure a moving SMR."""
 
     def __init__(self, tracker: Tracker, streaming: StreamingTracker) -> None:
         super().__init__(tracker)
@@ -221,7 +221,7 @@ class StreamingTrackerMonitor(TrackerMonitor):
 
 
 def monitored(tracker: Tracker) -> TrackerMonitor:
-    """Return a monitor of a tracker that can do what the tracker can; its context is not open yet."""
+    """Return a monitor with the tracker's capabilities; its context is not open yet."""
     if isinstance(tracker, StreamingTracker):
         return StreamingTrackerMonitor(tracker, tracker)
     return TrackerMonitor(tracker)
@@ -229,7 +229,7 @@ def monitored(tracker: Tracker) -> TrackerMonitor:
 
 @contextmanager
 def watched(tracker: Tracker, died: Died) -> Iterator[None]:
-    """Watch a tracker while the arms move. Without a monitor of its own, the caller must not call it meanwhile."""
+    """Watch a tracker while the arms move. If it is not a monitor, the caller must not call it in the meantime."""
     if isinstance(tracker, TrackerMonitor):
         with tracker.watching(died):
             yield
@@ -240,7 +240,7 @@ def watched(tracker: Tracker, died: Died) -> Iterator[None]:
 
 @contextmanager
 def unwatched(tracker: Tracker, died: Died) -> Iterator[None]:
-    """Ask once, before the arms move: in a simulated cell all calls come from one thread."""
+    """Query the tracker once, before the arms move: in a simulated cell all calls come from one thread."""
     try:
         tracker.confirm(CONFIRM_WITHIN_S)
     except TrackerError as error:

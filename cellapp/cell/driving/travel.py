@@ -1,5 +1,5 @@
-"""Ways between stops: as planned or around, via home, back out of a motion that was cut short; slow at first on real
-hardware."""
+"""Motions between stops: as planned or by another route, via home, back after an interrupted motion; slow at first on
+real hardware."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ class Travel:
         self.slow_again()
 
     def slow_again(self) -> None:
-        """Visit the next stops slowly: at the beginning, and after persons were called. On real hardware only."""
+        """Visit the next stops slowly (real hardware only): at the beginning, and after a person was called."""
         self._visited = 0
         self._mover.slow_start(0)
 
     def stop_visited(self) -> None:
-        """Count a stop that was visited."""
+        """Count a visited stop."""
         self._visited += 1
         self._mover.slow_start(self._visited)
 
     def to_stop(self, stop: int) -> dict[str, ArmState]:
         """Move to a stop: as planned, straight, one arm after the other, or each of these from home.
 
-        Every way ends with the planned last motion, and begins only if the gate accepts all of its motions.
+        Every route ends with the planned last motion, and begins only if the gate accepts all of its motions.
 
         Raises
         ------
         MotionRefused
-            If the gate accepts no way.
+            If the gate accepts no route.
         """
         try:
             return self._by_any(self._routes(stop))
@@ -51,14 +51,14 @@ class Travel:
             return self._by_any(self._routes(stop))
 
     def first_leg(self, stop: int) -> Targets:
-        """Where the first motion of ``to_stop`` leads from where the arms are."""
+        """Return where the first motion of ``to_stop`` leads from the present positions."""
         accepted = (route for route in self._routes(stop) if not self._mover.refusal(*route))
         return next(accepted, (self._homes,))[0]
 
     def home(self) -> None:
         """Move home, one arm after the other.
 
-        If that is refused after a motion that was cut short, the arms move back to where it began first.
+        If the gate refuses that after an interrupted motion, first move back to where that motion began.
         """
         try:
             self._mover.go_home()
@@ -77,13 +77,13 @@ class Travel:
             self.home()
 
     def _routes(self, stop: int) -> list[Route]:
-        """Ways to a stop from where the arms are."""
+        """Return the routes to a stop from the present positions."""
         before = self._work.targets(stop - 1) if stop else self._homes
         planned = bool(self._work.route.legs[stop]) and self._mover.rests_at(before)
         return list(routes(self._work.route, stop, as_planned=planned))
 
     def _by_any(self, ways: Sequence[Route]) -> dict[str, ArmState]:
-        """Move along the first way that the gate accepts. Raises ``MotionRefused`` with its reason for the first."""
+        """Move along the first route that the gate accepts. Raise the first ``MotionRefused`` if there is none."""
         first: MotionRefused | None = None
         for way in ways:
             try:
@@ -94,8 +94,8 @@ class Travel:
         raise first
 
     def _along(self, way: Route) -> dict[str, ArmState]:
-        """Move along a way. Raises ``MotionRefused`` if the gate refuses one of its motions."""
-        refusal = self._mover.refusal(*way) if len(way) > 1 else ""  # of one motion, ``move`` asks
+        """Move along a route. Raise ``MotionRefused`` if the gate refuses one of its motions."""
+        refusal = self._mover.refusal(*way) if len(way) > 1 else ""  # for a single motion, ``move`` checks
         if refusal:
             raise MotionRefused(f"refused to move: {refusal}")
         states: dict[str, ArmState] = {}

@@ -1,4 +1,4 @@
-"""A tracker that nobody asks: arms are driven without it."""
+"""Tracker for cells whose arms are driven without one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.trackers.protocol import NotReady, Preparation
 
 
 class UnaskedTracker:
-    """Stands in a cell whose tracker is not connected: it measures nothing and stops nothing."""
+    """Placeholder in a cell whose tracker is not connected: it measures nothing and stops nothing."""
 
     def connect(self) -> None:
         """Do nothing."""
@@ -25,11 +25,11 @@ class UnaskedTracker:
         """Do nothing."""
 
     def unmet(self) -> list[str]:
-        """Return that it is not asked."""
+        """Return that the tracker is not used."""
         return ["the tracker is not asked"]
 
     def confirm(self, within_s: float) -> None:
-        """Do nothing: nothing depends on it."""
+        """Do nothing: no job depends on this tracker."""
 
     def data_age_s(self) -> float:
         """Return infinity: there are no data."""
@@ -44,7 +44,7 @@ class UnaskedTracker:
         self._refuse()
 
     def inclination(self) -> None:
-        """Return None: not known."""
+        """Return None: the inclination is unknown."""
 
     def halt(self) -> None:
         """Do nothing."""

@@ -1,4 +1,4 @@
-"""Verifying by measuring: where the SMR was wanted, expected and measured, and whether these belong together."""
+"""Verification by measurement: compare wanted, predicted and measured SMR positions; detect that the model is wrong."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from drivers.trackers.protocol import Point
 CommandKind = Literal["nominal", "compensated"]
 
 _FAR_M = 1e-3
-"""Distance from the prediction that no calibrated arm has, whatever its model states."""
+"""Distance from the prediction [m] that no calibrated arm shows, whatever uncertainty its model states."""
 _FAR_RATIO = 5.0
-"""Multiple of the stated 95 % distance beyond which something else than the model's uncertainty is at work."""
+"""Multiple of the stated 95 % distance above which the model's uncertainty cannot be the only cause."""
 _FIRST_STREAK, _LATER_STREAK = 2, 5
-"""Targets in a row that disagree before the job ends: while none has agreed yet, and later."""
+"""Consecutive targets that disagree before the job ends: if none has agreed yet, and if one has."""
 _WHAT_NOW = (
     "the tracker was moved, the SMR was mounted anew, or the arm has changed; the arms went home, and what was measured"
     " says nothing about the calibration. After moving the tracker run 'cellapp locate DIR'; else measure and calibrate"
@@ -43,21 +43,21 @@ _WHAT_NOW = (
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One arm at rest with a command, and measured.
+    """Measurement of one arm at rest at a command.
 
     Attributes
     ----------
     sent, q : array, shape (N,)
-        Joint positions [rad] that were commanded, and those that were reached.
+        Commanded and reached joint positions [rad].
     approach : array, shape (N,)
         Sign of each joint's last motion, 0 where unknown.
     wanted_M, predicted_M : array, shape (3,)
-        The target, and what the calibrated model expects at ``q`` [m].
+        Target, and prediction of the calibrated model at ``q`` [m].
     point : Point
     repeatability_m : float
-        Standard deviation of a coordinate of the SMR as measured after repeated motions [m]; zero where not known.
+        Standard deviation of an SMR coordinate over repeated motions [m]; zero if unknown.
     turn_M : array, shape (3,), or None
-        Rotation vector [rad] from the wanted to the measured rotation of the flange; None where it was not measured.
+        Rotation vector [rad] from the wanted to the measured rotation of the flange; None if not measured.
     """
 
     sent: Array
@@ -71,7 +71,7 @@ class Measured:
 
     @property
     def error_M(self) -> Array:
-        """From the target to the measured SMR, (3,) [m]."""
+        """Vector from the target to the measured SMR, (3,) [m]."""
         return np.asarray(self.point.p_M - self.wanted_M)
 
     @property
@@ -86,16 +86,16 @@ class Measured:
 
     @property
     def noise_M(self) -> Array:
-        """Covariance (3, 3) of the error [m^2]: the tracker's, and what the arm's repeatability adds to it."""
+        """Covariance (3, 3) of the error [m^2]: the tracker's, raised to the arm's repeatability if that is larger."""
         tracker = self.point.covariance_M
         added = max(self.repeatability_m**2 - float(np.trace(tracker)) / 3.0, 0.0)
         return np.asarray(tracker + added * np.eye(3))
 
 
 def mean_of(measured: Sequence[Measured]) -> Measured:
-    """The mean of n measurements of one arm at the same command, with the covariance of a mean.
+    """Return the mean of n measurements of one arm at the same command, with the covariance of a mean.
 
-    Where they scatter by more than is known of the arm, what they scatter by counts.
+    The repeatability is the scatter of the measurements if that is larger than the known value.
     """
     first, n = measured[0], len(measured)
     scatter_m = float(np.sqrt(np.var([one.error_M for one in measured], axis=0, ddof=1).mean())) if n > 1 else 0.0
@@ -116,31 +116,31 @@ def mean_of(measured: Sequence[Measured]) -> Measured:
 
 
 Rest = Mapping[str, Measured]
-"""Arm -> what was measured, with all arms of a target at rest; without those whose SMR could not be measured."""
+"""Arm -> its measurement, with all arms of a target at rest; without arms whose SMR could not be measured."""
 
 
 @dataclass
 class Findings:
-    """What was found at one target.
+    """Measurements and problems at one target.
 
     Attributes
     ----------
     commands : mapping
-        Arm -> its command.
+        Arm -> command.
     corrected : bool
-        Whether what remains was to be corrected.
+        Whether remaining errors were to be corrected.
     driven : mapping
-        Arm -> joint positions (N,) [rad] that were sent for the model alone, and the signs (N,) of the last motions.
+        Arm -> joint positions (N,) [rad] sent from the model without correction, and signs (N,) of the last motions.
     nominal : mapping
-        What was measured with the nominal commands.
+        Measurements with the nominal commands.
     rounds : list
-        What was measured with the model alone, then after each correction.
+        Measurements without correction, then after each correction.
     best : int
-        The round whose commands are kept.
+        Index of the round whose commands are kept.
     notes : mapping
-        Arm -> what went wrong there.
+        Arm -> what went wrong.
     lost : mapping
-        Arm -> why its SMR was not where it should be.
+        Arm -> why its SMR was not found where it should be.
     """
 
     commands: Mapping[str, Command]
@@ -153,16 +153,16 @@ class Findings:
     lost: dict[str, str] = field(default_factory=dict)
 
     def note(self, names: Sequence[str], text: str) -> None:
-        """Add a note for some arms."""
+        """Add a note to some arms, unless they have it already."""
         for name in names:
             before = self.notes.get(name, "")
             if text not in before:
                 self.notes[name] = f"{before}; {text}" if before else text
 
     def contradictions(self) -> dict[str, str]:
-        """Arm -> why its measurements contradict the model, empty if they do not; only arms that were to be measured.
+        """Return arm -> why its measurements contradict the model, empty if they do not; only arms with measurements.
 
-        Corrections are left out: they are made to meet the target, not the model.
+        Corrected rounds do not count: they are made to meet the target, not the model.
         """
         found = {}
         for name, command in self.commands.items():
@@ -172,11 +172,11 @@ class Findings:
         return found
 
     def targets(self, judge: Judge) -> list[MeasuredTarget]:
-        """The result of each arm."""
+        """Return the result of each arm."""
         return [self._target(command, judge) for command in self.commands.values()]
 
     def pair(self, judge: Judge) -> MeasuredPair | None:
-        """The result of both arms together; None for a target of one arm."""
+        """Return the result of both arms together; None if the target is of one arm."""
         if len(self.commands) != 2:
             return None
         names = list(self.commands)
@@ -208,7 +208,7 @@ class Findings:
         )
 
     def _expanded_mm(self, rest: Rest, judge: Judge) -> float | None:
-        """Expanded uncertainty [mm] of the error at rest, of two arms of their distance."""
+        """Return the expanded uncertainty [mm] of an arm's error, or of the distance error of two arms."""
         parts = {name: None if one.prediction is None else one.prediction.parts for name, one in self.commands.items()}
         return judge.expanded_mm({name: one.point.p_M for name, one in rest.items()}, parts)
 
@@ -244,7 +244,7 @@ class Findings:
 def _turn(
     command: Command, nominal: Measured | None, alone: Measured | None, kept: Measured | None, judge: Judge
 ) -> MeasuredTurn | None:
-    """Errors of the flange's rotation; None where none was measured."""
+    """Return the rotation errors of the flange; None if none was measured."""
     angles = [_turn_mrad(one) for one in (nominal, alone, kept)]
     if all(angle is None for angle in angles):
         return None
@@ -267,10 +267,10 @@ def _turn_mrad(measured: Measured | None) -> float | None:
 
 
 def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array | None:
-    """Rotation vector (3,) [rad] in the tracker frame from the wanted to the measured rotation of the flange.
+    """Return the rotation vector (3,) [rad] in the tracker frame from the wanted to the measured flange rotation.
 
-    None where no orientation was measured, where any rotation ``wanted_M`` (3, 3) will do (NaN), or where readings
-    without orientations left open how the probe is mounted.
+    None if no orientation was measured, if ``wanted_M`` (3, 3) is None or NaN (any rotation will do), or if the probe's
+    mounting is unknown because the readings had no orientations.
     """
     if point.quaternion_M is None or wanted_M is None or arm.geometry.probe is None or np.isnan(wanted_M).any():
         return None
@@ -283,17 +283,17 @@ def _error_mm(measured: Measured | None) -> float | None:
 
 
 def _point(p_M: Array | None) -> tuple[float, float, float] | None:
-    """A point for JSON; None for a prediction that is not finite."""
+    """Return a point for JSON; None if it is None or not finite."""
     if p_M is None or not np.isfinite(p_M).all():
         return None
     return xyz_of(p_M)
 
 
 def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, point: Point) -> Array:
-    """Where the calibrated model expects the SMR of an arm (3,) [m]: at the joint positions that it reached, with the
-    approach, the step, the rest, the payload and the temperatures of this stop, and the other arm where it is.
+    """Predict the SMR position of an arm (3,) [m] with the calibrated model at the joint positions that it reached.
 
-    Time is taken as now.
+    The conditions are those of this stop: approach, step, rest, payload, temperatures, position of the other arm. The
+    time is now.
     """
     step, rested_s = mover.step(name), mover.rested_s(name)
     moment = other_q = None
@@ -318,13 +318,13 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
 
 
 def distance_error_m(first: Measured, second: Measured) -> float:
-    """Measured minus wanted distance between two SMRs [m]."""
+    """Return measured minus wanted distance between two SMRs [m]."""
     measured = np.linalg.norm(first.point.p_M - second.point.p_M)
     return float(measured - np.linalg.norm(first.wanted_M - second.wanted_M))
 
 
 def rms_error_m(rest: Rest) -> float:
-    """Root mean square over the arms of their distances from the target [m]."""
+    """Return the root mean square over the arms of their distances from the target [m]."""
     return float(np.sqrt(np.mean([one.error_m**2 for one in rest.values()])))
 
 
@@ -332,8 +332,8 @@ def rms_error_m(rest: Rest) -> float:
 
 
 def disagreement(found: Sequence[Measured], within_mm: float | None) -> str:
-    """Why the measurements at one target contradict the model, in words; empty if one of them agrees, or if none can
-    be judged because its prediction is not finite."""
+    """Return why the measurements at one target contradict the model; empty if one of them agrees, or if no prediction
+    is finite."""
     allowed_m = max(_FAR_M, _FAR_RATIO * (within_mm or 0.0) * 1e-3)
     nearest_m = min((one.unexpected_m for one in found if np.isfinite(one.unexpected_m)), default=0.0)
     if nearest_m <= allowed_m:
@@ -343,14 +343,14 @@ def disagreement(found: Sequence[Measured], within_mm: float | None) -> str:
 
 @dataclass
 class Agreement:
-    """Counts the targets in a row at which an arm contradicts the model, so that the job ends early."""
+    """Counter of consecutive targets at which an arm contradicts the model, in order to end the job early."""
 
     _streak: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     _agreed: set[str] = field(default_factory=set)
     _latest: dict[str, str] = field(default_factory=dict)
 
     def add(self, contradictions: Mapping[str, str]) -> None:
-        """Count one target: arm -> why its measurements contradict the model, empty if one of them agrees."""
+        """Count one target; ``contradictions`` maps arm -> why it contradicts the model, empty if it agrees."""
         for arm, problem in contradictions.items():
             self._streak[arm] = self._streak[arm] + 1 if problem else 0
             self._latest[arm] = problem
@@ -358,8 +358,8 @@ class Agreement:
                 self._agreed.add(arm)
 
     def broken(self, *, ended: bool = False) -> str:
-        """Why the job ends now, in words; empty if it goes on. At the end of the list, one target is enough where none
-        agreed."""
+        """Return why the job ends now; empty if it goes on. If the list has ``ended`` and no target agreed, one
+        contradiction is enough."""
         for arm, streak in self._streak.items():
             limit = _LATER_STREAK if arm in self._agreed else 1 if ended else _FIRST_STREAK
             if streak >= limit:
@@ -371,7 +371,7 @@ class Agreement:
 
 
 def by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:
-    """Error statistics by arm, over the targets that were measured with both commands."""
+    """Return error statistics by arm, over the targets that were measured with both commands."""
     found = {}
     for name in dict.fromkeys(target.arm for target in targets):
         summary = summary_of([target for target in targets if target.arm == name])
@@ -381,7 +381,7 @@ def by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:
 
 
 def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerification | None:
-    """Error statistics over what was measured with both commands; None where nothing was."""
+    """Return error statistics over what was measured with both commands; None if nothing was."""
     both = [one for one in measured if one.nominal_mm is not None and one.compensated_mm is not None]
     if not both:
         return None
@@ -399,7 +399,7 @@ def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerifica
 
 
 def _turn_summaries(turns: Sequence[MeasuredTurn | None]) -> dict[str, ErrorSummary]:
-    """Statistics of the rotations that were measured with both commands; empty without any."""
+    """Return statistics of the rotations that were measured with both commands; empty without any."""
     pairs = [
         (one.nominal_mrad, one.compensated_mrad)
         for one in turns

@@ -1,5 +1,5 @@
-"""What is to be collected in a run: planned stops, proposed ones, reserves for those that cannot be measured, and stops
-that are measured again."""
+"""Stops to collect in a run: planned ones, proposed ones, reserves for those that cannot be measured, and stops to be
+measured again."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ class Work:
     Attributes
     ----------
     route : PlannedStops
-        All stops of the plan, and how each is reached.
+        All stops of the plan, with the motions that lead to them.
     stops : tuple of int
-        Numbers of the stops that are not stored, without reserves.
+        Indices of the stops that are not stored, without reserves.
     reserves : tuple of int
-        Numbers of the reserve stops that are not stored.
+        Indices of the reserve stops that are not stored.
     stored : int
-        Number of stops that are stored.
+        Number of stored stops.
     proposed : frozenset of int
-        Numbers of the stops that discovery proposed.
+        Indices of the stops that discovery proposed.
     split : str or None
         Split of new readings; None if splits are not drawn yet.
     earlier_s : float
-        Time of the last stored reading [s]; new readings follow it.
+        Time of the last stored reading [s]; new readings come after it.
     again : bool
-        Whether ``stops`` were tried before and are measured again: what they give replaces what they gave.
+        Whether ``stops`` were tried before and are measured again: new readings replace the earlier ones.
     """
 
     route: PlannedStops
@@ -63,7 +63,7 @@ class Work:
 
     @property
     def total(self) -> int:
-        """Number of stored stops and stops to collect, without reserves."""
+        """Number of stored stops plus stops to collect, without reserves."""
         return self.stored + len(self.stops)
 
     def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
@@ -72,20 +72,20 @@ class Work:
 
     @property
     def loads(self) -> tuple[int, ...]:
-        """The loads of the stops to collect, in their order."""
+        """Indices of the loads of the stops to collect, ascending."""
         return tuple(sorted({int(self.route.load[stop]) for stop in self.stops}))
 
     def with_load(self, load: int) -> Work:
-        """The part of the work that has one load; reserves have any."""
+        """Return the part of the work with one load; reserves stay, whatever their load."""
         return replace(self, stops=tuple(stop for stop in self.stops if self.route.load[stop] == load))
 
     def dwell_s(self, stop: int, name: str) -> float:
-        """Return the least rest of an arm before it is measured at a stop [s]."""
+        """Return the shortest rest of an arm at a stop before it is measured [s]."""
         return float(self.route.dwell_s[name][stop])
 
 
 def remaining_work(run: RunFile, *, resume: bool) -> Work:
-    """Return the work that is left. Raises ``InputError`` without a plan, or if stops are stored and not ``resume``."""
+    """Return the remaining work. Raise ``InputError`` without a plan, or if stops are stored and not ``resume``."""
     route = read_planned_stops(run)
     if not len(route):
         raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
@@ -111,12 +111,12 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
 
 
 def work_again(run: RunFile, stops: Collection[int]) -> Work:
-    """The work of measuring stops again, as they were planned; nothing else is visited.
+    """Return the work of measuring stops again, as they were planned; nothing else is visited.
 
     Raises
     ------
     InputError
-        Without a plan, without a stop, or if one of them was not tried yet.
+        Without a plan, without stops, or if one of them does not exist or was not tried yet.
     """
     work = remaining_work(run, resume=True)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
@@ -133,19 +133,19 @@ def work_again(run: RunFile, stops: Collection[int]) -> Work:
 
 
 class StopQueue:
-    """The order in which stops are visited; it grows by reserves and by stops that are tried again."""
+    """Queue of the stops to visit; reserves and stops to be tried again are appended."""
 
     def __init__(self, work: Work) -> None:
         self._waiting = deque(work.stops)
         self._reserves = deque(work.reserves)
         self._deferred: set[int] = set()
         self.finished = work.stored
-        """Stops stored, or given up."""
+        """Number of stops stored or given up."""
         self.total = work.total
-        """Stops that are finished or will be visited."""
+        """Number of stops that are finished or will be visited."""
 
     def next(self) -> int | None:
-        """Return the next stop, or None at the end. It stays in the queue until ``done`` or ``defer``."""
+        """Return the next stop; None at the end. It stays in the queue until ``done`` or ``defer``."""
         return self._waiting[0] if self._waiting else None
 
     def done(self) -> None:
@@ -154,7 +154,7 @@ class StopQueue:
         self.finished += 1
 
     def defer(self) -> bool:
-        """Visit the stop again at the end, from another neighbour; return False if that was tried already."""
+        """Move the stop to the end of the queue, to be reached from another stop; return False if tried already."""
         stop = self._waiting[0]
         if stop in self._deferred or len(self._waiting) == 1:
             return False
@@ -163,7 +163,7 @@ class StopQueue:
         return True
 
     def replace(self) -> int | None:
-        """Append a reserve in place of a stop that could not be measured; return its number, None if none is left."""
+        """Append a reserve for a stop that could not be measured; return its index, None if none is left."""
         if not self._reserves:
             return None
         self.total += 1
@@ -171,12 +171,12 @@ class StopQueue:
         return self._waiting[-1]
 
     def remove(self, stops: set[int]) -> None:
-        """Remove stops that must not be visited, reserves too."""
+        """Remove stops that must not be visited, also from the reserves."""
         self.finished += sum(stop in stops for stop in self._waiting)
         self._waiting = deque(stop for stop in self._waiting if stop not in stops)
         self._reserves = deque(stop for stop in self._reserves if stop not in stops)
 
     def close(self) -> None:
-        """Give up the stops that are left: the asked accuracy is reached."""
+        """Give up the remaining stops: the requested accuracy is reached."""
         self._waiting.clear()
         self.total = self.finished

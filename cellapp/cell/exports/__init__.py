@@ -1,1 +1,1 @@
-"""The calibrated cell for other programs, each format lossless or saying what it cannot carry."""
+"""Exports of the calibrated cell for other programs; each format is lossless or states what it cannot represent."""

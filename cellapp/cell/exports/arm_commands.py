@@ -1,4 +1,4 @@
-"""The compensated commands of one arm as every export of commands gets them."""
+"""Compensated commands of one arm, as input of every export of commands."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
 STEP_BACK_RAD = float(np.radians(1.0))
-"""How far a joint steps back to come from the side that its command is for: well beyond any play."""
+"""Step back of a joint that must arrive from the command's side [rad]: well beyond any backlash."""
 
 
 @dataclass(frozen=True)
 class ExportedCommand:
-    """One target's command.
+    """Command for one target.
 
     Attributes
     ----------
     record : TargetCommand
-        As it was computed.
+        Command as computed.
     way : sequence of array (N,)
-        Joint positions [rad] from home to the target, the command last; its joints arrive on it from the side that the
-        command is for. Empty where it must not be driven so.
+        Joint positions [rad] from home to the target, the command last; the joints arrive there from the command's
+        side. Empty if it must not be driven.
     refusal : str
-        Why not; empty otherwise.
+        Why it must not be driven; empty if it may.
     """
 
     record: TargetCommand
@@ -42,10 +42,10 @@ class ExportedCommand:
 
 @dataclass(frozen=True)
 class ArmCommands:
-    """The commands of one arm.
+    """Commands of one arm.
 
-    ``source`` says which stage of which run they are from; ``speed`` [rad/s] and ``acceleration`` [rad/s^2] are those
-    that every joint may have.
+    ``source`` names the run and the stage that they are from; ``speed`` [rad/s] and ``acceleration`` [rad/s^2] are
+    allowed for every joint.
     """
 
     name: str
@@ -60,7 +60,7 @@ class ArmCommands:
 def exported_commands(
     records: Sequence[TargetCommand], name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
 ) -> tuple[ExportedCommand, ...]:
-    """The commands of one arm with their ways from home, which the gate has checked with all other arms at home."""
+    """Return the commands of one arm with ways from home that the gate has checked, with all other arms at home."""
     found = []
     for record in records:
         way, refusal = _way(record, name, model, cell, homes)
@@ -69,7 +69,7 @@ def exported_commands(
 
 
 def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:
-    """Commands as verification left them: what was sent last, corrected by measuring where that was better.
+    """Return the commands as left by verification: those sent last, with corrections if they were better.
 
     Raises
     ------
@@ -90,15 +90,15 @@ def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[Target
 
 
 _NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}
-"""Of a target that was not driven."""
+"""Fields of a target that was not driven."""
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
 def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
-    """What was sent last and measured: it holds for the side from which each joint then came.
+    """Return the command that was sent last and measured; it is valid for the sides from which the joints then arrived.
 
-    A target that was not driven has no such command. Results of earlier versions do not know what was sent.
+    A target that was not driven has none. Results of earlier versions do not state what was sent.
     """
     if record.refusal:
         return record
@@ -118,10 +118,9 @@ def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
 def _way(
     record: TargetCommand, name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
 ) -> tuple[tuple[Array, ...], str]:
-    """Way from home to a target, and why it must not be driven (empty if it may).
+    """Return the way from home to a target, and why it must not be driven (empty if it may).
 
-    The joints arrive from the side that the command is for: straight from home where that is this side, else after a
-    step back.
+    The joints arrive from the command's side: straight from home if that is this side, else after a step back.
     """
     if record.refusal or record.q_compensated is None:
         return (), record.refusal or "it has no command"
@@ -131,7 +130,7 @@ def _way(
     signs = np.zeros(len(q)) if record.approach is None else np.array(record.approach, dtype=np.float64)
     chosen = any(one.condition == "approach" for one in record.unknown)
     arrives = bool(np.all((signs == 0.0) | (signs == np.sign(q - homes[name]))))
-    if chosen and not record.holds_for:  # an earlier version's, at the middle of the play
+    if chosen and not record.holds_for:  # of an earlier version, for the middle of the backlash
         way: tuple[Array, ...] = (with_approach(model.arms[name], q, homes[name]),)
     elif not signs.any() or (chosen and arrives):
         way = (q,)

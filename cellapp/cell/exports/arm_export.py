@@ -1,4 +1,4 @@
-"""One calibrated arm as every export gets it, and what no chain of rigid links can hold of its model."""
+"""One calibrated arm as input of every export, and the parts of its model that a rigid chain cannot represent."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
 
 POSES = 1000
-"""Random configurations on which losses are stated: the rms is then known to 2 %."""
+"""Number of random configurations for stated losses: they give the rms to 2 %."""
 NETWORK = "residual_network"
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Configurations ``q`` (n, N) [rad] of one arm over which losses are stated, and the conditions there."""
+    """Configurations ``q`` (n, N) [rad] of one arm over which losses are stated, with the conditions there."""
 
     q: Array
     conditions: MeasurementConditions
@@ -29,23 +29,23 @@ class Workspace:
 
 @dataclass(frozen=True)
 class ArmExport:
-    """A calibrated arm that is to be written for another program.
+    """Calibrated arm to be written for another program.
 
     Attributes
     ----------
     name : str
     arm : Arm
-        The section of the profile: limits and speeds of the joints.
+        Section of the profile: limits and speeds of the joints.
     model : ArmModel
-        The model whose geometry is written.
+        Model whose geometry is written.
     source : str
-        Which run and which of its stages the model is from.
+        Run, and stage of it, that the model is from.
     q : array, shape (n, N)
         Configurations of the workspace [rad].
     lost : mapping
         Effect (or ``residual_network``) -> position error without it, over ``q``.
     lost_together : PositionLoss or None
-        The position error of the geometry alone; None if the model is no more than that.
+        Position error of the geometry alone; None if the model is geometry alone.
     """
 
     name: str
@@ -63,9 +63,9 @@ class ArmExport:
 
 
 def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> Workspace:
-    """Random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
+    """Draw random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
 
-    Each has the conditions (approach, payload, temperatures, other arm) of one of the readings.
+    Each gets the conditions (approach, payload, temperatures, other arm) of a randomly chosen reading.
     """
     rng = np.random.default_rng(seed)
     q = rng.uniform(measured_q.min(axis=0), measured_q.max(axis=0), (POSES, measured_q.shape[1]))
@@ -73,7 +73,7 @@ def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -
 
 
 def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
-    """Position error without each effect of a model, and without its network."""
+    """Return the position error without each effect of a model, and without its network."""
     parts = {
         slug: replace(model, effects=tuple(term for term in model.effects if term.slug == slug), network=None)
         for slug in dict.fromkeys(term.slug for term in model.effects)
@@ -84,7 +84,7 @@ def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
 
 
 def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLoss:
-    """Position error of a rigid chain in the place of a model; error of the flange's rotation where it was measured."""
+    """Return position (and, if measured, flange rotation) errors of a rigid chain that replaces a model."""
     shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
     errors = {"mm": np.linalg.norm(shift, axis=1) * 1e3}
     if geometry.probe is not None:
@@ -95,16 +95,16 @@ def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLo
 
 
 def conversion_mm(export: ArmExport, held: Geometry) -> float:
-    """Largest distance [mm] between SMR positions by ``held``, the chain of a file, and by the model's geometry."""
+    """Return the largest distance [mm] between SMR positions of ``held``, the chain in a file, and of the model."""
     off = smr_positions(held, export.q) - smr_positions(export.geometry, export.q)
     return float(np.linalg.norm(off, axis=1).max()) * 1e3
 
 
 def millimetres(vector: Array) -> str:
-    """A vector [m] in mm for a comment."""
+    """Format a vector [m] in mm for a comment."""
     return ", ".join(f"{1e3 * value:.6f}" for value in vector.tolist())
 
 
 def hashed(lines: Sequence[str]) -> str:
-    """Comment lines that begin with ``#``."""
+    """Format comment lines that begin with ``#``."""
     return "".join(f"# {line}".rstrip() + "\n" for line in lines)

@@ -1,4 +1,4 @@
-"""URDF of the whole cell: every calibrated arm from its base in the tracker frame to its SMR, in one file."""
+"""Export one URDF of the whole cell: every calibrated arm from its base in the tracker frame to its SMR."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cellapp.cell.exports.urdf import urdf_text
 
 
 def cell_urdf(exports: Mapping[str, ArmExport], sentences: Sequence[str]) -> str:
-    """The URDF; its root is the link ``tracker``, links and joints begin with the name of their arm."""
+    """Return the URDF; its root is the link ``tracker``, names of links and joints begin with the name of their arm."""
     return urdf_text("cell", list(exports.values()), sentences)
 
 

@@ -1,4 +1,4 @@
-"""Commands at targets as CSV: joint positions by the calibrated and by the nominal model, uncertainty, verdict."""
+"""Export commands at targets as CSV: joint positions of the calibrated and the nominal model, uncertainty, verdict."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _TURNED_NOTES = (
 
 
 def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
-    """The CSV text: comment lines, a header row, a row a target; floats in the shortest exact form."""
+    """Return the CSV text: comment lines, a header row, a row per target; floats in the shortest exact form."""
     joints = range(1, len(commands.home) + 1)
     turned = any(command.record.orientation is not None for command in commands.commands)
     text = io.StringIO()
@@ -75,7 +75,7 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
 
 
 def _turned(one: TargetCommand) -> list[str]:
-    """The cells of the columns ``_TURNED``."""
+    """Return the cells of the columns ``_TURNED``."""
     turn = one.orientation
     known = [None] * 3 if turn is None else [turn.nominal_mrad, turn.uncertainty_mrad, turn.within_mrad]
     numbers = ["" if value is None else repr(value) for value in (*known, one.orientation_tolerance_mrad)]
@@ -83,7 +83,7 @@ def _turned(one: TargetCommand) -> list[str]:
 
 
 def commanded(commands: ArmCommands) -> int:
-    """Number of targets that have joint positions."""
+    """Return the number of targets that have joint positions."""
     return sum(command.record.q_compensated is not None for command in commands.commands)
 
 

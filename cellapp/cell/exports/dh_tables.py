@@ -1,4 +1,4 @@
-"""D-H tables of the calibrated chain, with and without Hayati angles, as YAML."""
+"""Export D-H tables of the calibrated chain, with and without Hayati angles, as YAML."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _CHAIN = "T_M_S = T_M_B A_1 ... A_N trans(tool); A_i = rot_z(q_i + theta) trans(
 
 
 def dh(export: ArmExport, sentences: Sequence[str]) -> str:
-    """D-H rows with Hayati's beta, as the model has them (Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397)."""
+    """Return D-H rows with Hayati's beta, as in the model (Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397)."""
     return _dh_table(export.geometry, 5, [*sentences, f"{_CHAIN} rot_y(beta)"])
 
 
 def dh_plain(export: ArmExport, sentences: Sequence[str]) -> str:
-    """Plain D-H rows; between nearly parallel axes d reaches hundreds of metres, and rounding them loses accuracy."""
+    """Return plain D-H rows; between nearly parallel axes d is hundreds of metres, and rounding it loses accuracy."""
     return _dh_table(plain_geometry(export.geometry), 4, [*sentences, _CHAIN])
 
 

@@ -1,4 +1,4 @@
-"""What a format declares. A new one is a module that ends with its declaration; see ``formats``."""
+"""Declarations of formats. A new format is a module that ends with its declaration; see ``formats``."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.transforms import Array
 
 Text = Callable[[ArmExport, Sequence[str]], str]
-"""Writes an arm in one format, with sentences as its comment. Raises ``InputError`` for an arm that it cannot hold."""
+"""Function that writes an arm in one format, with sentences as a comment; raises ``InputError`` if it cannot."""
 
 
 def smr_in_plain_flange(export: ArmExport) -> Array:
-    """SMR centre (3,) [m] in the last frame of the plain D-H rows."""
+    """Return the SMR centre (3,) [m] in the last frame of the plain D-H rows."""
     return plain_geometry(export.geometry).tool
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format of files for calibrated arms.
+    """Format of files for calibrated arms.
 
     Attributes
     ----------
     name : str
-        As ``--as`` takes it.
+        Value for ``--as``.
     what : str
         What the file is, in a few words.
     suffix : str
-        Usual ending of its name.
+        Usual file name suffix.
     text : callable
-        Writes the file.
+        Function that returns the text of the file.
     held : callable
-        The chain that the numbers of the file are, from the identified one.
+        Function that returns the chain represented by the file's numbers, from the identified chain.
     smr : callable
-        SMR centre (3,) [m] in the last frame of the file.
+        Function that returns the SMR centre (3,) [m] in the last frame of the file.
     """
 
     name: str
@@ -50,7 +50,7 @@ class ExportFormat:
 
 @dataclass(frozen=True)
 class CellFormat:
-    """A format of files for the whole calibrated cell; ``text`` takes the arms by name. See ``ExportFormat``."""
+    """Format of files for the whole calibrated cell; ``text`` takes the arms by name. See ``ExportFormat``."""
 
     name: str
     what: str
@@ -60,9 +60,9 @@ class CellFormat:
 
 @dataclass(frozen=True)
 class CommandFormat:
-    """A format of files for the commands of one arm at targets; ``held`` counts those that a file has.
+    """Format of files for the commands of one arm at targets; ``held`` returns the number of commands in a file.
 
-    ``drives`` says whether a controller runs the file as it is, so that its motions must have been checked.
+    ``drives`` means that a controller runs the file as it is, so that its motions must have been checked.
     """
 
     name: str

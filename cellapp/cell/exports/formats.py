@@ -1,6 +1,6 @@
-"""The registry of formats, for calibrated arms, the whole cell, and commands.
+"""Registry of the formats for calibrated arms, the whole cell, and commands.
 
-A new one is a module and one entry here, or a plug-in.
+A new format is a module and one entry here, or a plug-in.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _BUILT_IN: tuple[AnyFormat, ...] = (
 
 
 def _format(name: str, found: object) -> AnyFormat:
-    """The format of a plug-in. Raises ``ValueError`` if it is none, or has another name."""
+    """Check the format of a plug-in. Raise ``ValueError`` if it is not a format, or has another name."""
     if not isinstance(found, AnyFormat):
         raise ValueError(
             f"expected an ExportFormat, a CellFormat or a CommandFormat of"
@@ -55,17 +55,17 @@ _REGISTRY: Registry[AnyFormat] = Registry(
 
 
 def all_formats() -> Registry[AnyFormat]:
-    """Every format by name, in the order in which they are listed."""
+    """Return all formats by name, in the order in which they are listed."""
     return _REGISTRY
 
 
 def formats_of(type_: type[F]) -> dict[str, F]:
-    """The formats for one calibrated arm, for the whole cell, or for commands at targets."""
+    """Return the formats for one calibrated arm, for the whole cell, or for commands at targets."""
     return {name: entry for name, entry in _REGISTRY.items() if isinstance(entry, type_)}
 
 
 def format_named(name: str) -> AnyFormat:
-    """Return a format. Raises ``InputError``, which lists all formats, if there is none of that name."""
+    """Return a format. Raise ``InputError`` with a list of all formats if there is none of that name."""
     formats = all_formats()
     if name not in formats:
         takes = ", ".join(formats)

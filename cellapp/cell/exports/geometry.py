@@ -1,6 +1,6 @@
-"""All arms in one JSON file: URDF joint origins, and differences of the D-H rows with the error they leave.
+"""Export all arms to one JSON file: URDF joint origins, and differences of the D-H rows with the error they leave.
 
-``formats`` has a format for each program, and the exact UR deltas; this file is kept for programs that read it.
+``formats`` has a format for each program, including exact UR deltas; this file is kept for programs that read it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model.model import CellModel
 
 _CONFIGURATIONS = 2000
-"""Random configurations on which the error of UR's deltas is stated: its rms is known to 2 % from these."""
+"""Number of random configurations for the error of UR's deltas: they give its rms to 2 %."""
 
 
 class UrdfJoint(Record):
@@ -72,7 +72,7 @@ class GeometryExport(Result, schema="cellapp-geometry"):
 
 
 def geometry_export(model: CellModel, published: Mapping[str, Array]) -> GeometryExport:
-    """Every arm of a calibrated cell as URDF values and as UR deltas to its ``published`` rows (N, 4)."""
+    """Return every arm of a calibrated cell as URDF values and as UR deltas to its ``published`` rows (N, 4)."""
     return GeometryExport(
         arms={
             name: ArmGeometry(
@@ -90,7 +90,7 @@ def geometry_export(model: CellModel, published: Mapping[str, Array]) -> Geometr
 
 
 def urdf_joints(geometry: Geometry) -> tuple[UrdfJoint, ...]:
-    """Origins of URDF joints, each rotating about its own z, and of the fixed flange behind the last.
+    """Return the origins of URDF joints, each rotating about its own z, and of the fixed flange after the last joint.
 
     A URDF joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll) rot_z(q)``.
     """
@@ -106,12 +106,12 @@ def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoin
 
 
 def ur_deltas(published: Array, identified: Geometry) -> UrDeltas:
-    """``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and what they lose.
+    """Return ``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and their loss.
 
-    They are those to ``published`` rows (N, 4): theta, d, a, alpha [rad, m].
+    They are relative to ``published`` rows (N, 4): theta, d, a, alpha [rad, m].
 
     UR's tables have no Hayati angle beta. ``lost`` states each beta and the position error without them, over random
-    configurations of one turn a joint.
+    configurations within one turn of each joint.
     """
     delta = identified.rows[:, :4] - published
     rows = identified.rows.copy()

@@ -1,4 +1,4 @@
-"""The chain as origins of joints that turn about their own z axis, as URDF has it."""
+"""Convert a chain to origins of joints that rotate about their own z axes, as in URDF."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_y, r
 
 
 def joint_origins(geometry: Geometry) -> Array:
-    """Poses (N + 1, 4, 4) of each joint in the frame of the joint before, the base first; the flange in the last.
+    """Return poses (N + 1, 4, 4): each joint in the frame of the joint before (first the base), then the flange.
 
     The base frame times ``origin_1 rot_z(q_1) ... origin_N rot_z(q_N) origin_flange`` is the flange. Theta and d of a
-    D-H row commute with the rotation of its joint and stand before it; a, alpha and beta stand before the next joint.
-    Exact for every row. UR's ``ur_description`` splits the rows in the same way.
+    D-H row commute with the rotation of its joint and are applied before it; a, alpha and beta before the next joint.
+    This is exact for every row. UR's ``ur_description`` splits the rows in the same way.
     """
     before = np.array([transform(rotation_z(theta), [0.0, 0.0, d]) for theta, d in geometry.rows[:, :2]])
     behind = dh_frames_in_links(geometry)
@@ -21,7 +21,7 @@ def joint_origins(geometry: Geometry) -> Array:
 
 
 def dh_frames_in_links(geometry: Geometry) -> Array:
-    """Poses (N, 4, 4) of D-H frame i in the frame of the link that joint i turns."""
+    """Return the poses (N, 4, 4) of D-H frame i in the frame of the link that joint i rotates."""
     return np.array(
         [transform(rotation_x(alpha) @ rotation_y(beta), [a, 0.0, 0.0]) for a, alpha, beta in geometry.rows[:, 2:]]
     )

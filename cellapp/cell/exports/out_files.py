@@ -1,4 +1,4 @@
-"""Where exports are written: a file for each arm."""
+"""Paths of exported files: one file per arm."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from cellapp.ground.errors import InputError
 
 
 def check_out(out: Path) -> None:
-    """Raise ``InputError`` if ``out`` is no path of a file."""
+    """Raise ``InputError`` if ``out`` is not the path of a file."""
     if not out.name or out.is_dir():
         raise InputError(f"export: --out {out} is a folder; give the path of a file")
 
 
 def files_of_arms(out: Path, arms: Sequence[str]) -> dict[str, Path]:
-    """The file of each arm: ``out``, or where there are several with the arm's name before the ending.
+    """Return the file of each arm: ``out``, or, if there are several arms, with the arm's name before the suffix.
 
-    Raises ``InputError`` if ``out`` is a folder, or an arm's name cannot be part of a file's.
+    Raise ``InputError`` if ``out`` is a folder, or an arm's name cannot be part of a file name.
     """
     check_out(out)
     if len(arms) == 1:

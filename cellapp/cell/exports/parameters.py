@@ -1,4 +1,4 @@
-"""All parameters of an arm as CSV: nominal and identified value with its standard error; effects, too, as numbers."""
+"""Export all parameters of an arm as CSV: nominal and identified value with standard error; effects as numbers, too."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _CHAIN = (
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter of an arm's model: nominal and identified value with its standard error, all in ``unit``.
+    """Parameter of an arm's model: nominal and identified value with its standard error, all in ``unit``.
 
-    ``standard_error`` is None for parameters that were not identified. An effect's parameter is called ``SLUG.NAME``.
+    ``standard_error`` is None for parameters that were not identified. An effect's parameter is named ``SLUG.NAME``.
     """
 
     parameter: str
@@ -35,7 +35,7 @@ class ParameterRow:
 
 
 def parameter_rows(model: ArmModel, geometry: Geometry) -> list[ParameterRow]:
-    """Every parameter of ``geometry``, which is that of the model or equivalent to it, and of the model's effects."""
+    """Return all parameters of ``geometry``, which is the model's or equivalent to it, and of the model's effects."""
     names = geometry.names
     errors: dict[str, float] = {}
     if model.covariance is not None:
@@ -50,7 +50,7 @@ def parameter_rows(model: ArmModel, geometry: Geometry) -> list[ParameterRow]:
 
 
 def parameters(export: ArmExport, sentences: Sequence[str]) -> str:
-    """The CSV text: comment lines, a header row, a row for each parameter [m, rad]; floats in the shortest exact form.
+    """Return the CSV text: comment lines, header row, a row per parameter [m, rad]; floats in the shortest exact form.
 
     ``standard_error`` is empty for parameters that were not identified.
     """

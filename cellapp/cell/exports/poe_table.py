@@ -1,4 +1,4 @@
-"""The calibrated chain as a product of exponentials, YAML."""
+"""Export the calibrated chain as a product of exponentials, as YAML."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHAIN = "T_M_S = T_M_B exp([S_1] q_1) ... exp([S_N] q_N) T_B_F_at_zero trans(to
 
 
 def poe(export: ArmExport, sentences: Sequence[str]) -> str:
-    """Screw axes in the base frame at zero, and the home pose of the flange.
+    """Return screw axes in the base frame at zero, and the home pose of the flange, as YAML.
 
     ``T_B_F(q) = exp([S_1] q_1) ... exp([S_N] q_N) T_B_F(0)`` with ``S_i = (omega, v)`` and ``v = point x omega``.
     Source: Brockett, Lecture Notes in Control and Information Sciences 58 (1984) 120; Lynch, Park, Modern Robotics,

@@ -1,4 +1,4 @@
-"""The calibration file of a UR controller: ``calibration.conf``.
+"""Export the calibration file of a UR controller: ``calibration.conf``.
 
 Its section ``[mounting]`` has four lists of six numbers, ``delta_theta``, ``delta_a``, ``delta_d`` and ``delta_alpha``
 [rad, m], which the controller adds to its published table; a real file, with 18 significant digits and d of -92 m, is
@@ -23,7 +23,7 @@ from cellapp.robot.model.nominal import published_rows
 
 
 def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
-    """The four lines of deltas. Raises ``InputError`` if the arm is no UR arm."""
+    """Return the four lines of deltas. Raise ``InputError`` if the arm is not a UR arm."""
     rows, nominal = ur_rows(export), published_rows(export.arm)
     delta = rows - nominal
     delta[:, [0, 3]] -= 2.0 * np.pi * np.round(delta[:, [0, 3]] / (2.0 * np.pi))
@@ -39,7 +39,7 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
 
 
 def frame_sentences(export: ArmExport) -> list[str]:
-    """Where the SMR is in the flange of the plain D-H rows, and the base in the tracker frame, as UR poses."""
+    """Describe the SMR in the flange of the plain D-H rows, and the base in the tracker frame, as UR poses."""
     T_M_B = export.geometry.T_M_B()
     turn = ", ".join(f"{value:.9f}" for value in rotation_vectors(T_M_B[None, :3, :3])[0].tolist())
     return [

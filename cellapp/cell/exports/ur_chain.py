@@ -1,4 +1,4 @@
-"""What the exports for Universal Robots share: the check that an arm has UR's chain, and its calibrated rows."""
+"""Common code of the exports for Universal Robots: check that an arm has UR's chain, and return its calibrated rows."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cellapp.robot.model.nominal import published_rows
 
 _ALPHA = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 _A, _D = [1, 2], [0, 3, 4, 5]
-"""Rows with a length a or d. Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics"."""
+"""Rows with a length a, or d. Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics"."""
 _ROUNDING = 1e-6
-"""A published table may round its right angles: UR's own says 1.570796327."""
+"""Tolerance [m, rad] for rounded right angles in a published table: UR's own states 1.570796327."""
 
 
 def ur_rows(export: ArmExport) -> Array:
-    """Calibrated plain D-H rows (6, 4) as the controller computes with: theta, d, a, alpha [rad, m].
+    """Return the calibrated plain D-H rows (6, 4) for the controller: theta, d, a, alpha [rad, m].
 
     Raises
     ------

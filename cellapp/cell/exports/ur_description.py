@@ -1,9 +1,9 @@
-"""The kinematics file of UR's ROS description: ``kinematics_params_file`` of ``ur_description``.
+"""Export the kinematics file of UR's ROS description: ``kinematics_params_file`` of ``ur_description``.
 
-Six links with ``x, y, z`` [m] and ``roll, pitch, yaw`` [rad], the origins of the URDF's joints, and a ``hash`` of the
-D-H table. Frames: from the controller's base, which is ``base_link`` turned by 180 degrees about z, to ``tool0``
-(documentation of ``ur_description``, "Robot Frames"). The driver computes the hash from what the connected controller
-reports and logs an error where they differ.
+It has six links with ``x, y, z`` [m] and ``roll, pitch, yaw`` [rad], the origins of the URDF's joints, and a ``hash``
+of the D-H table. Frames: from the controller's base, which is ``base_link`` rotated by 180 degrees about z, to
+``tool0`` (documentation of ``ur_description``, "Robot Frames"). The driver computes the hash from what the connected
+controller reports, and logs an error if they differ.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SEED, _FACTOR, _WORD = 0xC70F6907, 0xC6A4A7935BD1E995, (1 << 64) - 1
 
 
 def ur_description(export: ArmExport, sentences: Sequence[str]) -> str:
-    """The YAML text. Raises ``InputError`` if the arm is no UR arm."""
+    """Return the YAML text. Raise ``InputError`` if the arm is not a UR arm."""
     rows = ur_rows(export)
     origins = joint_origins(export.geometry)
     links: dict[str, dict[str, float] | str] = {
@@ -44,7 +44,7 @@ def ur_description(export: ArmExport, sentences: Sequence[str]) -> str:
 
 
 def smr_in_tool0(export: ArmExport) -> Array:
-    """SMR centre (3,) [m] in ``tool0``: the file has no a and alpha behind the last joint, so they are in the tool."""
+    """Return the SMR centre (3,) [m] in ``tool0``, including a and alpha after the last joint: the file has none."""
     flange = joint_origins(export.geometry)[-1]
     return np.asarray(flange[:3, :3] @ export.geometry.tool + flange[:3, 3])
 
@@ -55,17 +55,17 @@ def _origin(T: Array) -> dict[str, float]:
 
 
 def kinematics_hash(rows: Array) -> str:
-    """The hash by which UR's drivers recognise a calibration, from D-H rows (6, 4): theta, d, a, alpha.
+    """Return the hash by which UR's drivers recognise a calibration, from D-H rows (6, 4): theta, d, a, alpha.
 
-    The numbers with six significant digits, joint by joint, as one text, through ``std::hash`` of the GNU C++ library
-    (``KinematicsInfo::toHash`` in UR's client library). For the published UR10e this is calib_5119701370761913513, as
-    in ``ur_description``.
+    The numbers with six significant digits, joint by joint, are joined to one text and hashed by ``std::hash`` of the
+    GNU C++ library (``KinematicsInfo::toHash`` in UR's client library). For the published UR10e the result is
+    calib_5119701370761913513, as in ``ur_description``.
     """
     return f"calib_{murmur(''.join(f'{value:g}' for row in rows.tolist() for value in row).encode())}"
 
 
 def murmur(data: bytes) -> int:
-    """MurmurHash64A (A. Appleby, public domain) with the seed of the GNU C++ library."""
+    """Compute MurmurHash64A (A. Appleby, public domain) with the seed of the GNU C++ library."""
 
     def mixed(value: int) -> int:
         return value ^ (value >> 47)

@@ -1,7 +1,7 @@
 """URDF: the calibrated chain from the tracker to the SMR, with joint limits and masses.
 
-A joint's ``origin`` is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll)`` (ROS wiki, "urdf/XML/joint"); each joint
-turns about z. A URDF needs an effort limit and inertia tensors, which a profile does not have.
+The ``origin`` of a joint is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll)`` (ROS wiki, "urdf/XML/joint"); each joint
+rotates about z. A URDF needs an effort limit and inertia tensors, which a profile does not have.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cellapp.cell.exports.joint_origins import dh_frames_in_links, joint_origins
 from cellapp.robot.kinematics.transforms import Array, rpy_of, transform
 
 _EFFORT = "1000"
-"""Nm; more than any joint of such an arm has: a limit that never acts, for a number that the file must have."""
+"""Effort limit [Nm], which the file must have: above that of any joint of such an arm, so that it never acts."""
 _NOTES = (
     "Effort limits are not known and stand for none. Inertias are those of point masses:",
     "a simulator of dynamics needs better ones.",
@@ -27,12 +27,12 @@ _NOTES = (
 
 
 def urdf(export: ArmExport, sentences: Sequence[str]) -> str:
-    """The URDF: links ``tracker``, ``NAME_base``, one a joint, ``NAME_flange`` and ``NAME_smr``."""
+    """Return the URDF: links ``tracker``, ``NAME_base``, one per joint, ``NAME_flange`` and ``NAME_smr``."""
     return urdf_text(export.name, [export], sentences)
 
 
 def urdf_text(name: str, exports: Sequence[ArmExport], sentences: Sequence[str]) -> str:
-    """The URDF of a robot of some arms, whose bases are fixed to the link ``tracker``."""
+    """Return the URDF of a robot of several arms, whose bases are fixed to the link ``tracker``."""
     robot = Element("robot", name=name)
     robot.append(ElementTree.Comment(_comment([*sentences, *_NOTES])))
     SubElement(robot, "link", name="tracker")
@@ -56,7 +56,7 @@ def _add_arm(robot: Element, export: ArmExport) -> None:
 
 
 def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child: str, pose: Array) -> None:
-    """Add joint ``index`` of the arm; a fixed one where there is no such joint."""
+    """Add joint ``index`` of the arm; add a fixed joint if the arm has no such joint."""
     turns = 0 <= index < export.geometry.joints
     name = f"{export.name}_joint_{index + 1}" if turns else f"{child}_fixed"
     joint = SubElement(robot, "joint", name=name, type="revolute" if turns else "fixed")
@@ -71,7 +71,7 @@ def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child
 
 
 def _add_mass(link: Element, export: ArmExport, joint: int, dh_frame: Array) -> None:
-    """Add mass and centre of mass of body ``joint``; ``dh_frame`` (4, 4) is its D-H frame in that of the link."""
+    """Add mass and centre of mass of body ``joint``; ``dh_frame`` (4, 4) is its D-H frame in the link's frame."""
     mass = float(export.model.bodies.masses[joint])
     if mass == 0.0:
         return
@@ -87,7 +87,7 @@ def _numbers(values: Sequence[float]) -> str:
 
 
 def _comment(lines: Sequence[str]) -> str:
-    """Lines as the text of an XML comment, which must not contain two hyphens in a row."""
+    """Format lines as an XML comment, which must not contain two consecutive hyphens."""
     return "\n  " + "\n  ".join(re.sub("-(?=-)", "- ", line) for line in lines) + "\n  "
 
 

@@ -1,4 +1,4 @@
-"""Commands at targets as a URScript program: from home to each target and back, in joint space.
+"""Export commands at targets as a URScript program: from home to each target and back, in joint space.
 
 ``movej(q, a, v)`` moves all joints of a controller to ``q`` [rad], the leading one with at most ``v`` [rad/s] and ``a``
 [rad/s^2] (URScript Manual, Universal Robots, "Module motion").
@@ -16,7 +16,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 _JOINTS = 6
 _DIGITS = 9
-"""Decimals of a joint position: a nanoradian moves no SMR by more than some nanometres."""
+"""Decimals of a joint position: a nanoradian moves the SMR by some nanometres at most."""
 _NOTES = (
     "CHECK IT BEFORE USE. The way from home to each target and back was checked alone, with all other arms at home.",
     "Nothing is checked for a start elsewhere, another order, or an obstacle that the profile does not have.",
@@ -25,7 +25,7 @@ _NOTES = (
 
 
 def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
-    """The program. Raises ``InputError`` for an arm without six joints, or if no target may be driven."""
+    """Return the program. Raise ``InputError`` for an arm without six joints, or if no target may be driven."""
     if len(commands.home) != _JOINTS:
         raise InputError(
             f"export: arm '{commands.name}' has {len(commands.home)} joints, a program for UR controllers six; nothing"
@@ -55,7 +55,7 @@ def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
 
 
 def driven(commands: ArmCommands) -> int:
-    """Number of targets that the program drives to."""
+    """Return the number of targets that the program drives to."""
     return sum(bool(command.way) for command in commands.commands)
 
 

@@ -1,4 +1,4 @@
-"""What a person reads of an export, in the file and on the terminal."""
+"""Text about an export for people, in the file and on the terminal."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from cellapp.ground.counting import counted
 
 
 class Form(Protocol):
-    """A format of any kind."""
+    """Format of any kind."""
 
     @property
     def name(self) -> str:
-        """As ``--as`` takes it."""
+        """Value for ``--as``."""
 
     @property
     def what(self) -> str:
@@ -27,14 +27,14 @@ _TOGETHER = "all that is not rigid"
 
 
 def form_line(form: Form, *, simulated: bool) -> str:
-    """The first line of every file; ``simulated`` is the cell, whose numbers must not pass for a real one's."""
+    """Return the first line of a file; ``simulated`` marks a simulated cell, whose numbers must not pass as real."""
     plugin = all_formats().plugin(form.name)
     writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
     return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."
 
 
 def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
-    """What a file cannot hold, in words."""
+    """Return sentences about what a file cannot represent."""
     if together is None:
         return ["The model of this arm is geometry alone: this file holds all of it."]
     turned = "" if together.rms_mrad is None else " and the flange's rotation"
@@ -48,7 +48,7 @@ def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | No
 
 
 def export_lines(result: ExportResult) -> list[str]:
-    """The files that were written and what they do not hold."""
+    """Return lines about the files that were written and what they do not represent."""
     lines = [f"arm {name}: {counted(count, 'reading')}" for name, count in (result.readings or {}).items()]
     lines += [f"plan written to {result.plan}"] if result.plan is not None else []
     written = (result.csv, *(result.recordings or {}).values(), result.geometry)

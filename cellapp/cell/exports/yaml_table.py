@@ -1,4 +1,4 @@
-"""Tables of a chain as YAML: a comment, the base in the tracker frame, and what the format adds."""
+"""Write tables of a chain as YAML: a comment, the base in the tracker frame, and the format's own content."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def yaml_table(content: Mapping[str, object], geometry: Geometry, sentences: Sequence[str]) -> str:
-    """The YAML text, floats in their shortest exact form."""
+    """Return the YAML text, with floats in their shortest exact form."""
     content = {"units": "m, rad", "T_M_B": matrix_rows(geometry.T_M_B()), **content}
     return hashed(sentences) + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
 
 
 def matrix_rows(T: Array) -> list[list[float]]:
-    """A matrix row by row."""
+    """Return a matrix as a list of rows."""
     rows: list[list[float]] = T.tolist()
     return rows

@@ -1,1 +1,1 @@
-"""Programs of Universal Robots' controllers: their targets read, corrected by the calibrated model, written back."""
+"""Programs of Universal Robots' controllers: read their targets, correct them with the calibrated model, write them."""

@@ -1,6 +1,6 @@
-"""Values of expressions that are the same whenever the program runs.
+"""Evaluate expressions that have the same value whenever the program runs.
 
-A variable has one where the whole program assigns it once, to such an expression, and no function has a parameter of
+A variable is constant if the whole program assigns it once, to such an expression, and no function has a parameter of
 its name. Functions: ``pose_trans``, ``pose_inv``, ``pose_add``, ``d2r``, ``r2d`` (URScript Manual, module urmath).
 """
 
@@ -23,40 +23,40 @@ _RUNNING = "is known only while the program runs"
 
 
 class Unresolved(Exception):
-    """The value is no constant; the text says why, as the end of a sentence."""
+    """The value is not constant; the text says why, as the end of a sentence."""
 
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """A number, a list of joint positions or a pose."""
+    """Number, list of joint positions, or pose."""
 
     numbers: tuple[float, ...]
     pose: bool = False
 
     def T(self) -> Array:
-        """The pose as a matrix (4, 4)."""
+        """Return the pose as a matrix (4, 4)."""
         return pose_matrix(self.numbers)
 
 
 def pose_matrix(pose: Sequence[float]) -> Array:
-    """Matrix (4, 4) of x, y, z [m] and a rotation vector [rad]."""
+    """Return the matrix (4, 4) of x, y, z [m] and a rotation vector [rad]."""
     return transform(rotation_from_vector(pose[3:]), pose[:3])
 
 
 def pose_numbers(T: Array) -> tuple[float, ...]:
-    """x, y, z [m] and rotation vector [rad] of a matrix (4, 4)."""
+    """Return x, y, z [m] and rotation vector [rad] of a matrix (4, 4)."""
     return (*T[:3, 3].tolist(), *rotation_vectors(T[None, :3, :3])[0].tolist())
 
 
 class Constants:
-    """The constant variables of a program."""
+    """Constant variables of a program."""
 
     def __init__(self, program: Program) -> None:
         self._parameters = program.parameters
         self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
 
     def definition(self, name: str) -> Expression:
-        """The only expression that a variable is assigned. Raises ``Unresolved``."""
+        """Return the only expression that a variable is assigned. Raise ``Unresolved``."""
         if name in self._parameters:
             raise Unresolved(f"'{name}' is a parameter of a function")
         found = self._assigned.get(name, [])
@@ -70,7 +70,7 @@ class Constants:
         return found[0].expression
 
     def value(self, expression: Expression, within: tuple[str, ...] = ()) -> Value:
-        """The value of an expression. Raises ``Unresolved``."""
+        """Return the value of an expression. Raise ``Unresolved``."""
         match expression:
             case Number(value=value):
                 return Value((value,))
@@ -95,7 +95,7 @@ class Constants:
 
 
 def check_chain(name: str, within: Sequence[str]) -> None:
-    """Raise ``Unresolved`` if a variable is found in its own definition, or behind very many others."""
+    """Raise ``Unresolved`` if a variable is in its own definition, or behind too many others."""
     if name in within:
         raise Unresolved(f"'{name}' is defined by itself")
     if len(within) > _LONGEST_CHAIN:
@@ -106,7 +106,7 @@ def check_chain(name: str, within: Sequence[str]) -> None:
 
 
 def _assigned_names(statement: Statement) -> list[str]:
-    """Variables that a statement changes; one that cannot be read may change each that stands before a '='."""
+    """Return the variables that a statement changes; if unreadable, it may change all names before its last '='."""
     if statement.expression is not None:
         return [statement.assigned] if statement.assigned else []
     words = statement.tokens

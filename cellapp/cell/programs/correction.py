@@ -1,8 +1,8 @@
-"""What a plain controller must be told so that the real flange takes the pose that a program means.
+"""Compute what to command a plain controller so that the real flange takes the pose that a program means.
 
-A plain controller computes with the published chain, or with that of its own calibration where the profile has it. A
-program's pose T is meant in the base frame of that chain, which stands in the cell where it was registered to the
-readings. With the calibrated model's true flange pose ``F(q)``:
+A plain controller computes with the published chain, or with its own calibration if the profile states it. A program's
+pose T is meant in the base frame of that chain, which is located in the cell by registration to the readings. With the
+calibrated model's true flange pose ``F(q)``:
 
     q_new:  F(q_new) = T_M_base T_base_tcp inverse(T_flange_tcp)
     T_new = K(q_new) T_flange_tcp                              K: forward kinematics of the controller
@@ -26,40 +26,40 @@ from cellapp.robot.kinematics.transforms import Array, rotation_vectors, transfo
 from cellapp.robot.model import ArmModel
 
 _STARTS = 48
-"""Random starts of the inverse for each pose of a chain without a closed form: six joints have at most 16 solutions."""
+"""Random starts of the inverse per pose, for a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
-"""Fixed-point rounds of aiming: each gains two decades, since what the model adds to its chain varies slowly."""
+"""Maximum number of fixed-point iterations of ``aim``: each gains two decades, as model corrections vary slowly."""
 _SAME = 1e-10
-"""Residual [m, rad] at which that iteration ends, far below any controller's resolution."""
+"""Residual [m, rad] at which that iteration ends: far below any controller's resolution."""
 _MARGIN = np.radians(2.0)
-"""A posture [rad] beside the outermost readings is still theirs: what a model adds to its chain varies over tens of
-degrees, and a correction alone may lead a program's posture past the last reading."""
+"""Margin [rad] of the joint ranges of the readings. Model corrections vary over tens of degrees, and a correction alone
+may move a program's posture beyond the outermost reading."""
 _TWIN = 1e-6
-"""Solutions that agree to 1 µrad in every joint are one."""
+"""Solutions that agree to this in every joint [rad] are the same: 1 µrad."""
 
 
 def controller_chain(arm: ArmModel) -> Geometry:
-    """Return the chain by which a plain controller computes: nominal rows from its base to its flange."""
+    """Return the chain of a plain controller: nominal rows from its base to its flange."""
     return replace(arm.nominal.with_T_M_B(np.eye(4)), tool=np.zeros(3))
 
 
 def flange_of(chain: Geometry, q: Array) -> Array:
-    """Flange poses (n, 4, 4) of a chain at ``q`` (n, N) [rad]."""
+    """Return flange poses (n, 4, 4) of a chain at ``q`` (n, N) [rad]."""
     rotations, origins = flange_poses(chain, q)
     return _poses(rotations, origins)
 
 
 def moved_by(arm: ArmModel) -> ArmModel:
-    """The model without what moves only the reading of the tracker."""
+    """Return the model without effects that change only the tracker's reading."""
     effects = tuple(term for term in arm.effects if not EFFECTS[term.slug].of_reading)
     return replace(arm, effects=effects, posterior=None)
 
 
 def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
-    """Flange poses (n, 4, 4) in the tracker frame by the calibrated model where the controller reads ``q`` (n, N).
+    """Return true flange poses (n, 4, 4) in the tracker frame if the controller reads ``q`` (n, N) [rad].
 
-    Effects state how far a point on the flange moves. Four points, the flange's origin and 1 m along each of its axes,
-    give its rotation too. The network knows the SMR alone: it shifts the flange by as much, and turns nothing.
+    Effects state displacements of points on the flange. Four points, the flange's origin and 1 m along each axis,
+    give its rotation, too. The network knows only the SMR: it shifts the flange equally and does not rotate it.
     """
     points = np.vstack([np.zeros(3), np.eye(3)])
     at = np.array([_with_tool(arm, point).predict(q, conditions=conditions) for point in points])
@@ -69,7 +69,7 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
 
 
 def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Inverted:
-    """Joint positions at which the model puts the flange at ``wanted_M`` (n, 4, 4), near ``start`` (n, N)."""
+    """Find joint positions near ``start`` (n, N) at which the model puts the flange at ``wanted_M`` (n, 4, 4)."""
     chain = replace(arm.geometry, tool=np.zeros(3))
     aimed, q = wanted_M.copy(), start
     shift = turn = np.full(len(start), np.inf)
@@ -86,9 +86,9 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:
-    """All joint positions (k, N) [rad] within limits (N, 2) that reach each of n flange poses (n, 4, 4).
+    """Return for each of n flange poses (n, 4, 4) all joint positions (k, N) [rad] within limits (N, 2) that reach it.
 
-    ``near`` (n, N) is a start for each that is tried besides those in closed form, or random ones.
+    ``near`` (n, N) is an additional start per pose, besides closed-form or random ones.
     """
     n, joints = len(poses), chain.joints
     starts = closed_form_solutions(chain, poses[:, :3, 3], poses[:, :3, :3], near)
@@ -106,7 +106,7 @@ def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: in
 
 
 def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
-    """Of solutions (k, N) [rad] and their whole turns within limits the nearest to ``to`` (N,), by the sum of squares.
+    """Return the solution (k, N) [rad], with whole turns within limits, nearest to ``to`` (N,) by the sum of squares.
 
     So does the controller (forum.universal-robots.com, "Get_inverse_kin closest solution criteria"). None without any.
     """
@@ -120,9 +120,9 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
 
 
 def position_spread(arm: ArmModel, q: Array, tcp: Array, conditions: MeasurementConditions) -> Array | None:
-    """Standard deviation (n,) [m] of a coordinate of the point ``tcp`` (3,) on the flange; None where none is stated.
+    """Return the standard deviation (n,) [m] of a coordinate of the point ``tcp`` (3,) on the flange; None if unknown.
 
-    The draws of the SMR's own place on the flange do not move it.
+    The uncertainty of the SMR's offset does not affect it and is left out of the posterior draws.
     """
     if arm.posterior is None:
         return None
@@ -132,9 +132,9 @@ def position_spread(arm: ArmModel, q: Array, tcp: Array, conditions: Measurement
 
 
 def orientation_spread(arm: ArmModel, q: Array) -> Array | None:
-    """Standard deviation (n,) [rad] of the flange's orientation from the draws of the geometry; None without draws.
+    """Return the standard deviation (n,) [rad] of the flange's orientation from posterior draws; None without draws.
 
-    Root mean square of the angle between drawn and identified orientation.
+    It is the root mean square of the angle between drawn and identified orientation, from geometry only.
     """
     if arm.posterior is None:
         return None
@@ -150,14 +150,14 @@ def orientation_spread(arm: ArmModel, q: Array) -> Array | None:
 
 
 def outside(q: Array, measured: Array) -> list[int]:
-    """Joints, from 0, whose position in ``q`` (N,) lies outside the range of the readings (n, N), whole turns aside."""
+    """Return the indices of joints whose position in ``q`` (N,) is outside the readings (n, N), modulo whole turns."""
     low, high = measured.min(axis=0) - _MARGIN, measured.max(axis=0) + _MARGIN
     turned = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
     return np.flatnonzero(turned > high).tolist()
 
 
 def nearest_vector(vector: Sequence[float], to: Sequence[float]) -> Array:
-    """The rotation vector (3,) [rad] of the same rotation that lies nearest to another: longer by whole turns."""
+    """Return the rotation vector (3,) [rad] of the same rotation nearest to ``to``: it may differ by whole turns."""
     here, there = np.array(vector), np.array(to)
     angle = float(np.linalg.norm(here))
     if angle < 1e-9:
@@ -181,7 +181,7 @@ def _poses(rotations: Array, origins: Array) -> Array:
 
 
 def _turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, np.ndarray]:
-    """Each joint of ``q`` (k, N) turned to the nearest whole turn to ``to`` (N,) within limits, and whether it is."""
+    """Move joints of ``q`` (k, N) by whole turns towards ``to`` (N,) within limits; return them and a success mask."""
     turn = 2.0 * np.pi
     fewest, most = np.ceil((limits[:, 0] - q) / turn), np.floor((limits[:, 1] - q) / turn)
     wanted = np.round((to - q) / turn)
@@ -189,7 +189,7 @@ def _turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, np.ndarray]
 
 
 def _distinct(q: Array) -> Array:
-    """Solutions (k, N) without repeats."""
+    """Return solutions (k, N) without duplicates."""
     kept: list[Array] = []
     for one in q:
         apart = [np.abs(np.mod(one - other + np.pi, 2.0 * np.pi) - np.pi).max() for other in kept]

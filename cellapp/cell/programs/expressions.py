@@ -1,4 +1,4 @@
-"""Expressions of URScript: tokens and a parser that keeps the place of every part in the text.
+"""Tokenize and parse expressions of URScript; every part keeps its place in the text.
 
 URScript Manual (Universal Robots), "The URScript Programming Language": comments begin with ``#``, poses are written
 ``p[x, y, z, rx, ry, rz]`` in m and rad with the rotation as axis times angle, lists ``[...]``; arguments may be named.
@@ -23,15 +23,15 @@ _TOKEN = re.compile(
 )
 _OPEN, _CLOSE = "([{", ")]}"
 _DEEPEST = 100
-"""Parts within parts, or operations in a row, beyond which an expression counts as unreadable: no program of a person
-has them, and what reads expressions recurses."""
+"""Largest depth of nested parts, or of operations in a row; deeper expressions count as unreadable. People do not write
+them, and functions that process expressions are recursive."""
 
 TokenKind = Literal["newline", "string", "number", "name", "sign"]
 
 
 @dataclass(frozen=True)
 class Token:
-    """A word of the program with its first character's place in the text and its line, from 1."""
+    """Token of the program: its first character's offset in the text, and its line, from 1."""
 
     kind: TokenKind
     text: str
@@ -40,12 +40,12 @@ class Token:
 
     @property
     def end(self) -> int:
-        """The place behind its last character."""
+        """Offset after its last character."""
         return self.start + len(self.text)
 
 
 def tokens_of(text: str) -> Iterator[Token]:
-    """Words of a program without spaces and comments; line ends within brackets are left out."""
+    """Yield the tokens of a program without spaces and comments; skip line ends within brackets."""
     line, depth = 1, 0
     for found in _TOKEN.finditer(text):
         kind, word = found.lastgroup, found.group()
@@ -62,7 +62,7 @@ def tokens_of(text: str) -> Iterator[Token]:
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """A part of the text from ``start`` to before ``end``; compared by identity."""
+    """Part of the text from offset ``start`` up to, but excluding, ``end``; compared by identity."""
 
     start: int
     end: int
@@ -70,21 +70,21 @@ class Expression:
 
 @dataclass(frozen=True, eq=False)
 class Number(Expression):
-    """A number."""
+    """Number."""
 
     value: float
 
 
 @dataclass(frozen=True, eq=False)
 class Name(Expression):
-    """A variable."""
+    """Variable."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class Items(Expression):
-    """A list, or a pose if ``pose``."""
+    """List, or a pose if ``pose``."""
 
     items: tuple[Expression, ...]
     pose: bool
@@ -92,20 +92,20 @@ class Items(Expression):
 
 @dataclass(frozen=True, eq=False)
 class Call(Expression):
-    """A call of a function by name."""
+    """Call of a function by name."""
 
     function: str
     arguments: tuple[Expression, ...]
     named: dict[str, Expression] = field(default_factory=dict)
 
     def argument(self, index: int, name: str) -> Expression | None:
-        """The argument at a place or with a name; None without."""
+        """Return the argument at an index or with a name; None if there is none."""
         return self.arguments[index] if index < len(self.arguments) else self.named.get(name)
 
 
 @dataclass(frozen=True, eq=False)
 class Operation(Expression):
-    """``operands`` joined by a sign; one operand for a sign in front."""
+    """``operands`` joined by an operator; a single operand for a unary operator."""
 
     sign: str
     operands: tuple[Expression, ...]
@@ -113,20 +113,20 @@ class Operation(Expression):
 
 @dataclass(frozen=True, eq=False)
 class Other(Expression):
-    """Strings, True and False, elements of lists: nothing that can be a target; ``parts`` are within it."""
+    """Strings, True and False, elements of lists: nothing that can be a target; ``parts`` are inside it."""
 
     parts: tuple[Expression, ...] = ()
 
 
 class Unreadable(Exception):
-    """The words are no expression that this parser knows."""
+    """The tokens are not an expression that this parser knows."""
 
 
 def parse_expression(tokens: Sequence[Token]) -> Expression:
-    """The expression that these words are. Raises ``Unreadable``.
+    """Parse tokens as one expression. Raise ``Unreadable``.
 
-    Expressions of URScript are those of Python but for ``xor`` and for which words may be names. Python's own parser
-    reads them, with a name of the same length instead of each word, so that every part keeps its place.
+    Expressions of URScript are like those of Python, except for ``xor`` and for the words that may be names. Python's
+    own parser reads them, with each word replaced by a name of the same length, so that every part keeps its place.
     """
     if not tokens:
         raise Unreadable
@@ -134,18 +134,18 @@ def parse_expression(tokens: Sequence[Token]) -> Expression:
     for token in tokens:
         named = token.kind != "sign" and token.text not in _WORD_SIGNS
         if named and line.endswith("x") and token.start - begin == len(line):
-            raise Unreadable  # a number that a name follows, without a space
+            raise Unreadable  # a number followed by a name without a space
         word = "x" * len(token.text) if named else _WORD_SIGNS.get(token.text, token.text)
         line += " " * (token.start - begin - len(line)) + word
     try:
         parsed = ast.parse(line, mode="eval").body
         return _Reader({token.start - begin: token for token in tokens}, begin).read(parsed)
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the latter two where it is too deep
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the last two if it is nested too deeply
         raise Unreadable from error
 
 
 def parts_of(expression: Expression) -> Iterator[Expression]:
-    """The expression and everything within it, in the order of the text."""
+    """Yield the expression and everything inside it, in the order of the text."""
     yield expression
     inner: tuple[Expression, ...] = ()
     match expression:
@@ -164,19 +164,19 @@ _SIGNS: Mapping[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-",
     ast.Not: "not", ast.And: "and", ast.Or: "or",
 }  # fmt: skip
-"""Signs by what Python calls them; no comparison has a value that a target needs."""
+"""Operators by their class in Python's ``ast``; without comparisons, whose values are not used in targets."""
 _COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """Makes expressions of what Python read; ``words`` by their places in the line, which begins at ``begin``."""
+    """Converts Python's syntax tree to expressions; ``words`` are tokens by offset in the line, from ``begin``."""
 
     words: Mapping[int, Token]
     begin: int
 
     def read(self, node: ast.expr, depth: int = 0) -> Expression:
-        """A part, ``depth`` parts deep."""
+        """Convert a part at nesting depth ``depth``."""
         if depth > _DEEPEST:
             raise Unreadable
         inner = [one for one in ast.iter_child_nodes(node) if isinstance(one, ast.expr)]

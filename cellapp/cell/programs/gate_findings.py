@@ -1,4 +1,4 @@
-"""What the safety gate says about the postures of a corrected program. The gate does not drive it: it can only warn."""
+"""Warnings of the safety gate about the postures of a corrected program, which the gate does not drive."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cellapp.robot.model import CellModel
 
 
 def gate_findings(profile: Profile, model: CellModel, name: str, targets: Sequence[CorrectedTarget]) -> list[str]:
-    """One sentence for each corrected target at which the gate would not let the arm stand, others at home.
+    """Return a sentence for each corrected target at which the gate would refuse the arm, the others at home.
 
-    Ways between targets are not judged: the controller's blends and straight lines are its own. One sentence says so
-    where the profile does not describe the cell.
+    Motions between targets are not judged, because the controller computes blends and straight lines itself. If the
+    profile does not describe the cell, one sentence says so.
     """
     homes = home_positions(profile)
     missing = [other for other in profile.arms if other != name and other not in homes]

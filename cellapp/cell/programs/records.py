@@ -69,7 +69,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
 
     @property
     def refused(self) -> tuple[tuple[int, str, str], ...]:
-        """Line, command and reason of each target that is not corrected, by line."""
+        """Line, command and reason of each target that is not corrected, sorted by line."""
         found = [(one.line, one.command, one.reason) for one in self.targets if one.reason]
         found += [(one.line, one.command, one.reason) for one in self.left if one.refused]
         return tuple(sorted(found))

@@ -1,4 +1,4 @@
-"""New numbers in the text of a program; everything else stays byte for byte."""
+"""Write new numbers into the text of a program; everything else stays unchanged, byte for byte."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from cellapp.cell.programs.records import CorrectedTarget
 from cellapp.cell.programs.targets import Place, ProgramTarget
 
 _DIGITS = 10
-"""Digits behind the point: 0.1 nm and 0.1 nrad."""
+"""Digits after the decimal point: 0.1 nm and 0.1 nrad."""
 _AGREE = 1e-9
-"""Uses of one variable whose new numbers [m, rad] differ by less share its numbers."""
+"""If the new numbers [m, rad] for all uses of a variable differ by less, they are written at its assignment."""
 
 
 def rewritten(text: str, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget]) -> str:
-    """The text with the new numbers of all targets that have some.
+    """Return the text with the new numbers of all targets that have some.
 
-    Numbers of a variable change where it is assigned, if all its uses are targets with the same new numbers; else they
+    Numbers of a variable change at its assignment if all its uses are targets with the same new numbers; otherwise they
     are written at each use.
     """
     edits: dict[tuple[int, int], str] = {}
@@ -37,7 +37,7 @@ def rewritten(text: str, targets: Sequence[ProgramTarget], corrected: Sequence[C
 
 
 def number_text(value: float) -> str:
-    """A number as programs have it, without an exponent."""
+    """Format a number as in programs, without an exponent."""
     text = f"{value:.{_DIGITS}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
@@ -46,7 +46,7 @@ def number_text(value: float) -> str:
 
 
 def _agree(shared: Place, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget]) -> bool:
-    """Whether all uses of a variable have the same new numbers."""
+    """Return whether all uses of a variable have the same new numbers."""
     found = [result.new for target, result in zip(targets, corrected, strict=True) if target.shared == shared]
     known = [one for one in found if one is not None]
     return len(known) == len(found) and bool(np.ptp(np.array(known), axis=0).max() < _AGREE)

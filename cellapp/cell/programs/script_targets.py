@@ -1,8 +1,8 @@
-"""The targets of a URScript program.
+"""Read the targets of a URScript program.
 
 Source of the arguments: URScript Manual (Universal Robots), "Module motion": ``movej(q)``, ``movel(pose)``,
-``movep(pose)``, ``movec(pose_via, pose_to)``, each takes joint positions or a pose; of ``pose_via`` the position alone
-is used. ``get_inverse_kin(x, qnear, ..., tcp)`` takes the solution nearest to ``qnear``, else to the present joint
+``movep(pose)``, ``movec(pose_via, pose_to)``; each takes joint positions or a pose; of ``pose_via`` only the position
+is used. ``get_inverse_kin(x, qnear, ..., tcp)`` returns the solution nearest to ``qnear``, else to the present joint
 positions, for the active TCP unless one is given.
 """
 
@@ -42,7 +42,7 @@ _OPEN_TCP = "the TCP is not known: set_tcp has several values, and the program's
 
 @dataclass(frozen=True)
 class _Goal:
-    """A resolved target: its value, where it stands, and the variable that it came through."""
+    """Resolved target: its value, the expression that holds it, and the variables through which it was reached."""
 
     value: Value
     stands: Expression
@@ -62,7 +62,7 @@ def read_script(data: bytes, where: str, tcp: Six | None = None) -> ReadProgram:
     where : str
         Name of the file for messages.
     tcp : six numbers or None
-        Pose of the TCP in the flange frame where the program sets none.
+        Pose of the TCP in the flange frame if the program sets none.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def read_script(data: bytes, where: str, tcp: Six | None = None) -> ReadProgram:
 
 
 def six(numbers: Iterable[float]) -> Six:
-    """Six numbers as a tuple of six."""
+    """Return six numbers as a tuple of six."""
     a, b, c, d, e, f = numbers
     return a, b, c, d, e, f
 
@@ -110,7 +110,7 @@ class _Reader:
         )
 
     def motions(self) -> tuple[list[ProgramTarget], list[LeftMotion]]:
-        """All motions, in the order of the text."""
+        """Return all motions, in the order of the text."""
         targets: list[ProgramTarget] = []
         left: list[LeftMotion] = []
         for statement in self._program.statements:
@@ -160,7 +160,7 @@ class _Reader:
         )
 
     def _goal(self, expression: Expression, within: tuple[str, ...] = ()) -> _Goal:
-        """What an expression is as a target; ``within`` are the variables whose definitions it was found in."""
+        """Resolve an expression as a target; ``within`` are the variables whose definitions led to it."""
         if isinstance(expression, Name):
             check_chain(expression.name, within)
             inner = self._goal(self._constants.definition(expression.name), (*within, expression.name))
@@ -181,7 +181,7 @@ class _Reader:
             inner,
             near=self._near(call.argument(1, "qnear")),
             tcp=None if tcp is None else self._pose(tcp),
-            # written at the motion, a variable inside the call is replaced by a pose, the whole call by joint positions
+            # at the motion, a variable inside the call is replaced by a pose, but the whole call by joint positions
             solved=bool(within),
         )
 
@@ -201,10 +201,10 @@ class _Reader:
         return six(value.numbers)
 
     def _tcp_at(self, statement: Statement) -> Six:
-        """The TCP that holds at a statement.
+        """Return the TCP that is active at a statement.
 
-        Several values are told apart only where all are set in one function outside of its blocks: there the last one
-        above holds.
+        Several values are distinguished only if all are set in one function outside of its blocks: then the last one
+        above is active.
         """
         if any(one.expression is None and _has_word(one, "set_tcp") for one in self._program.statements):
             raise Unresolved("the TCP is not known: a line with set_tcp cannot be read")
@@ -232,7 +232,7 @@ class _Reader:
             raise Unresolved(f"the TCP is not known: {reason}") from None
 
     def payload_kg(self) -> float | None:
-        """The payload, where all calls that set one agree."""
+        """Return the payload if all calls that set one agree; else None."""
         masses = set()
         for statement in self._program.statements:
             for call in _calls(statement):
@@ -244,7 +244,7 @@ class _Reader:
         return masses.pop()[0] if len(masses) == 1 else None
 
     def with_shared(self, targets: list[ProgramTarget]) -> list[ProgramTarget]:
-        """The targets with the places of variables that are used for nothing else."""
+        """Return the targets with the places of variables that are used for nothing else."""
         uses = Counter(goal.variables for goal in self._goals if goal is not None)
         shared = []
         for target, goal in zip(targets, self._goals, strict=True):
@@ -269,20 +269,20 @@ def _has_word(statement: Statement, word: str) -> bool:
 
 
 def _unreadable(statement: Statement) -> list[LeftMotion]:
-    """Motions in a line that cannot be read."""
+    """Return the motions in a line that cannot be parsed."""
     words = [word.text for word in statement.tokens if word.kind == "name"]
     known = [word for word in words if word in _MOTIONS or word in _OTHER_TARGETS or word == "set_tcp"]
     return [LeftMotion(statement.line, word, "this line cannot be read") for word in known[:1]]
 
 
 def _place(expression: Expression) -> Place:
-    """Where the numbers of an expression stand: one by one in a list of plain numbers."""
+    """Return where the numbers of an expression are in the text, each one's place if it is a list of plain numbers."""
     if isinstance(expression, Items) and all(_is_number(item) for item in expression.items):
         return Place(expression.start, expression.end, tuple((item.start, item.end) for item in expression.items))
     return Place(expression.start, expression.end)
 
 
 def _is_number(expression: Expression) -> bool:
-    """Whether an expression is made of numbers alone, as ``-0.3`` or ``d2r(90)``."""
+    """Return whether an expression consists of numbers only, as ``-0.3`` or ``d2r(90)``."""
     inner = list(parts_of(expression))
     return all(isinstance(part, Number | Operation | Call) for part in inner)

@@ -1,4 +1,4 @@
-"""The corrections of all targets of a program, or the reason why one has none."""
+"""Compute the corrections of all targets of a program, or the reason why a target has none."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from cellapp.robot.model import ArmModel
 _RESIDUAL = 1e-6
 """Largest residual of the model [m, rad] at a corrected target."""
 _LARGEST_TURN = 0.2
-"""Correction of a joint [rad] beyond which a posture counts as singular: away from singularities the deviations of an
-arm, millimetres and milliradians, turn its joints by some milliradians, and here forty times as far."""
+"""Correction of a joint [rad] above which a posture counts as singular. Away from singularities the deviations of an
+arm, millimetres and milliradians, rotate its joints by some milliradians, a fortieth of this."""
 _SAME = 1e-9
-"""A correction below this [m, rad] is rounding; the text stays."""
+"""A correction below this [m, rad] is rounding; the text is not changed."""
 
 
 @dataclass(frozen=True)
 class Workplace:
-    """The arm and its conditions.
+    """Arm and conditions of a program.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ class Workplace:
     limits : array, shape (N, 2)
         Joint limits [rad].
     home : array, shape (N,)
-        Where the arm is taken to begin [rad].
+        Assumed position of the arm at the beginning [rad].
     measured : array, shape (m, N)
         Joint positions of the readings [rad].
     seed : int
     payload_kg : float or None
-        None: that of the model.
+        None if that of the model.
     extrapolate : bool
         Whether targets outside the joint ranges of the readings are corrected.
     """
@@ -66,13 +66,13 @@ class Workplace:
     extrapolate: bool
 
     def conditions(self, count: int) -> MeasurementConditions:
-        """What is known of ``count`` targets: the payload."""
+        """Return the known conditions of ``count`` targets: the payload."""
         payload = None if self.payload_kg is None else np.full(count, self.payload_kg)
         return MeasurementConditions(payload_kg=payload)
 
 
 def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[CorrectedTarget]:
-    """The correction of each target, in their order."""
+    """Return the correction of each target, in order."""
     if not targets:
         return []
     chain = controller_chain(place.arm)
@@ -113,9 +113,9 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
 def _meant(
     place: Workplace, chain: Geometry, targets: Sequence[ProgramTarget]
 ) -> tuple[Array, list[tuple[Array | None, str]]]:
-    """Flange poses (n, 4, 4) in the base frame that the targets mean, and joint positions of a plain controller there.
+    """Return the flange poses (n, 4, 4) in the base frame that targets mean, and a plain controller's joint positions.
 
-    With each the target that its solution is nearest to; None with the reason where it has no solution.
+    Each position comes with the name of what its solution is nearest to; None with the reason if there is none.
     """
     meant = np.tile(np.eye(4), (len(targets), 1, 1))
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
@@ -143,7 +143,7 @@ def _meant(
 
 
 def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
-    """Standard deviation (n,) [m] of a coordinate of the TCPs (n, 3) at ``q`` (n, N); None where none is stated."""
+    """Return the standard deviation (n,) [m] of a coordinate of the TCPs (n, 3) at ``q`` (n, N); None if unknown."""
     spreads = np.zeros(len(q))
     for tcp in np.unique(tcps, axis=0):
         same = np.all(tcps == tcp, axis=1)
@@ -155,7 +155,7 @@ def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
 
 
 def _wanted_tcp(target: ProgramTarget) -> Array:
-    """TCP pose (4, 4) that a pose target means."""
+    """Return the TCP pose (4, 4) that a pose target means."""
     wanted = pose_matrix(target.numbers)
     if target.position_only and target.facing is not None:
         wanted[:3, :3] = rotation_from_vector(target.facing[3:])
@@ -163,7 +163,7 @@ def _wanted_tcp(target: ProgramTarget) -> Array:
 
 
 def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> str:
-    """Why a solution is not written; empty if it is."""
+    """Return why a solution is not written; empty if it is."""
     low, high = place.limits[:, 0], place.limits[:, 1]
     for name, q in (("the program's", q_old), ("the corrected", q_new)):
         beyond = np.flatnonzero((q < low) | (q > high))

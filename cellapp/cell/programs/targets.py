@@ -1,6 +1,6 @@
-"""The targets of a program: what each motion is sent to, in which tool frame, and where its numbers stand.
+"""Targets of a program: the target of each motion, its tool frame, and the place of its numbers in the text.
 
-A program of either kind (``.script``, ``.urp``) is read into these; ``correction`` computes, ``rewriting`` writes.
+Programs of both kinds (``.script``, ``.urp``) are read into these; ``correction`` computes, ``rewriting`` writes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ TargetKind = Literal["pose", "joints"]
 
 @dataclass(frozen=True)
 class Place:
-    """Where numbers stand in the text: each at its own place, or all as one expression from ``start`` to ``end``."""
+    """Place of numbers in the text: each number's offsets, or one expression from ``start`` to ``end``."""
 
     start: int
     end: int
@@ -40,17 +40,17 @@ class ProgramTarget:
     near : six numbers or None
         ``qnear``: the solution nearest to these joint positions [rad] is meant.
     function : str
-        Function or thread that the motion stands in.
+        Function or thread that contains the motion.
     place : Place
-        Where the new numbers may be written: at the motion itself.
+        Place where the new numbers may be written: at the motion itself.
     as_joints : bool
         Whether joint positions must be written at ``place`` although a pose was meant.
     shared : Place or None
-        Where the numbers of a variable stand that nothing else uses; better than ``place`` if all its uses agree.
+        Place of the numbers of a variable that nothing else uses; preferred to ``place`` if all its uses agree.
     position_only : bool
-        Whether the rotation is not used (the point on the way of ``movec``); ``facing`` is used then.
+        Whether the rotation is not used (the via point of ``movec``); then ``facing`` is used.
     facing : six numbers or None
-        Pose whose rotation the arm has about there.
+        Pose with approximately the arm's rotation there.
     """
 
     line: int
@@ -69,7 +69,7 @@ class ProgramTarget:
 
 @dataclass(frozen=True)
 class LeftMotion:
-    """A motion that is left as it is. ``refused``: it has a target that this program cannot correct."""
+    """Motion that is not changed. ``refused``: it has a target that cannot be corrected."""
 
     line: int
     command: str
@@ -79,18 +79,18 @@ class LeftMotion:
 
 @dataclass(frozen=True)
 class ReadProgram:
-    """What was read.
+    """Program as read.
 
     Attributes
     ----------
     text : str
-        What ``Place`` counts in.
+        Text to which the offsets of ``Place`` refer.
     targets, left : tuples
-        In the order of the text.
+        Targets and unchanged motions in the order of the text.
     payload_kg : float or None
-        What ``set_payload`` says, where it says one thing.
+        Payload of ``set_payload``, if all calls agree.
     encode : function
-        The bytes of the file from the changed text.
+        Function that returns the bytes of the file for the changed text.
     notes : tuple of str
     """
 

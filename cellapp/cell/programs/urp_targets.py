@@ -1,7 +1,7 @@
-"""The targets of a PolyScope program (``.urp``): the joint positions of its waypoints.
+"""Read the targets of a PolyScope program (``.urp``): the joint positions of its waypoints.
 
-A ``.urp`` is XML packed by gzip. A fixed ``Waypoint`` holds ``position/JointAngles`` and the ``Kinematics`` of the arm
-it was taught on; PolyScope makes its pose from both ("URP Syntax", a description of the format by funh of Universal
+A ``.urp`` is gzipped XML. A fixed ``Waypoint`` has ``position/JointAngles`` and the ``Kinematics`` of the arm on which
+it was taught; PolyScope computes its pose from both ("URP Syntax", a description of the format by funh of Universal
 Robots, 2025). Its TCP moves with the flange, so that correcting the joint positions corrects the pose.
 """
 
@@ -24,7 +24,7 @@ from cellapp.robot.kinematics.plain_dh import same_chain
 from cellapp.robot.kinematics.transforms import Array
 
 _LARGEST = 32 * 1024 * 1024
-"""Bytes of unpacked XML that are read: a program of a thousand waypoints has about one MB."""
+"""Maximum size of the unpacked XML [bytes]: a program of a thousand waypoints has about one MB."""
 _GZIP = 31
 _MOVES = re.compile(r"\b(?:move[jlpc]|servo[jcl])\s*\(")
 _NUMBER = re.compile(r"[^,\s]+")
@@ -39,14 +39,14 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
     where : str
         Name of the file for messages.
     table : array, shape (6, 4)
-        theta, d, a, alpha by which the controller computes; a waypoint that was taught on another chain is refused.
+        theta, d, a, alpha of the controller's computations; a waypoint taught on another chain is refused.
     published : array, shape (6, 4)
-        The published rows; other ones than ``table`` where the controller has a calibration of its own.
+        Published rows; they differ from ``table`` if the controller has its own calibration.
 
     Raises
     ------
     InputError
-        If it is no ``.urp``, too large, or holds a document type or an entity.
+        If it is not a ``.urp``, too large, or contains a document type or an entity.
     """
     xml = _unpacked(data, where)
     reader = _Reader(xml, table, published)
@@ -70,7 +70,7 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
     if reader.root != "URProgram":
         raise InputError(f"{where}: no PolyScope program: its XML is '{reader.root}' instead of 'URProgram'")
     return ReadProgram(
-        text=xml.decode("latin-1"),  # one character a byte: places count bytes
+        text=xml.decode("latin-1"),  # one character per byte: places count bytes
         targets=tuple(reader.targets),
         left=tuple(reader.left),
         payload_kg=None,
@@ -94,7 +94,7 @@ def _unpacked(data: bytes, where: str) -> bytes:
 
 @dataclass
 class _Waypoint:
-    """A waypoint while it is read."""
+    """Waypoint while it is being read."""
 
     name: str
     kind: str
@@ -107,7 +107,7 @@ class _Waypoint:
 
 
 class _Reader:
-    """Collects waypoints and scripts while the XML is parsed."""
+    """Collects waypoints and scripts during XML parsing."""
 
     def __init__(self, xml: bytes, table: Array, published: Array) -> None:
         self._xml, self._table, self._published = xml, table, published
@@ -118,7 +118,7 @@ class _Reader:
         self._script_line = 0
 
     def start(self, tag: str, values: Mapping[str, str], index: int, line: int) -> None:
-        """An element begins at a byte of a line."""
+        """Handle the start of an element at byte ``index``."""
         self.root = self.root or tag
         waypoint = self._waypoint
         if tag == "Move":
@@ -140,7 +140,7 @@ class _Reader:
             waypoint.chain[tag] = values.get("value", "")
 
     def end(self, tag: str) -> None:
-        """An element ends."""
+        """Handle the end of an element."""
         if tag == "Move" and self._move:
             self._move.pop()
         elif tag == "Waypoint" and self._waypoint is not None:
@@ -154,12 +154,12 @@ class _Reader:
             self._script = None
 
     def characters(self, text: str) -> None:
-        """Text of a script."""
+        """Handle text, which matters in scripts only."""
         if self._script is not None:
             self._script.append(text)
 
     def _attribute(self, index: int, name: str) -> tuple[int, int]:
-        """Place of an attribute's value in the XML."""
+        """Return the place of an attribute's value in the XML."""
         found = re.compile(rb"\b" + name.encode() + rb"\s*=\s*(\"([^\"]*)\"|'([^']*)')").search(self._xml, index)
         assert found is not None  # the parser saw it there
         return found.start(1) + 1, found.end(1) - 1
@@ -204,7 +204,7 @@ class _Reader:
         )
 
     def _is_the_controllers(self, waypoint: _Waypoint) -> bool:
-        """Whether the chain of a waypoint, if it says one, is that of the controller."""
+        """Return whether a waypoint's chain, if stated, is that of the controller."""
         if not waypoint.chain or waypoint.status in ("NOT_INITIALIZED", "NOT_LINEARIZED"):
             return True
         columns = [_numbers(waypoint.chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
@@ -214,7 +214,7 @@ class _Reader:
 
 
 def _numbers(text: str) -> list[float]:
-    """Numbers between commas; none if one is no number."""
+    """Parse numbers separated by commas; empty if one is not a number."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:

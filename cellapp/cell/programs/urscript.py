@@ -1,4 +1,4 @@
-"""A URScript program as statements: assignments, calls and blocks, each with its function and its place in the text."""
+"""Parse a URScript program into statements: assignments, calls and blocks, with their functions and lines."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class Statement:
     ----------
     line : int
     function : str
-        The innermost function or thread that it stands in; empty outside of all.
+        Innermost function or thread that contains it; empty outside of all.
     depth : int
-        Blocks (if, while, ...) around it within that function.
+        Number of blocks (if, while, ...) around it within that function.
     assigned : str
-        Variable that it assigns; empty without.
+        Variable that it assigns; empty if none.
     expression : Expression or None
-        What is assigned, called or asked; None if the statement cannot be read.
+        Expression that is assigned, called or tested; None if the statement cannot be parsed.
     tokens : tuple of Token
     """
 
@@ -42,7 +42,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class Program:
-    """A program: its text, its statements, and the names of the parameters of its functions."""
+    """Program: its text, its statements, and the names of the parameters of its functions."""
 
     text: str
     statements: tuple[Statement, ...]
@@ -50,12 +50,12 @@ class Program:
 
 
 def parse_program(text: str, where: str) -> Program:
-    """Read a program.
+    """Parse a program.
 
     Raises
     ------
     InputError
-        If its blocks do not match: ``where`` and the line are named.
+        If its blocks do not match; the message has ``where`` and the line.
     """
     statements: list[Statement] = []
     parameters: set[str] = set()
@@ -87,7 +87,7 @@ def parse_program(text: str, where: str) -> Program:
 
 
 def _pieces(text: str) -> Iterator[Sequence[Token]]:
-    """Words of each statement: a line, parted behind the colon of a block and before an ``end`` on the same line."""
+    """Yield the tokens of each statement: a line, split after a block's colon and before an ``end`` in the line."""
     words: list[Token] = []
     for token in [*tokens_of(text), Token("newline", "\n", len(text), 0)]:
         if token.kind != "newline" and token.text != ";":
@@ -100,7 +100,7 @@ def _pieces(text: str) -> Iterator[Sequence[Token]]:
 
 
 def _cut(words: Sequence[Token]) -> int:
-    """How many words belong to the first statement of a line."""
+    """Return the number of tokens in the first statement of a line."""
     if words[0].text in (*_FUNCTIONS, *_BLOCKS, *_BRANCHES):
         depth = 0
         for place, word in enumerate(words):

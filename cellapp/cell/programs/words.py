@@ -1,4 +1,4 @@
-"""What the correction of a program assumes, and what it says on the terminal."""
+"""Text on the correction of a program: its assumptions, and its output on the terminal."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SIZES = (
     " corrected TCP by the calibrated model, so that a corrected target is within 2 sigma in each coordinate with 95 %"
     " probability"
 )
-"""What the numbers of the table are."""
+"""Explanation of the numbers of the table."""
 
 
 def assumptions(
     place: Workplace, settings: Arm, read: ReadProgram, corrected: Sequence[CorrectedTarget]
 ) -> Iterator[str]:
-    """The conditions for which the corrected program holds, in words."""
+    """Yield the conditions under which the corrected program is valid, as sentences."""
     arm = place.arm
     apart = invert(arm.nominal.T_M_B()) @ arm.geometry.T_M_B()
     turn = float(np.linalg.norm(rotation_vectors(apart[None, :3, :3])[0]))
@@ -59,13 +59,13 @@ def assumptions(
 
 
 def model_notes(arm: ArmModel) -> list[str]:
-    """What of the model is not in a corrected program."""
+    """Report the effects of the model that a corrected program leaves out."""
     left = [term.slug for term in arm.effects if EFFECTS[term.slug].of_reading]
     return [f"not corrected, as it moves only the reading: {', '.join(left)}"] if left else []
 
 
 def correct_lines(result: CorrectResult) -> list[str]:
-    """What was written, what was assumed and what was refused."""
+    """Return what was written, what was assumed and what was refused, as lines."""
     done = sum(not one.reason for one in result.targets)
     refused = result.refused
     lines = [SIZES, f"arm {result.arm}: {counted(done, 'target')} corrected, {len(refused)} not"]
@@ -79,7 +79,7 @@ def correct_lines(result: CorrectResult) -> list[str]:
 
 
 def refusal(result: CorrectResult) -> str:
-    """Why nothing was written; empty if something was."""
+    """Return why nothing was written; empty if something was."""
     if result.out is not None:
         return ""
     lines = ", ".join(dict.fromkeys(str(line) for line, _, _ in result.refused))
@@ -93,7 +93,7 @@ def refusal(result: CorrectResult) -> str:
 
 
 def _unknown_conditions(place: Workplace, q: np.ndarray) -> Iterator[str]:
-    """Conditions that effects of the model depend on and that a program does not say."""
+    """Yield the conditions that effects of the model depend on and that a program does not state."""
     arm = moved_by(place.arm)
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
     if DriverVariable.APPROACH in variables and len(q):
@@ -110,7 +110,7 @@ def _unknown_conditions(place: Workplace, q: np.ndarray) -> Iterator[str]:
 
 
 def _orientation(arm: ArmModel) -> str:
-    """What the readings can tell of the flange's orientation."""
+    """Describe what the readings determine of the flange's orientation."""
     text = (
         "orientation: readings of one point tell where the last joint's axis points, not how the flange sits on it:"
         " its turn about that axis and its tilt"

@@ -1,7 +1,7 @@
-"""Which inverse solution is commanded: within limits, admitted by the gate, seen by the tracker if possible, near home.
+"""Choose the inverse solution to command: within limits, accepted by the gate, visible if possible, near home.
 
-A cooperative target has a solution of each of its arms, which are chosen together: the gate judges both arms where
-they will stand, the other arms at home.
+The solutions of both arms of a cooperative target are chosen together: the gate judges both arms at their positions,
+with the other arms at home.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from cellapp.robot.kinematics.sampled_inverse import sampled_configurations
 from cellapp.robot.kinematics.transforms import Array
 
 _TIE_DECIMALS = 6
-"""Motions that agree to 1 µrad are equal: mirrored branches often tie, and rounding errors must not choose."""
+"""Decimals to which motions [rad] are compared (1 µrad): branches often tie, and rounding must not decide."""
 LARGEST_CORRECTION = 0.2
-"""A calibrated solution that is further than this from its nominal one in a joint [rad] was thrown there by a
-singularity: joint zeros are identified to some 0.02 rad, and away from singularities a pose takes no more."""
+"""Largest joint difference [rad] between a calibrated solution and its nominal one; more means that a singularity is
+close. Joint zeros are identified to some 0.02 rad, and away from singularities a pose needs no more."""
 
 Positions = Mapping[str, Array]
 """Arm -> joint positions (n, N) [rad]."""
 Solve = Callable[[NDArray[np.intp], Positions], Mapping[str, Inverted]]
-"""Calibrated solutions of some targets (rows) from nominal ones."""
+"""Function that returns the calibrated solutions of some targets (rows), starting from nominal ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Branches:
-    """The nominal solutions of one arm for n targets, at most K each; NaN where there are fewer.
+    """Nominal solutions of one arm for n targets, at most K each; NaN where there are fewer.
 
     Attributes
     ----------
     q : array, shape (n, K, N)
-        Joint positions [rad] within the limits, by whole turns as near to home as possible.
+        Joint positions [rad] within the limits, as near to home as whole turns allow.
     beyond : array, shape (n, K, N)
-        By how much joints exceed their limits [rad].
+        Excess of joints over their limits [rad].
     motion : array, shape (2, n, K)
-        The largest joint motion from home and the sum of all [rad].
+        Largest joint motion from home, and sum over the joints [rad].
     clear, seen : array, shape (n, K), bool
         Whether the arm is within limits and clear of all but other arms; whether the tracker sees it, others at home.
     """
@@ -56,24 +56,24 @@ class Branches:
 
     @property
     def exists(self) -> NDArray[np.bool_]:
-        """Whether there is a solution, (n, K)."""
+        """Mask of existing solutions, (n, K)."""
         return np.isfinite(self.q[:, :, 0])
 
     @property
     def within(self) -> NDArray[np.bool_]:
-        """Whether it is within the limits, (n, K)."""
+        """Mask of solutions within the limits, (n, K)."""
         return np.asarray(self.exists & np.all(self.beyond == 0.0, axis=2))
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """What is commanded for n targets.
+    """Chosen solutions for n targets.
 
     Attributes
     ----------
     accepted : array, shape (n,), bool
     nominal : mapping
-        Arm -> joint positions (n, N) [rad]; of a refused target the ones that were tried first, NaN without any.
+        Arm -> joint positions (n, N) [rad]; for a refused target those tried first, NaN if there are none.
     compensated : mapping
         Arm -> calibrated solutions.
     """
@@ -84,7 +84,7 @@ class Chosen:
 
 
 def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, solutions: Array) -> Branches:
-    """Judge all solutions (n, K, N) [rad] of an arm."""
+    """Judge all solutions (n, K, N) [rad] of an arm for n targets."""
     n, K, _ = solutions.shape
     limits, home = cell.arms[name].limits, homes[name]
     q, beyond = turned_into(solutions, limits, home)
@@ -100,7 +100,7 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
 
 
 def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
-    """Configurations (m, N) [rad] of an arm that the gate admits and the tracker sees, the others at home."""
+    """Draw configurations (m, N) [rad] of an arm that the gate accepts and the tracker sees, the others at home."""
     samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
     others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
     samples = samples[visible(cell, name, samples, others)]
@@ -108,10 +108,10 @@ def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name
 
 
 def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Chosen:
-    """Choose among the branches of each arm of n targets: those seen first, then the nearest to home.
+    """Choose among the branches of each arm for n targets: visible ones first, then the nearest to home.
 
-    One after the other is solved by the calibrated model until the gate admits both commands, the nominal and the
-    compensated one.
+    Candidates are solved with the calibrated model one after the other, until the gate accepts both commands, the
+    nominal and the compensated one.
     """
     order, count = preferred(branches)
     n = len(order)
@@ -149,7 +149,7 @@ def _keep_nominal(chosen: Chosen, rows: NDArray[np.intp], q: Positions) -> None:
 def _good(
     cell: CellBodies, homes: Mapping[str, Array], nominal: Positions, solved: Mapping[str, Inverted]
 ) -> NDArray[np.bool_]:
-    """Whether calibrated solutions of all arms of n targets are met, near the nominal ones and admitted, (n,) bool."""
+    """Return the mask (n,) of targets whose calibrated solutions are reached, near nominal and accepted by the gate."""
     good = np.ones(len(next(iter(nominal.values()))), dtype=bool)
     for name, one in solved.items():
         good &= one.reached & (np.abs(one.q - nominal[name]).max(axis=1) <= LARGEST_CORRECTION)
@@ -158,7 +158,7 @@ def _good(
 
 
 def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Order of the combinations of all arms' branches of n targets, (n, C), and how many (n,) of them are usable."""
+    """Return the order (n, C) of the combinations of all arms' branches for n targets, and how many are usable (n,)."""
     parts = list(branches.values())
     n = len(parts[0].q)
     usable, seen = np.ones((2, n, 1), dtype=bool)
@@ -172,6 +172,6 @@ def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArr
 
 
 def clear_with_others(cell: CellBodies, homes: Mapping[str, Array], q: Positions) -> NDArray[np.bool_]:
-    """Whether the gate admits n stops of some arms, the others at home, (n,) bool."""
+    """Return the mask (n,) of stops of some arms that the gate accepts, with the others at home."""
     n = len(next(iter(q.values())))
     return clear_stops(cell, {name: q[name] if name in q else np.tile(homes[name], (n, 1)) for name in cell.arms})

@@ -1,4 +1,4 @@
-"""What is sent to an arm for one target, and what is known of it beforehand."""
+"""Command of an arm for one target, with its prediction."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prediction:
-    """How certain the SMR's position at a command is. Distances in mm, as people read them.
+    """Uncertainty of the SMR's position at a command. Distances in mm, for people.
 
     Attributes
     ----------
     uncertainty_mm : float
-        Standard uncertainty of a measured coordinate: all parts together.
+        Standard uncertainty of a measured coordinate, with all parts.
     parts : UncertaintyParts
     within_mm : float
-        Distance from the target that a measurement keeps with 95 % probability; of the same parts.
+        Distance from the target that a measurement does not exceed with 95 % probability; with the same parts.
     unknown : tuple of UnknownCondition
     verdict : str
-        Against the tolerance.
+        Verdict against the tolerance.
     """
 
     uncertainty_mm: float
@@ -38,41 +38,41 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """The joint positions to send for one target.
+    """Joint positions to send for one target.
 
     Attributes
     ----------
     target : Target
     arm : str
-        The arm; a cooperative target has one command for each of its arms.
+        Arm; a cooperative target has one command for each of its arms.
     q_nominal, q_compensated : array, shape (N,), or None
-        Joint positions [rad] by the published and by the calibrated model, the latter for joints that arrive from the
-        side ``side``; None where the target was refused.
+        Joint positions [rad] from the published and from the calibrated model, the latter for joints that arrive from
+        ``side``; None if the target was refused.
     expected_M, nominal_M : array, shape (3,), or None
-        Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
+        Expected measurement of the SMR [m]: the target relative to the calibrated and to the nominal base.
     refusal : str
         Why the target is not commanded; empty if it is.
     branches : int or None
-        Solutions of the inverse within the joint limits.
+        Number of inverse solutions within the joint limits.
     visible : bool or None
         Whether the tracker sees the SMR at the compensated command.
     residual_um, residual_urad : float or None
-        Distance and angle by which the calibrated model misses the target; the angle is None where it is free.
+        Distance and angle by which the calibrated model misses the target; the angle is None if it is free.
     note : str
         What to know about a command that is not refused.
     conditions : MeasurementConditions or None
-        Of one row: the working conditions that the command was made for, the side of approach among them.
+        Working conditions that the command was computed for (one row), including the side of approach.
     side : signs or None
-        Sign of each joint's last motion that the command is for: as stated, else where it matters as on the way from
-        home; None where any side will do.
+        Sign of each joint's last motion that the command is for: as stated, else, if it matters, as on the way from
+        home; None if any side will do.
     payload_kg : float or None
-        That the command was made for, stated or the profile's.
+        Payload that the command was computed for, stated or the profile's.
     prediction : Prediction or None
-        None where the model states no uncertainty.
+        None if the model states no uncertainty.
     turn : PredictedTurn or None
-        None where no orientation of the arm was measured.
+        None if no orientation of the arm was measured.
     rotation_M, nominal_rotation_M : array, shape (3, 3), or None
-        Rotation of the flange at ``expected_M`` and ``nominal_M``; NaN where any will do.
+        Rotation of the flange at ``expected_M`` and ``nominal_M``; NaN if any will do.
     """
 
     target: Target
@@ -97,27 +97,27 @@ class Command:
 
     @property
     def uncertainty_mm(self) -> float | None:
-        """Standard uncertainty [mm] of a measured coordinate there; None where the model states none."""
+        """Standard uncertainty [mm] of a measured coordinate; None if the model states none."""
         return None if self.prediction is None else self.prediction.uncertainty_mm
 
     @property
     def within_mm(self) -> float | None:
-        """Distance [mm] from the target that a measurement keeps with 95 % probability; None where none is stated."""
+        """Distance [mm] from the target that a measurement does not exceed with 95 % probability; None if unknown."""
         return None if self.prediction is None else self.prediction.within_mm
 
     @property
     def approach(self) -> tuple[int, ...] | None:
-        """Side of each joint that the target states; None where it states none."""
+        """Side of each joint that the target states; None if it states none."""
         return self.target.approach if self.arm == self.target.arm else None
 
 
 def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
-    """A target that is not commanded, and why."""
+    """Return the command of a refused target, with the reason."""
     return Command(target, arm, None, None, None, None, refusal, branches)
 
 
 def command_record(command: Command) -> TargetCommand:
-    """A command as result."""
+    """Return a command as a result record."""
     target, found = command.target, command.prediction
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
     return TargetCommand.like(
@@ -135,7 +135,7 @@ def command_record(command: Command) -> TargetCommand:
 
 
 def _holds_for(command: Command) -> str:
-    """What the compensated command holds for: sides of approach, payload, and the conditions that its target states."""
+    """Return what the compensated command is valid for: sides, payload, and conditions that its target states."""
     stated = conditions_of(command.target, command.arm)
     words = []
     if stated.temperature is not None:

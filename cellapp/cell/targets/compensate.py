@@ -1,8 +1,8 @@
-"""Compensation: joint positions that bring the real arms to Cartesian targets, by inverting the calibrated model.
+"""Compensation: compute joint positions that bring the real arms to Cartesian targets, with the calibrated model.
 
 Every target gets two commands: one from the published geometry, as an uncalibrated program would send it, and the
-compensated one in the same branch, for joints that arrive from the side that stands beside it. Of all inverse solutions
-the nearest to home is taken that the gate admits, before those that the tracker does not see.
+compensated one on the same branch, for the sides of approach stated with it. Of all inverse solutions that the gate
+accepts, the nearest to home is chosen; solutions that the tracker sees take precedence.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 _TOGETHER_ROUNDS = 2
-"""Solutions of two arms that act on each other: what one adds to the other changes by a thousandth in the second."""
+"""Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""
 
 
 def compensate(
@@ -55,16 +55,16 @@ def compensate(
     *,
     ranges: Mapping[str, ConditionRanges] | None = None,
 ) -> tuple[Command, ...]:
-    """Commands for all targets, in their order, of a cooperative target one for each arm.
+    """Return the commands of all targets in their order, one per arm of a cooperative target.
 
-    Targets that an arm must not or cannot reach carry the reason; a cooperative target is refused for both arms.
-    ``ranges`` are what the readings of each arm covered; without them nothing is said of conditions whose plausible
-    range the model does not hold (temperature, time, dwell), nor of extrapolation.
+    Targets that an arm must not or cannot reach have a reason; a cooperative target is refused for both arms.
+    ``ranges`` are what the readings of each arm covered; without them neither extrapolation nor unknown conditions
+    whose plausible range the model does not contain (temperature, time, dwell) are reported.
 
     Raises
     ------
     InputError
-        If the profile does not say where arms and tracker stand, or the model is of other arms.
+        If the profile does not state where arms and tracker are, or the model is of other arms.
     """
     _check_arms(profile, model)
     cell, homes = cell_bodies(profile, model), home_positions(profile)
@@ -77,7 +77,7 @@ def compensate(
 
 
 def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) -> CompensateResult:
-    """The object that ``compensate --json`` writes and that the run file keeps."""
+    """Return the object that ``compensate --json`` writes and that the run file stores."""
     return CompensateResult(targets=tuple(command_record(command) for command in commands), notes=tuple(notes))
 
 
@@ -100,7 +100,7 @@ def _check_arms(profile: Profile, model: CellModel) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """The n targets of the same arms, and the cell that they are in; ``stated`` are their working conditions."""
+    """The n targets of the same arms, with their cell; ``stated`` are their working conditions."""
 
     model: CellModel
     cell: CellBodies
@@ -122,7 +122,7 @@ class _Group:
         targets: Sequence[Target],
         ranges: Mapping[str, ConditionRanges],
     ) -> _Group:
-        """Find and judge the nominal solutions of every arm."""
+        """Compute and judge the nominal solutions of every arm."""
         goals = {name: goals_of_arm(model, targets, name) for name in names}
         stated = {
             name: replace(
@@ -147,7 +147,7 @@ class _Group:
         return cls(model, cell, homes, targets, goals, stated, branches, ranges)
 
     def solve(self, rows: NDArray[np.intp], nominal: Positions) -> dict[str, Inverted]:
-        """Solutions of the calibrated model for some targets, near nominal ones (k, N)."""
+        """Return solutions of the calibrated model for the targets ``rows``, near nominal ones (k, N) [rad]."""
         at, found = dict(nominal), {}
         for _ in range(_TOGETHER_ROUNDS if len(at) > 1 else 1):
             for name in nominal:
@@ -158,7 +158,7 @@ class _Group:
         return found
 
     def conditions(self, name: str, rows: NDArray[np.intp], at: Positions) -> MeasurementConditions:
-        """Conditions of an arm at some targets, the other arm of a cell of two where ``at`` (k, N) or home says."""
+        """Return an arm's conditions at the targets ``rows``; the other arm of two is ``at`` (k, N) [rad] or home."""
         stated = self.stated[name].take(rows)
         others = [other for other in self.model.arms if other != name]
         if len(others) != 1:
@@ -170,7 +170,7 @@ class _Group:
 
 
 def _commands(group: _Group) -> dict[str, list[Command]]:
-    """The commands of every arm of a group, one for each target."""
+    """Return the commands of every arm of a group, one for each target."""
     chosen = choose(group.cell, group.homes, group.branches, group.solve)
     reasons = _refusals(group, chosen)
     rows = np.flatnonzero(chosen.accepted)
@@ -181,7 +181,7 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
 def _of_arm(
     group: _Group, chosen: Chosen, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
 ) -> list[Command]:
-    """The commands of one arm; those of the targets ``rows`` are accepted, with the arms ``at`` them."""
+    """Return the commands of one arm; the targets ``rows`` are accepted, with all arms at positions ``at``."""
     goal, arm, home = group.goals[name], group.model.arms[name], group.homes[name]
     count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
     commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
@@ -220,7 +220,7 @@ def _of_arm(
 
 
 def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
-    """Whether the tracker sees an arm's SMR where the arms of a group stand, the others at home."""
+    """Return whether the tracker sees an arm's SMR with the arms of a group at ``at``, the others at home."""
     n = len(at[name])
     others = {
         other: at[other] if other in at else np.tile(home, (n, 1))
@@ -231,7 +231,7 @@ def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
 
 
 def _refusals(group: _Group, chosen: Chosen) -> dict[int, str]:
-    """Target -> why it is not commanded."""
+    """Return target index -> why it is not commanded."""
     missed: dict[str, dict[int, str]] = {}
     for name, one in group.branches.items():
         rows = np.flatnonzero(~one.exists.any(axis=1))

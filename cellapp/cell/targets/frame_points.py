@@ -1,4 +1,4 @@
-"""Points that give a work frame: what makes them fit, as arrays."""
+"""Check that points determine a work frame; arrays only."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array, apply, register
 
 _LARGEST_M = 0.005
-"""Fixtures and workpieces agree with their drawing to better; beyond are exchanged points and wrong units."""
+"""Largest disagreement of distances [m]: fixtures fit drawings better; more means swapped points or wrong units."""
 _NARROWEST = 0.01
-"""Width of the points across their line as a share of their length: below, noise at the points turns the frame by more
-than a hundred times the angle that it turns an equilateral one."""
+"""Smallest width of the points across their line, relative to their length. With a smaller one, noise rotates the frame
+by more than a hundred times the angle that it rotates an equilateral one."""
 
 
 def three_points(origin: Array, x: Array, xy: Array) -> Array:
-    """Coordinates (3, 3) [m] of three measured points in the frame that they give.
+    """Return the coordinates (3, 3) [m] of three measured points in the frame that they determine.
 
-    ``origin`` is its origin, ``x`` lies on its positive x axis, ``xy`` in its x-y plane with a positive y.
+    ``origin`` is its origin, ``x`` is on its positive x axis, ``xy`` in its x-y plane with a positive y.
     """
     along, across = x - origin, xy - origin
     length = float(np.linalg.norm(along))
@@ -27,7 +27,7 @@ def three_points(origin: Array, x: Array, xy: Array) -> Array:
 
 
 def frame_fault(nominal: Array, measured: Array) -> str:
-    """Why points (n, 3) [m] give no frame, or are not the same points in both; empty if they do and are."""
+    """Return why points (n, 3) [m] do not determine a frame, or differ between both sets; empty if all is well."""
     for points, which in ((nominal, "nominal"), (measured, "measured")):
         length, width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
         if width <= _NARROWEST * length:
@@ -42,7 +42,7 @@ def frame_fault(nominal: Array, measured: Array) -> str:
 
 
 def _disagreement(nominal: Array, measured: Array) -> str:
-    """The point whose distances from the others differ most, if they differ by too much."""
+    """Report the point whose distances from the others differ most, if they differ by too much."""
     between_nominal, between_measured = _distances(nominal), _distances(measured)
     off = np.abs(between_measured - between_nominal)
     if off.max() <= _LARGEST_M:
@@ -57,7 +57,7 @@ def _disagreement(nominal: Array, measured: Array) -> str:
 
 
 def _reflection(nominal: Array, measured: Array) -> str:
-    """Points whose distances agree and which no motion brings together are mirrored."""
+    """Report mirrored points: their distances agree, but no rigid motion maps one set to the other."""
     left = np.linalg.norm(measured - apply(register(measured, nominal), nominal), axis=1)
     worst = int(np.argmax(left))
     if left[worst] <= _LARGEST_M:
@@ -69,5 +69,5 @@ def _reflection(nominal: Array, measured: Array) -> str:
 
 
 def _distances(points: Array) -> Array:
-    """Distances (n, n) [m] of points (n, 3) from each other."""
+    """Return the distances (n, n) [m] between points (n, 3) [m]."""
     return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))

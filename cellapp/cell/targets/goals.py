@@ -1,4 +1,4 @@
-"""Where the SMRs of the arms have to be in the tracker frame for targets given in any frame of the cell."""
+"""Compute the goals of the SMRs in the tracker frame for targets given in any frame of the cell."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _FREE = (np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True, eq=False)
 class ArmGoals:
-    """The goals of one arm.
+    """Goals of one arm.
 
     Attributes
     ----------
     rows : array, shape (m,)
-        The target of each goal, as index into the list.
+        Index of each goal's target in the list.
     position_M, nominal_position_M : array, shape (m, 3)
-        SMR centre [m] by the calibrated and by the nominal bases. Both are the same for targets in the tracker frame.
+        SMR centre [m] from the calibrated and from the nominal bases, the same for targets in the tracker frame.
     rotation_M, nominal_rotation_M : array, shape (m, 3, 3)
-        Flange rotation; NaN where it is free.
+        Flange rotation; NaN if it is free.
     """
 
     rows: NDArray[np.intp]
@@ -40,7 +40,7 @@ class ArmGoals:
 
 
 def goals_of_arm(model: CellModel, targets: Sequence[Target], name: str) -> ArmGoals:
-    """The goals of arm ``name`` among all targets: as their arm, or as the partner of a cooperative one."""
+    """Return the goals of arm ``name`` among all targets, as their arm or as the partner of a cooperative one."""
     rows = [k for k, target in enumerate(targets) if name in target.arms]
     own = [targets[k] for k in rows]
     rotation, position = _in_frames(own, name)
@@ -62,7 +62,7 @@ def goals_of_arm(model: CellModel, targets: Sequence[Target], name: str) -> ArmG
 
 
 def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
-    """Pose (4, 4) of a work frame in its parent, and the rms distance [m] of its points after registration."""
+    """Return the pose (4, 4) of a work frame in its parent, and the rms residual [m] of its points."""
     nominal = np.array([point.nominal for point in frame.points])
     measured = np.array([point.measured for point in frame.points])
     T = register(measured, nominal)
@@ -74,7 +74,7 @@ def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
 
 
 def _in_frames(targets: Sequence[Target], name: str) -> tuple[Array, Array]:
-    """Flange rotations (m, 3, 3), NaN where free, and SMR positions (m, 3) [m] of one arm in the targets' frames."""
+    """Return rotations (m, 3, 3), NaN if free, and SMR positions (m, 3) [m] of one arm in the targets' frames."""
     rotation = _rotations([target.rpy for target in targets])
     position = np.array([target.position for target in targets]).reshape(-1, 3)
     partners = [(k, target.partner) for k, target in enumerate(targets) if target.partner and target.arm != name]
@@ -87,7 +87,7 @@ def _in_frames(targets: Sequence[Target], name: str) -> tuple[Array, Array]:
 
 
 def _rotations(rpy: Sequence[tuple[float, float, float] | None]) -> Array:
-    """Rotations (m, 3, 3) from roll, pitch, yaw [rad]; NaN for None."""
+    """Return rotations (m, 3, 3) from roll, pitch, yaw [rad]; NaN for None."""
     angles = np.array([_FREE if value is None else value for value in rpy]).reshape(-1, 3)
     given = ~np.isnan(angles[:, 0])
     rotation = np.full((len(angles), 3, 3), np.nan)
@@ -97,9 +97,9 @@ def _rotations(rpy: Sequence[tuple[float, float, float] | None]) -> Array:
 
 
 def _frames(targets: Sequence[Target]) -> tuple[NDArray[np.intp], list[str], Array]:
-    """The frame of each target, as index into the parent of each frame and its pose (f, 4, 4) in that.
+    """Return each target's index of its frame, and for each frame its parent and its pose (f, 4, 4) in the parent.
 
-    The targets of a list share the objects of their work frames; each is registered once.
+    The targets of a list share their work frame objects; each is registered once.
     """
     found: dict[str | int, int] = {}
     parents: list[str] = []
@@ -118,11 +118,11 @@ def _frames(targets: Sequence[Target]) -> tuple[NDArray[np.intp], list[str], Arr
 
 
 def _frame_poses(chains: Mapping[str, Geometry], parents: Sequence[str], T_parent_W: Array) -> Array:
-    """Poses (f, 4, 4) of frames in the tracker frame."""
+    """Return the poses (f, 4, 4) of frames in the tracker frame."""
     T_M_parent = [np.eye(4) if parent == "tracker" else chains[parent].T_M_B() for parent in parents]
     return np.array(T_M_parent).reshape(-1, 4, 4) @ T_parent_W
 
 
 def _moved(T: Array, position: Array) -> Array:
-    """Positions (m, 3) under one transform (m, 4, 4) each."""
+    """Transform positions (m, 3) [m], each with its own pose (m, 4, 4)."""
     return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], position) + T[:, :3, 3])

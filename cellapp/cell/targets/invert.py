@@ -1,4 +1,4 @@
-"""The inverse of a calibrated model: joint positions at which geometry, effects and network together meet a target."""
+"""Invert a calibrated model: find joint positions at which geometry, effects and network together meet a target."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _ROUNDS = 12
-"""Newton iterations. The derivatives are those of the chain alone: what effects and network add changes by a part in a
-thousand, so that each round gains three decades once it is near."""
+"""Maximum number of Newton iterations. The derivatives are those of the chain alone; effects and network change them by
+a thousandth, so that close to the solution each iteration gains three decades."""
 _SAME = 1e-10
 """Residual [m, rad] at which a target's iteration ends: far below any controller's resolution."""
 _REACHED = 5e-10
-"""Residual [m, rad] of a target that counts as reached."""
+"""Largest residual [m, rad] of a target that counts as reached."""
 _EFFECT_ROUNDS = 8
-"""Fixed-point rounds for the effects' joint offsets; they contract by the offsets' slope, about 1e-3 a round."""
+"""Fixed-point iterations for the effects' joint offsets; each contracts by the offsets' slope, about 1e-3."""
 _SAME_RAD = 1e-12
-"""Joint change at which that iteration ends: far below any controller's resolution."""
+"""Joint change [rad] at which that iteration ends: far below any controller's resolution."""
 _FREE_DAMPING = 1e-12
-"""Damping [m^2] of a step to a position with free rotation, far below the squared levers of an arm."""
+"""Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
 _SHIFTED_M = 1e-8
-"""SMR shift by a change of approach that is made good by moving the joints: a hundredth of what a target may miss."""
+"""Shift of the SMR [m] by a change of approach above which the joints correct it: a hundredth of the allowed error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class Inverted:
     Attributes
     ----------
     q : array, shape (n, N)
-        Controller readings [rad].
+        Joint positions as the controller reports them [rad].
     residual_m, residual_rad : array, shape (n,)
-        Distance and angle by which the model misses the targets there; the angle is NaN where the rotation is free.
+        Distance and angle by which the model misses the targets there; the angle is NaN if the rotation is free.
     """
 
     q: Array
@@ -47,15 +47,15 @@ class Inverted:
 
     @property
     def reached(self) -> NDArray[np.bool_]:
-        """Whether the target is met, (n,) bool."""
+        """Mask (n,) of targets that are reached."""
         return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
 
     def take(self, rows: NDArray[np.intp]) -> Inverted:
-        """Some of the commands."""
+        """Return the commands of some rows."""
         return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows])
 
     def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
-        """Set some rows to the ``kept`` ones of other commands."""
+        """Replace the commands of ``rows`` by the ``kept`` ones of ``of``."""
         self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
             of.q[kept],
             of.residual_m[kept],
@@ -66,7 +66,7 @@ class Inverted:
 def invert(
     arm: ArmModel, position_M: Array, rotation_M: Array, start: Array, conditions: MeasurementConditions | None = None
 ) -> Inverted:
-    """Controller readings at which the model puts the SMR at ``position_M`` and orients the flange as ``rotation_M``.
+    """Find controller readings at which the model puts the SMR at ``position_M`` and the flange in ``rotation_M``.
 
     Parameters
     ----------
@@ -74,17 +74,17 @@ def invert(
     position_M : array, shape (n, 3)
         SMR centre in the tracker frame [m].
     rotation_M : array, shape (n, 3, 3)
-        Flange rotation; NaN where it is free: the joints then move as little as possible.
+        Flange rotation; NaN if it is free: then the joints move as little as possible.
     start : array, shape (n, N)
         Initial readings [rad]; they select the branch.
     conditions : MeasurementConditions, optional
-        Of the n targets. Without approach signs backlash is taken at its middle.
+        Conditions of the n targets. Without approach signs, backlash is taken at its middle.
 
     Notes
     -----
-    Newton's iteration on the whole model with the Jacobian of its chain at the true joint positions. The flange turns
-    by the effects' joint offsets, and where the arm was calibrated with orientations as links and base turn it that
-    give way. Otherwise effects that shift the SMR move the position alone, as the network does.
+    Newton iteration on the whole model, with the Jacobian of its chain at the true joint positions. The flange rotates
+    by the effects' joint offsets and, if the arm was calibrated with orientations, also with elastic links and base.
+    Otherwise effects that shift the SMR change only its position, as the network does.
     """
     n = len(start)
     conditions = MeasurementConditions() if conditions is None else conditions
@@ -108,7 +108,7 @@ def invert(
 
 
 def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Controller readings (n, N) [rad] of ``invert``, and which targets (n,) they reach."""
+    """Return the controller readings (n, N) [rad] of ``invert``, and the mask (n,) of reached targets."""
     found = invert(arm, position_M, rotation_M, start)
     return found.q, found.reached
 
@@ -119,9 +119,9 @@ def without_effects(
     approach: Array | None = None,
     conditions: MeasurementConditions | None = None,
 ) -> Array:
-    """Controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), approached from ``approach``.
+    """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), arriving as ``approach``.
 
-    ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offset depends on the configuration.
+    ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offsets depend on the configuration.
     """
     q = true
     for _ in range(_EFFECT_ROUNDS):
@@ -132,9 +132,9 @@ def without_effects(
 
 
 def with_approach(arm: ArmModel, command: Array, here: Array, conditions: MeasurementConditions | None = None) -> Array:
-    """A compensated command (N,) corrected for the motion in which each joint approaches it from ``here`` (N,).
+    """Correct a compensated command (N,) [rad] for the motions by which its joints arrive from ``here`` (N,).
 
-    ``conditions``, of one row, are those that the command was made for; without them at the middle of both sides.
+    ``conditions``, of one row, are those that the command was computed for; if None, the middle of both sides.
     """
     made = MeasurementConditions() if conditions is None else conditions
     step = (command - here)[None]
@@ -154,7 +154,7 @@ def with_approach(arm: ArmModel, command: Array, here: Array, conditions: Measur
 def _errors(
     arm: ArmModel, position_M: Array, rotation_M: Array, q: Array, conditions: MeasurementConditions
 ) -> tuple[Array, Array]:
-    """Errors (n, 6) [m, rad] of the model's pose at ``q`` (n, N), and the Jacobian (n, 6, N) of its chain there."""
+    """Return errors (n, 6) [m, rad] of the model's pose at ``q`` (n, N), and the Jacobian (n, 6, N) of its chain."""
     aim, true = position_M, q
     if arm.effects:
         moved = arm.effect_displacement(q, conditions=conditions)
@@ -167,7 +167,7 @@ def _errors(
 
 
 def _step(J: Array, errors: Array, free: NDArray[np.bool_]) -> Array:
-    """Step (n, N) [rad]: to poses by damped least squares, to positions with free rotation by the least motion."""
+    """Return the step (n, N) [rad]: damped least squares to poses, least motion to positions with free rotation."""
     step = np.empty((len(J), J.shape[2]))
     if not free.all():
         step[~free] = damped_step(J[~free], errors[~free])

@@ -1,7 +1,7 @@
-"""Noise of measuring at any point: in the shape that the tracker states, in the size that the readings have.
+"""Measuring noise at any point: with the shape that the tracker states and the size of the readings' scatter.
 
-A laser tracker measures distances better than directions; both grow with the distance. The repeatability of the arm
-scatters alike in all directions.
+A laser tracker measures distances better than directions; both errors grow with the distance. The repeatability of the
+arm is isotropic.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class MeasuringNoise:
-    """Standard uncertainties that the tracker states, as constant [m] and part proportional to distance [m/m].
+    """Standard uncertainties that the tracker states: a constant [m] and a part proportional to distance [m/m].
 
-    ``along`` the beam and ``across`` it; ``typical`` is their mean square [m^2] over the readings.
+    ``along`` and ``across`` are relative to the beam; ``typical`` is their mean square [m^2] over the readings.
     """
 
     along: tuple[float, float]
@@ -27,7 +27,7 @@ class MeasuringNoise:
 
     @classmethod
     def of(cls, readings: Readings) -> MeasuringNoise | None:
-        """From the covariances that an arm's readings state; None if they state none."""
+        """Fit to the covariances that an arm's readings state; None if they state none."""
         stated = readings.covariance_M
         if stated is None or not np.isfinite(stated).all():
             return None
@@ -39,16 +39,16 @@ class MeasuringNoise:
         return cls(_line(distance, np.sqrt(along)), _line(distance, across), float(np.mean(whole)) / 3.0)
 
     def excess(self, noise_m: float) -> float:
-        """Variance [m^2] of a coordinate by which the readings scatter beyond what the tracker states.
+        """Return the variance [m^2] of a coordinate by which readings scatter more than the tracker states.
 
-        It is repeatability, or what the model lacks: the SMR itself is elsewhere by as much.
+        It is repeatability or a deficiency of the model: the SMR itself deviates by as much.
         """
         return max(noise_m**2 - self.typical, 0.0)
 
     def covariance(self, p_M: Array, noise_m: float) -> Array:
-        """Covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3), whose scatter over the run was ``noise_m``.
+        """Return the covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3) [m] with the run's scatter ``noise_m``.
 
-        What the readings scatter beyond the statement is added alike in all directions.
+        Scatter beyond what the tracker states is added isotropically.
         """
         distance = np.linalg.norm(p_M, axis=1)
         beam = p_M / distance[:, None]
@@ -65,7 +65,7 @@ class MeasuringNoise:
 
 
 def _line(distance: Array, sigma: Array) -> tuple[float, float]:
-    """Constant and proportional part of standard uncertainties (n,) [m]; constant alone where distances are alike."""
+    """Fit constant and proportional part of standard uncertainties (n,) [m]; a constant if distances hardly differ."""
     if np.ptp(distance) < 0.1 * distance.mean():
         return float(sigma.mean()), 0.0
     slope, constant = np.polyfit(distance, sigma, 1)

@@ -1,19 +1,21 @@
-"""What a payload that no reading had adds to the uncertainty: all the ways in which joints may give way.
+"""Additional uncertainty due to a payload that no reading had, from all plausible elastic behaviour of the joints.
 
-The law of elasticity that a search accepted holds for the loads that it saw. Beyond them other laws do as well: drives
-are stiffer under load, masses are not what was stated, a joint that its own weight hardly loads may give way by any
-amount that such drives do. So all of these are fitted beside all geometry, to the readings as they are:
+The elasticity law that a search accepted is valid for the loads of the readings. For other loads more laws are
+plausible: drives are stiffer under load, masses differ from the stated ones, and the compliance of a joint that its own
+weight hardly loads is known only to be that of such drives. So all of these are fitted together with all geometry to
+the readings as they are:
 
     dq_j = c_j tau_j + sum_k s_jk clip(tau_j, -T_k, T_k) + h_j (tau_j - clip(tau_j, -T, T)) + sum_i m_ji tau_ji,
 
-tau_j being the torque about joint j, tau_ji that of body i alone, T the largest one among the readings and T_k shares
-of it [Nm]. c_j has a prior as wide as such drives; m_ji is a share of the joint's compliance, s_jk a share r, h_j a
-quarter of it. r is not chosen: some values count with their evidence (marginal likelihood), so that readings which show
-straight laws keep straight ones likely beyond. Nothing measured says more of h_j than that.
+where tau_j is the torque about joint j, tau_ji that of body i alone, T the largest one among the readings and T_k
+fractions of it [Nm]. c_j has a prior as wide as such drives; the priors of m_ji and s_jk are fractions of the joint's
+compliance (m, and r), that of h_j a quarter of r's. r is averaged over some values, weighted by their evidence
+(marginal likelihood), so that readings which show straight laws keep straight ones likely for other loads. Beyond that
+the readings do not constrain h_j.
 
-From the nearest measured payload m' to m the SMR then moves by the mean of all this, with its covariance C; the
-accepted law says another motion, and the difference d is an error that commands keep. The second moment about the
-accepted law counts: C + d d^T.
+From the nearest measured payload m' to m the SMR then moves by the mean of all this, with covariance C. The accepted
+law predicts a different motion; the difference d remains as an error of the commands. Therefore the second moment about
+the accepted law counts: C + d d^T.
 """
 
 from __future__ import annotations
@@ -33,21 +35,21 @@ from cellapp.robot.model import ArmModel
 _COMPLIANCE = 1e-4
 """Prior standard deviation [rad/Nm]: strain-wave drives of this class have 1e4 to 1e5 Nm/rad (Harmonic Drive, CSG)."""
 _KNEES = (0.15, 0.35, 0.65)
-"""Shares of the largest torque below which a joint may be softer."""
+"""Fractions of the largest torque below which a joint may be softer."""
 _BENT = (0.01, 0.1, 0.5)
-"""Shares r of a joint's compliance: catalogues have K3 / K1 up to 2."""
+"""Values of r, relative to a joint's compliance: catalogues have K3 / K1 up to 2."""
 _OF_MASSES = 0.2
-"""Share m: makers' masses are 10 to 30 % off. One load cannot tell a common error of masses from compliance."""
+"""Value of m: makers' masses are 10 to 30 % off. One load cannot separate a common mass error from compliance."""
 _BEYOND = 0.25
-"""Share of r beyond all measured torques: drives stiffen most at first."""
+"""Fraction of r for torques beyond all measured ones: drives stiffen most at small torques."""
 _DEPENDENT = 1e-9
-"""Relative singular value below which columns of the geometry are combinations of others."""
+"""Relative singular value below which columns of the geometry count as linearly dependent."""
 _ELASTIC = ("joint_compliance", "payload_compliance")
 
 
 @dataclass(frozen=True, eq=False)
 class OpenElasticity:
-    """How the joints of an arm may give way, by its readings.
+    """Elastic behaviour of an arm's joints that its readings leave plausible.
 
     Attributes
     ----------
@@ -55,7 +57,7 @@ class OpenElasticity:
         Mean of the parameters of ``_columns`` [rad/Nm].
     covariance : array, shape (p, p)
     largest_nm : array, shape (N,)
-        Largest torque about each joint among the readings.
+        Largest torque about each joint among the readings [Nm].
     """
 
     values: Array
@@ -64,7 +66,7 @@ class OpenElasticity:
 
     @classmethod
     def of(cls, arm: ArmModel, readings: Readings) -> OpenElasticity | None:
-        """From readings and the model in force; None without a posterior, which has the scatter of the readings, and
+        """Fit to readings with the model in force; None without a posterior, which has the scatter of the readings, or
         without measured positions."""
         readings = readings.take(np.flatnonzero(np.isfinite(readings.p_M).all(axis=1)))
         if arm.posterior is None or not len(readings):
@@ -92,9 +94,9 @@ def payload_covariance(
     near: MeasurementConditions,
     open_: OpenElasticity | None,
 ) -> Array:
-    """Covariance (n, 3, 3) [m^2] at ``q`` (n, N) [rad] that ``conditions`` add to ``near``, whose payload was measured.
+    """Return the covariance (n, 3, 3) [m^2] at ``q`` (n, N) [rad] for ``conditions`` whose payload was not measured.
 
-    Where both have a measured orientation, that of the rotation [rad^2].
+    ``near`` has the nearest measured payload. If both have a measured orientation, it is that of the rotation [rad^2].
     """
     if open_ is None or near is conditions:
         return np.zeros((len(q), 3, 3))
@@ -110,7 +112,7 @@ def payload_covariance(
 
 
 def _columns(context: EffectContext, largest_nm: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Joint of each parameter (p,), its kind (p,): 0 compliance, 1 bend of the law, 2 mass; and offsets (p, n)."""
+    """Return each parameter's joint (p,), kind (p,) (0 compliance, 1 bend of the law, 2 mass) and offsets (p, n)."""
     torque, N = context.torques.T, context.joints
     clipped = [np.clip(torque, -share * largest_nm[:, None], share * largest_nm[:, None]) for share in (*_KNEES, 1.0)]
     bodies = [(j, context.loads.torques_of(i)[:, j]) for i in range(N) for j in range(i + 1)]
@@ -121,7 +123,7 @@ def _columns(context: EffectContext, largest_nm: Array) -> tuple[NDArray[np.intp
 
 
 def _averaged(gram: Array, moment: Array, joint: NDArray[np.intp], kind: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Mean and covariance of the parameters over all shares r, each weighed by its evidence."""
+    """Return mean and covariance of the parameters over all values of r, weighted by their evidence."""
     first = kind == 0
     of_joint = np.linalg.inv(gram[np.ix_(first, first)] + np.eye(int(first.sum())) / _COMPLIANCE**2)
     size = np.sqrt(np.diag(of_joint) + (of_joint @ moment[first]) ** 2)
@@ -140,11 +142,11 @@ def _averaged(gram: Array, moment: Array, joint: NDArray[np.intp], kind: NDArray
 
 
 def _by_accepted_laws(arm: ArmModel, context: EffectContext) -> Array:
-    """Joint offsets (n, N) [rad] by what the model has of elastic joints."""
+    """Return joint offsets (n, N) [rad] by the elastic joints of the model."""
     elastic = [term for term in arm.effects if term.slug in _ELASTIC]
     return displacement(elastic, EFFECTS, context).joints
 
 
 def _rows(columns: Array) -> Array:
-    """Derivatives (3, k, n) as one column a parameter: (3 n, k)."""
+    """Reshape derivatives (3, k, n) into one column per parameter: (3 n, k)."""
     return np.asarray(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))

@@ -1,4 +1,4 @@
-"""Path files (YAML): poses joined by straight lines and arcs, with speeds; read and checked."""
+"""Read and check path files (YAML): poses joined by straight lines and arcs, with speeds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from drivers.quantities import Acceleration, Length, Speed, Turn
 from drivers.settings import Section
 
 _SHORTEST_M = 1e-4
-"""A shorter piece is a mistake: the tracker cannot tell its ends apart."""
+"""Shortest piece [m]; a shorter one is a mistake, because the tracker cannot distinguish its ends."""
 _FASTEST_M_S = 3.0
-"""The highest tool speed that a UR controller accepts; a plain number beyond was meant in mm/s."""
+"""Highest tool speed that a UR controller accepts [m/s]; a plain number above it was meant in mm/s."""
 _COLLINEAR = 1e-3
-"""Height of an arc over its chord, relative to the chord, below which its three points count as one line."""
+"""Height of an arc relative to its chord below which its three points count as collinear."""
 
 
 def _speed(value: float) -> float:
@@ -105,7 +105,7 @@ class PathSpec(Section):
         return self
 
     def targets(self) -> tuple[Target, ...]:
-        """The poses and the points of arcs as targets of a list, in their order: to find them in the tracker frame."""
+        """Return poses and points of arcs as targets, in order, in order to find them in the tracker frame."""
         rpy = self.poses[0].rpy
         found: list[Target] = []
         for number, pose in enumerate(self.poses):
@@ -130,9 +130,9 @@ class PathList(Section):
 
 
 def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[PathSpec, ...]:
-    """Read a path file (YAML); with ``arm`` only the paths of that arm.
+    """Read a path file (YAML); if ``arm`` is given, only the paths of that arm.
 
-    Raises ``InputError`` naming the file, the line and the path.
+    Raise ``InputError`` with the file, the line and the path.
     """
     source = read_yaml(path, "path file", "YAML")
     try:
@@ -156,7 +156,7 @@ def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[Pa
 
 
 def _misfit(spec: PathSpec, others: tuple[PathSpec, ...], profile: Profile) -> str:
-    """Why a path does not fit the cell or the other paths, to follow its name; empty if it does."""
+    """Return why a path does not fit the cell or the other paths, to follow its name; empty if it does."""
     arms = ", ".join(profile.arms)
     if spec.arm not in profile.arms:
         return f": no arm '{spec.arm}'; arms are {arms}"
@@ -175,7 +175,7 @@ def _pose_problem(pose: int, text: str) -> PydanticCustomError:
 
 
 def _require_path(poses: tuple[PathPose, ...]) -> None:
-    """Raise an error that is placed at a pose where poses make no path."""
+    """Raise an error placed at the wrong pose if poses do not make a path."""
     first, last = poses[0], len(poses) - 1
     if first.rpy is None:
         raise _pose_problem(0, "'rpy' is needed: a path begins with a full pose")

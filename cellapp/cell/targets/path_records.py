@@ -155,7 +155,7 @@ class PathResult(Result, schema="cellapp-path"):
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Why following did not succeed: paths that were refused, not driven, or out of tolerance; empty if it did."""
+        """Return why following failed: paths that were refused, not driven or out of tolerance; empty if none."""
         found = [f"path {path.name} refused {path.refusal}" for path in self.paths if path.refusal]
         for path in self.paths:
             driven = path.driven

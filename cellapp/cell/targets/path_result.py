@@ -1,4 +1,4 @@
-"""Paths as planned and driven, as the object that ``follow --json`` writes, and their joint positions as CSV."""
+"""Convert planned and driven paths to the object of ``follow --json``, and their joint positions to CSV."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from cellapp.cell.targets.plan_path import PathPlan
 from cellapp.robot.model import CellModel
 
 _UNCERTAIN_AT = 50
-"""Places along a path at which the model's uncertainty is asked for: it changes slowly."""
+"""Number of positions along a path at which the model's uncertainty is evaluated: it changes slowly."""
 
 
 def path_result(
     model: CellModel, followed: Sequence[tuple[PathPlan, DrivenPath | None]], notes: Sequence[str] = ()
 ) -> PathResult:
-    """The result of ``follow``; a path that was only planned has no ``DrivenPath``."""
+    """Return the result of ``follow``; a path that was only planned has no ``DrivenPath``."""
     return PathResult(paths=tuple(_record(model, plan, driven) for plan, driven in followed), notes=tuple(notes))
 
 
 def path_csv(plans: Sequence[PathPlan]) -> str:
-    """Joint positions of every path that is not refused: path, arm, time [s], arc length [m], q1..qN [rad]."""
+    """Return the positions of every path that is not refused: path, arm, time [s], arc length [m], q1..qN [rad]."""
     most = max((plan.trajectory.q.shape[1] for plan in plans if plan.trajectory is not None), default=0)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""The plan of one path: the branch of the arm, its joint path and timing, and every check before anything moves."""
+"""Plan one path: the branch of the arm, its joint path and timing, and all checks before anything moves."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from cellapp.robot.paths.joint_path import Conditions, JointPath, PathError, joi
 from cellapp.robot.paths.timing import Rates, Trajectory, timed
 
 RUN_UP_RAD = 5e-3
-"""Run-up of every joint to the beginning of the path, in its direction of motion there: several times a usual play."""
+"""Run-up of every joint before the path [rad], in its direction of motion there: several times a usual backlash."""
 _CROSS_SHARE = 0.2
-"""Share of a joint's acceleration that crossing a play takes."""
+"""Fraction of a joint's acceleration used for crossing its backlash."""
 _SEEN_EVERY_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class PathPlan:
-    """A path that can be driven, or why it cannot.
+    """Path that can be driven, or the reason why it cannot.
 
     Attributes
     ----------
     spec : PathSpec
     refusal : str
-        Why it is not driven, with the place; empty if it may be.
+        Why it is not driven, with the position; empty if it may be.
     path, nominal_path : CartesianPath or None
-        In M, relative to the calibrated and to the nominal base.
+        Paths in M, relative to the calibrated and to the nominal base.
     joints : JointPath or None
     trajectory, nominal : Trajectory or None
-        What is sent to the controller; ``nominal`` by the published geometry, None where that cannot be followed.
+        Positions for the controller; ``nominal`` from the published geometry, None if that cannot follow the path.
     run_up : array, shape (N,), or None
-        Where the arm goes before the beginning [rad].
+        Position of the arm before the beginning [rad].
     unseen_m : float or None
-        First arc length at which the tracker does not see the SMR [m]; None: it sees the whole path.
+        First arc length at which the tracker does not see the SMR [m]; None if it sees the whole path.
     """
 
     spec: PathSpec
@@ -64,9 +64,9 @@ class PathPlan:
 
 
 def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: float) -> PathPlan:
-    """Plan one path, the other arms at home. Nothing moves. A path that cannot be driven carries the reason.
+    """Plan one path with the other arms at home. Nothing moves. A path that cannot be driven has a reason.
 
-    ``period_s`` is that of the arm's controller [s]. Raises ``InputError`` if the profile lacks what planning needs, or
+    ``period_s`` is that of the arm's controller [s]. Raise ``InputError`` if the profile lacks what planning needs, or
     the model is of other arms.
     """
     if set(model.arms) != set(profile.arms):
@@ -96,7 +96,7 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
 
 
 def paths_of(model: CellModel, spec: PathSpec) -> tuple[CartesianPath, CartesianPath]:
-    """The wanted path in M relative to the calibrated bases, and relative to the nominal ones."""
+    """Return the wanted path in M relative to the calibrated bases, and relative to the nominal ones."""
     goals = goals_of_arm(model, spec.targets(), spec.arm)
     names = [target.name for target in spec.targets()]
     poses = [k for k, name in enumerate(names) if name.startswith("pose")]
@@ -128,7 +128,7 @@ def _on_branch(
     branch: Branch,
     period_s: float,
 ) -> PathPlan:
-    """The plan on one branch of the inverse."""
+    """Return the plan on one branch of the inverse kinematics."""
     rates = path_rates(profile, spec)
     cross_s = float(np.sqrt(5.774 / (_CROSS_SHARE * rates.acceleration.min())))
     try:
@@ -161,7 +161,7 @@ def _nominal(
     cell: CellBodies,
     homes: Mapping[str, Array],
 ) -> Trajectory | None:
-    """The same path as the published geometry drives it, on the same branch; None where it cannot be driven."""
+    """Return the path as the published geometry drives it on the same branch; None if it cannot be driven."""
     published = replace(arm, geometry=arm.nominal, effects=(), network=None, posterior=None)
     share = branch.s / branch.s[-1] * path.length  # both paths have the same shape
     try:
@@ -176,18 +176,18 @@ def _nominal(
 
 
 def path_payload(profile: Profile, spec: PathSpec) -> float:
-    """The payload that a path is for [kg]: as stated, else the profile's."""
+    """Return the payload that a path is for [kg]: as stated, else the profile's."""
     stated = spec.conditions.payload
     return profile.arms[spec.arm].payload.mass if stated is None else stated
 
 
 def path_rates(profile: Profile, spec: PathSpec) -> Rates:
-    """The limits of the arm's joints at the profile's share, and the path's own acceleration."""
+    """Return the limits of the arm's joints at the profile's share, and the path's own acceleration."""
     return Rates(*joint_rates(profile.arms[spec.arm]), spec.acceleration)
 
 
 def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
-    """Conditions along the path: as stated, the profile's payload where none is; a moving arm has no rest."""
+    """Return conditions along the path: as stated, else the profile's payload; a moving arm has no rest."""
     stated: WorkingConditions = spec.conditions
     payload = path_payload(profile, spec)
     center_F = load_centers(profile.arms[spec.arm], [payload])
@@ -208,7 +208,7 @@ def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
 
 
 def _unseen(cell: CellBodies, name: str, trajectory: Trajectory, others: Mapping[str, Array]) -> float | None:
-    """First arc length [m] at which the tracker does not see the SMR; None if it sees the whole path."""
+    """Return the first arc length [m] where the tracker does not see the SMR; None if it sees the whole path."""
     count = max(2, int(np.ceil(trajectory.s[-1] / _SEEN_EVERY_M)) + 1)
     rows = np.unique(np.searchsorted(trajectory.s, np.linspace(0.0, trajectory.s[-1], count)))
     rows = np.clip(rows, 0, len(trajectory.s) - 1)

@@ -1,4 +1,4 @@
-"""How certain the SMR's position at a command is: covariance by sources, and the distance that it keeps."""
+"""Uncertainty of the SMR's position at a command: covariance by source, and bounds of the distance from the target."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 AT_ONCE = 1000
-"""Configurations at once: their draws take some tens of MB."""
+"""Number of configurations per batch: their posterior draws take some tens of MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Covariances (n, 3, 3) [m^2] of the predicted SMR by sources; their sum is that of the true position.
+    """Covariances (n, 3, 3) [m^2] of the predicted SMR by source; their sum is that of the true position.
 
-    Geometry and effects are fitted together, and their errors oppose each other: each has its share of the covariance
-    of the whole (Euler's allocation of a variance).
+    Geometry and effects are fitted together, and their errors partly cancel: each gets its share of the covariance of
+    their sum (Euler's allocation of a variance).
     """
 
     parameters: Array
@@ -40,12 +40,12 @@ class Spread:
 
     @property
     def of_model(self) -> Array:
-        """Covariance of the true position under the conditions that the command was made for."""
+        """Covariance of the true position under the conditions of the command."""
         return self.parameters + self.effects + self.network + self.extrapolation
 
     @property
     def whole(self) -> Array:
-        """Covariance of the true position under any plausible conditions where none are stated."""
+        """Covariance of the true position under all plausible values of conditions that are not stated."""
         return self.of_model + self.conditions
 
 
@@ -58,11 +58,11 @@ def predictions(
     ranges: ConditionRanges,
     others: OneUnknown | None = None,
 ) -> list[Prediction | None]:
-    """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model states no uncertainty.
+    """Return predictions for n commands ``q`` (n, N) [rad]; None for all if the model states no uncertainty.
 
-    ``conditions`` are those that the commands are for. Joints without a side of approach are taken as on the way from
-    ``home`` (N,): a parameter of backlash has no uncertainty at the middle of both sides. ``others`` is what other
-    sides do.
+    ``conditions`` are those of the commands. Joints without a side of approach are treated as arriving from ``home``
+    (N,): halfway between both sides a backlash parameter would have no uncertainty. ``others`` is the effect of other
+    sides.
     """
     if arm.posterior is None:
         return [None] * len(q)
@@ -88,8 +88,8 @@ def outside_notes(
     predicted: Sequence[Prediction | None],
     nominal_kg: float,
 ) -> list[str]:
-    """For each of n commands by how much it lies outside what the readings covered of joints and payloads; empty within
-    them. ``nominal_kg`` is the payload where none is stated."""
+    """Describe for each of n commands how far it is outside the joint ranges and payloads of the readings; empty if it
+    is inside. ``nominal_kg`` is the payload if none is stated [kg]."""
     off = np.degrees(np.abs(q - ranges.nearest_measured(q)))
     payloads = conditions_payload(conditions, nominal_kg, len(q))
     notes = []
@@ -103,7 +103,7 @@ def outside_notes(
 
 
 def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
-    """Say so where no reading had a payload."""
+    """Report a payload that no reading had."""
     if ranges.payload_kg is None:
         return []
     low, high = ranges.payload_kg
@@ -114,11 +114,11 @@ def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
 
 
 def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Spread:
-    """Covariances of a model with draws at ``q`` (n, N) [rad].
+    """Return the covariances of a model with posterior draws at ``q`` (n, N) [rad].
 
-    Beyond the joint ranges of the readings, ``extrapolation`` is what the nearest configuration within them does not
-    have: the further spread of geometry and effects, and the network's correction, which fades out there although what
-    it corrects does not. A payload that no reading had adds to it, too.
+    Outside the joint ranges of the readings, ``extrapolation`` is what exceeds the values at the nearest configuration
+    inside: additional spread of geometry and effects, and the network's correction, which fades out there although the
+    errors that it corrects do not. A payload that no reading had adds to it, too.
     """
     inside = ranges.nearest_measured(q)
     near = ranges.nearest_loaded(arm, q, conditions)
@@ -146,7 +146,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
 
 
 def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tuple[Array, Array, Array]:
-    """Covariances (n, 3, 3) of geometry, effects and network at ``q``."""
+    """Return the covariances (n, 3, 3) [m^2] of geometry, effects and network at ``q`` (n, N) [rad]."""
     assert arm.posterior is not None
     by_geometry, by_terms = arm.posterior.displacements_by_part(
         arm.geometry, arm.effects, arm.context(q, conditions=conditions)
@@ -163,7 +163,7 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
 
 
 def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
-    """Covariance (n, 3, 3) [m^2] of a measurement at ``q``."""
+    """Return the covariance (n, 3, 3) [m^2] of a measurement at ``q`` (n, N) [rad]."""
     assert arm.posterior is not None
     if ranges.noise is None:
         return np.tile(arm.posterior.noise_m**2 * np.eye(3), (len(q), 1, 1))
@@ -171,10 +171,10 @@ def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
 
 
 def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
-    """Predictions in mm from covariances, that of a measurement's ``noise`` and its part by which the SMR moves.
+    """Return predictions in mm from covariances: ``noise`` of a measurement, ``excess`` [m^2] its part that is motion.
 
-    What a measurement will find is stated and judged: uncertainty and bound are of one covariance. Only the distance
-    that the SMR surely exceeds is that of the SMR itself.
+    Uncertainty and upper bound refer to what a measurement will find, with one covariance. Only the distance that the
+    SMR surely exceeds refers to the SMR itself.
     """
     low, _ = length_bounds(spread.whole + excess * np.eye(3))
     _, within = length_bounds(spread.whole + noise)
@@ -193,10 +193,10 @@ def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence
 
 
 def _size(covariance: Array) -> Array:
-    """Sum of the variances (n,) [m^2] of the coordinates."""
+    """Return the sum of the variances (n,) [m^2] of the coordinates."""
     return np.asarray(np.trace(covariance, axis1=1, axis2=2))
 
 
 def _coordinate_mm(covariance: Array) -> Array:
-    """Root mean square standard deviation (n,) [mm] of a coordinate."""
+    """Return the root mean square standard deviation (n,) [mm] of a coordinate."""
     return np.asarray(np.sqrt(_size(covariance) / 3.0) * 1e3)

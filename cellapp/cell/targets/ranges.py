@@ -1,4 +1,4 @@
-"""What the readings of an arm covered: the plausible ranges of conditions that nobody states, and the joint ranges."""
+"""Ranges that the readings of an arm covered: plausible values of conditions that are not stated, and joint ranges."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _MARGIN = np.radians(2.0)
-"""A posture beside the outermost readings is still theirs: what models add to chains varies over tens of degrees."""
+"""Margin [rad] of the joint ranges without extrapolation: model corrections vary over tens of degrees."""
 
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ConditionRanges:
-    """Ranges over the readings of one arm; None for what they do not say.
+    """Ranges over the readings of one arm; None for what they do not state.
 
     Attributes
     ----------
@@ -37,13 +37,13 @@ class ConditionRanges:
     joints_c : array, shape (2, N), or None
         Lowest and highest temperature of each joint [degC].
     stops : int
-        Readings in the order of measurement.
+        Number of readings, in the order of measurement.
     record : TemperatureRecord or None
-        Of the whole run, which effects with a lag follow.
+        Temperatures of the whole run, for effects with a time lag.
     noise : MeasuringNoise or None
-        What the tracker stated.
+        Noise that the tracker stated.
     elasticity : OpenElasticity or None
-        How the joints may give way under payloads that no reading had.
+        Plausible elastic behaviour under payloads that no reading had.
     """
 
     q: Array | None = None
@@ -61,7 +61,7 @@ class ConditionRanges:
 
     @classmethod
     def of(cls, readings: Readings, arm: ArmModel | None = None) -> ConditionRanges:
-        """The ranges of an arm's readings; what they leave open of its elasticity only with its model."""
+        """Return the ranges of an arm's readings; ``elasticity`` only if its model is given."""
         if not len(readings):
             return cls()
         known = measurement_conditions(readings)
@@ -84,9 +84,9 @@ class ConditionRanges:
         )
 
     def nearest_loaded(self, arm: ArmModel, q: Array, conditions: MeasurementConditions) -> MeasurementConditions:
-        """The ``conditions`` at ``q`` (n, N) [rad] with the nearest payload that was measured, and its centre of mass.
+        """Return ``conditions`` at ``q`` (n, N) [rad] with the nearest measured payload and its centre of mass.
 
-        Readings without payloads had the arm's usual one. Where nothing is known of elasticity, any is.
+        Readings without payloads had the arm's usual one. If ``elasticity`` is unknown, the conditions are unchanged.
         """
         if self.elasticity is None:
             return conditions
@@ -102,14 +102,14 @@ class ConditionRanges:
         return replace(conditions, payload_kg=np.clip(asked_kg, low, high), payload_center_F=center_F)
 
     def nearest_measured(self, q: Array) -> Array:
-        """The configurations nearest to ``q`` (n, N) within the joint ranges of the readings and 2 degrees beside."""
+        """Return the configurations nearest to ``q`` (n, N) [rad] within the joint ranges of readings, plus 2 deg."""
         if self.q is None:
             return q
         return np.clip(q, self.q[0] - _MARGIN, self.q[1] + _MARGIN)
 
 
 def _centers_of_ends(known: MeasurementConditions) -> Array:
-    """Centres (2, 3) of the lightest and of the heaviest payload."""
+    """Return the centres of mass (2, 3) [m] of the lightest and of the heaviest payload."""
     if known.payload_kg is None or known.payload_center_F is None or not np.isfinite(known.payload_kg).any():
         return np.full((2, 3), np.nan)
     return known.payload_center_F[[np.nanargmin(known.payload_kg), np.nanargmax(known.payload_kg)]]

@@ -8,7 +8,7 @@ from cellapp.estimation.uncertainty.records import ToleranceVerdict, Uncertainty
 from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
 
 _MOST_NAMED = 5
-"""Targets that a complaint names; further ones are counted."""
+"""Number of targets that a complaint lists; the others are only counted."""
 
 
 class TargetRecord(Record):
@@ -198,7 +198,7 @@ class MeasuredTarget(TargetRecord):
 
     @property
     def final_mm(self) -> float | None:
-        """Distance with the command that is kept: the correction, or the compensated command without one [mm]."""
+        """Distance [mm] with the command that is kept: corrected, or the compensated command if there is none."""
         return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
 
 
@@ -260,9 +260,9 @@ class VerifyResult(Result, schema="cellapp-verify"):
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Why the verification did not hold: it was stopped, became no better, or is beyond a tolerance; empty if not.
+        """Return why the verification failed: stopped, no improvement, or out of tolerance; empty if it did not.
 
-        An error beyond its tolerance is one whether or not its uncertainty proves it.
+        An error beyond its tolerance counts, whether or not the uncertainty proves it.
         """
         found = [self.stopped] if self.stopped else []
         for name in dict.fromkeys(target.arm for target in self.targets):
@@ -300,7 +300,7 @@ def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPai
 
 
 def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
-    """The same of the flange's rotation."""
+    """Return the same for the flange's rotation."""
     turned = [(one, one.orientation) for one in measured if one.orientation is not None]
     out = [
         (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
@@ -313,7 +313,7 @@ def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
 
 
 def _named_out(what: str, out: Sequence[tuple[str, ToleranceVerdict]], judged: Sequence[ToleranceVerdict]) -> list[str]:
-    """What is out of tolerance, each in words with its verdict, among all that was judged; empty if nothing is."""
+    """Return a sentence on what is out of tolerance, with counts of all that was judged; empty if nothing is."""
     if not out:
         return []
     named = [words for words, _ in out[:_MOST_NAMED]]

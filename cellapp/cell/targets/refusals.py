@@ -1,4 +1,4 @@
-"""Why a target is not commanded, in words, one target at a time."""
+"""Explain in words why a target is not commanded, one target at a time."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _ROUNDS = 25
-"""Iterations towards the nearest pose of one that is out of reach: enough for a millimetre."""
+"""Iterations towards the nearest pose of an unreachable one: enough for a millimetre."""
 _TAKES_PART = 0.3
-"""Share of a joint in the motion that leaves the SMR where it is from which it is named."""
+"""Share in the motion that leaves the SMR where it is (null space) above which a joint is named."""
 _SAME_POSE = 1e-6
-"""An arm that comes this near [m, rad] to a pose reaches it, though no start of the search did."""
+"""Residual [m, rad] below which a pose counts as reachable, although no start of the search reached it."""
 
 
 def refusal(
@@ -31,7 +31,7 @@ def refusal(
     row: int,
     missed: Mapping[str, str],
 ) -> str:
-    """Reason of the best branch of a target; ``missed`` says by how much arms that do not reach it miss it."""
+    """Return the reason of the best branch of a target; ``missed`` says how far arms without a solution are off."""
     for name, one in branches.items():
         of = f"arm {name}: " if len(branches) > 1 else ""
         if not one.exists[row].any():
@@ -52,7 +52,7 @@ def refusal(
 
 
 def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home: Array) -> list[str]:
-    """How far each of n poses that an arm does not reach is from the nearest one that it does, in words."""
+    """Describe how far each of n unreachable poses is from the nearest reachable one."""
     if not len(position_M):
         return []
     free = np.isnan(rotation_M[:, 0, 0])
@@ -76,14 +76,14 @@ def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home:
 
 
 def _nearest(branches: Branches, row: int) -> Array:
-    """Of the solutions within limits the nearest to home."""
+    """Return the solution nearest to home among those within limits."""
     within = np.flatnonzero(branches.within[row])
     largest, total = branches.motion[:, row, within]
     return np.asarray(branches.q[row, within[np.lexsort((total, largest))[0]]])
 
 
 def _beyond_limits(branches: Branches, row: int, limits: Array) -> str:
-    """Which joint of the solution that exceeds its limits least does so, and by how much."""
+    """Describe the worst joint, and its excess, of the solution that exceeds its limits least."""
     beyond = np.where(branches.exists[row][:, None], branches.beyond[row], np.inf)
     best = int(np.argmin(beyond.max(axis=1)))
     joint = int(np.argmax(beyond[best]))
@@ -95,7 +95,7 @@ def _beyond_limits(branches: Branches, row: int, limits: Array) -> str:
 
 
 def _singular(arm: ArmModel, nominal: Array, solved: Array, *, reached: bool) -> str:
-    """That the calibrated solution is lost in a singularity, and which joints are; empty if it is not."""
+    """Report that the calibrated solution is lost in a singularity, and of which joints; empty if it is not."""
     moved = np.abs(solved - nominal)
     if reached and moved.max() <= LARGEST_CORRECTION:
         return ""

@@ -1,8 +1,8 @@
-"""The side from which each joint comes to a command: a command holds for one, and says which.
+"""Sides of approach: the side from which each joint arrives at a command, which is valid for it and states it.
 
-Play, hysteresis and friction move the SMR by where a joint came from. A target may state the side. Where it does not,
-and the side matters to the model, the command is for the way from home: signs that an operator can drive by, and that
-stand beside the command wherever it is written.
+Backlash, hysteresis and friction make the SMR depend on where a joint came from. A target may state the side. If it
+does not, and the side matters to the model, the command is for the way from home; its signs are stated wherever the
+command is written, so that an operator can drive accordingly.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from cellapp.robot.model import ArmModel
 
 @dataclass(frozen=True, eq=False)
 class SidedCommands:
-    """Commands of n targets for the side that each row holds for.
+    """Commands of n targets, each for a side of approach.
 
     Attributes
     ----------
     found : Inverted
     conditions : MeasurementConditions
-        Those that the commands are for: what targets state, and the sides.
+        Conditions that the commands are for: as stated by the targets, and the sides.
     signs : array, shape (n, N), int
-        Sign of each joint's last motion, as stated or as on the way from home; 0 where none matters.
+        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
     others : OneUnknown or None
-        What other sides would do; None where no effect depends on them.
+        Effect of other sides; None if no effect depends on them.
     """
 
     found: Inverted
@@ -41,7 +41,7 @@ class SidedCommands:
     others: OneUnknown | None
 
     def approach(self, row: int) -> tuple[int, ...] | None:
-        """The signs of one command; None where any side will do."""
+        """Return the signs of one command; None if any side will do."""
         signs = tuple(int(sign) for sign in self.signs[row])
         return signs if any(signs) else None
 
@@ -55,7 +55,7 @@ def sided_commands(
     home: Array,
     ranges: ConditionRanges,
 ) -> SidedCommands:
-    """Invert the model again for the sides from which joints come to n commands ``found`` for the middle of them.
+    """Invert the model again for the sides of arrival, starting from n commands ``found`` for the middle of both sides.
 
     ``position_M`` (n, 3) and ``rotation_M`` (n, 3, 3) are as in ``invert``; the way begins at ``home`` (N,) [rad].
     """
@@ -76,7 +76,7 @@ def sided_commands(
     again = invert(arm, position_M[rows], rotation_M[rows], q[rows], made.take(rows))
     kept = Inverted(q.copy(), found.residual_m.copy(), found.residual_rad.copy())
     kept.put(rows[again.reached], again, again.reached)
-    lost = np.setdiff1d(rows, rows[again.reached])  # such a command stays at the middle, and says no side
+    lost = np.setdiff1d(rows, rows[again.reached])  # such a command stays at the middle, without a side
     signs[lost] = stated[lost]
     if len(lost):
         made = replace(made, approach=signs, step=np.where(signs == 0.0, np.nan, sizes * signs))
@@ -84,7 +84,7 @@ def sided_commands(
 
 
 def holds_for(command_signs: Sequence[int] | None, *, payload_kg: float | None, stated: Sequence[str]) -> str:
-    """For what a row of a command holds, in words: sides of the last motions, payload, what the target states."""
+    """Describe what a row of a command is valid for: sides of the last motions, payload, what the target states."""
     parts = ["any side of approach"]
     if command_signs is not None and any(command_signs):
         parts = [f"joints that arrive with the signs {signs_words(command_signs)}"]
@@ -94,12 +94,12 @@ def holds_for(command_signs: Sequence[int] | None, *, payload_kg: float | None, 
 
 
 def signs_words(signs: Sequence[int]) -> str:
-    """Signs of last motions as columns have them: ``-1 +1 0``."""
+    """Format signs of last motions as in columns: ``-1 +1 0``."""
     return " ".join(f"{sign:+d}" if sign else "0" for sign in signs)
 
 
 def from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
-    """The conditions with joints of unknown approach coming straight from home."""
+    """Return the conditions with joints of unknown approach arriving straight from home."""
     step = q - home
     approach = np.sign(step)
     if conditions.approach is not None:

@@ -1,4 +1,4 @@
-"""A CSV file of targets as plain data: a header row, then a row for each target. Units stand in the columns' names.
+"""Read a CSV file of targets as plain data: a header row, then a row per target. Units are in the columns' names.
 
     name, arm                                   as in YAML
     frame                                       base (or empty), tracker, an arm, or a work frame of the YAML file that
@@ -12,8 +12,8 @@
     payload_kg, temperature_c, time_s, dwell_s  working conditions
     partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
 
-Only name, arm and the position are needed. An empty cell is a value that is not given. All coordinates of a file have
-one unit, and all angles.
+Only name, arm and the position are required. An empty cell means that the value is not given. All coordinates of a file
+have the same unit, and so have all angles.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _WORDS: Mapping[str, KeyPath] = {
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What a column of numbers may hold: its key in a target, its kind for ``parse_quantity``, units of the column."""
+    """Contents of a column of numbers: its key in a target, its kind for ``parse_quantity``, and allowed units."""
 
     path: KeyPath
     kind: str
@@ -68,17 +68,17 @@ _QUANTITIES: Mapping[str, _Quantity] = {
     "orientation_tolerance": _Quantity(("orientation_tolerance",), "angle", ("mrad", "rad", "deg")),
     **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
 }
-"""By the name of the column without its unit."""
+"""Quantities by the name of their column without its unit."""
 _UNITS = {"c": "degC"}
-"""Units that columns write differently from ``parse_quantity``."""
+"""Units that are written differently in columns than in ``parse_quantity``."""
 _PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
 _MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
-"""Quantities that have one unit in a file."""
+"""Quantities that must have the same unit throughout a file."""
 
 
 @dataclass(frozen=True)
 class _Column:
-    """A column of numbers: its name, its key in a target, its unit as written and that unit in SI."""
+    """Column of numbers: its name, its key in a target, its unit as written, and that unit in SI."""
 
     name: str
     path: KeyPath
@@ -87,18 +87,18 @@ class _Column:
 
 
 def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
-    """Read a file; ``joints`` are the numbers of joints of the arms, by name.
+    """Read a file; ``joints`` maps arms to their numbers of joints.
 
     Raises
     ------
     InputError
-        With file, line and column of what is missing, unknown or no number.
+        With file, line and column of what is missing, unknown or not a number.
     """
     return source_of_table(read_csv_table(path, "targets", "a row per target"), joints)
 
 
 def source_of_table(table: CsvTable, joints: Mapping[str, int]) -> TargetSource:
-    """What a table says that was read from a file, or is none; ``joints`` and errors are as in ``read_csv``."""
+    """Convert a table, from a file or from memory, into a source; ``joints`` and errors are as in ``read_csv``."""
     problems = Problems(table.place)
     columns = _columns(table, problems)
     problems.check()
@@ -121,7 +121,7 @@ def source_of_table(table: CsvTable, joints: Mapping[str, int]) -> TargetSource:
 
 
 def _words(text: str) -> str:
-    """A message without the advice to write a unit behind a number."""
+    """Return a message without the advice to write a unit after a number."""
     problem, found, _ = text.partition("; a plain number is")
     return f"{problem}; is the unit in the column's name the right one?" if found else text
 
@@ -130,7 +130,7 @@ def _words(text: str) -> str:
 
 
 def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
-    """The columns of numbers; notes names that are unknown, have no unit, are there twice, or miss."""
+    """Return the columns of numbers; report names that are unknown, without a unit, duplicate or missing."""
     check_names(table, problems)
     columns: list[_Column] = []
     for name in filter(None, dict.fromkeys(table.names)):
@@ -150,7 +150,7 @@ def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
 
 
 def _column(name: str) -> _Column | str:
-    """The column of numbers of that name, or why there is none."""
+    """Return the column of numbers of that name, or why it is none."""
     if match := _PER_JOINT.fullmatch(name):
         return _Column(name, ("approach", int(match.group(1)) - 1), "", 1.0)
     stem, _, unit = name.rpartition("_")
@@ -166,7 +166,7 @@ def _column(name: str) -> _Column | str:
 
 
 def _choices(stem: str) -> str:
-    """The names that a column may have."""
+    """Return the allowed names of a column."""
     return " or ".join(f"{stem}_{unit}" for unit in _QUANTITIES[stem].units) or stem
 
 
@@ -177,7 +177,7 @@ def _similar(name: str) -> str:
 
 
 def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:
-    """Note columns that miss: those that every target needs, and the rest of a vector."""
+    """Report missing columns: those that every target needs, and the rest of a vector."""
     for name in ("name", "arm"):
         if name not in table.names:
             problems.add(1, name, "the column is missing")
@@ -187,7 +187,7 @@ def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Probl
         in_use.add(("partner", "position"))
         if "partner_arm" not in table.names:
             problems.add(1, "partner_arm", "the column is missing")
-    there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # refused already if the unit is wrong
+    there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # a wrong unit was reported already
     for stem, of in _QUANTITIES.items():
         *vector, place = of.path
         if isinstance(place, int) and tuple(vector) in in_use and of.path not in given and stem not in there:
@@ -200,7 +200,7 @@ def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Probl
 
 
 def _check_units(columns: Sequence[_Column], problems: Problems) -> None:
-    """Note units that are mixed."""
+    """Report mixed units."""
     first: dict[str, _Column] = {}
     for column in columns:
         what = _MIXED.get(str(column.path[-2])) if len(column.path) > 1 else None
@@ -223,7 +223,7 @@ def _fill(
     joints: Mapping[str, int],
     problems: Problems,
 ) -> None:
-    """Enter words and numbers under their keys; notes cells that are no numbers, and vectors that are not complete."""
+    """Store texts and numbers under their keys; report cells that are not numbers, and incomplete vectors."""
     for name, path in _WORDS.items():
         for row, text in zip(rows, table.cells.get(name, ())):
             if text.strip() or name in ("name", "arm"):
@@ -251,7 +251,7 @@ def _fill_vector(
     values: Sequence[tuple[float | None, ...]],
     problems: Problems,
 ) -> None:
-    """Enter a vector that every row has whole or not at all."""
+    """Store a vector that each row must have completely or not at all."""
     path = members[0].path[:-1]
     for index, vector in enumerate(values):
         if None not in vector:
@@ -264,7 +264,7 @@ def _fill_vector(
 def _fill_approach(
     rows: list[dict[str, Any]], values: Sequence[tuple[float | None, ...]], joints: Mapping[str, int]
 ) -> None:
-    """Enter signs: an empty cell is 0 beside others, and columns of joints that the arm lacks may be empty."""
+    """Store signs: an empty cell beside others is 0; columns of joints that the arm does not have may be empty."""
     for row, signs in zip(rows, values):
         if any(sign is not None for sign in signs):
             count = joints.get(str(row.get("arm")), len(signs))
@@ -277,7 +277,7 @@ def _whole(value: float) -> float | int:
 
 
 def _values(table: CsvTable, column: _Column, problems: Problems) -> list[float | None]:
-    """A column in SI, None for an empty cell; notes cells that are no numbers."""
+    """Return a column in SI units, None for an empty cell; report cells that are not numbers."""
     values: list[float | None] = []
     for index, cell in enumerate(table.cells[column.name]):
         text = cell.strip()
@@ -297,12 +297,12 @@ def _no_number(text: str, column: _Column) -> str:
 
 
 def _cell(table: CsvTable, index: int, column: str) -> tuple[int, str]:
-    """The line of a row, and the names of its target and of a column."""
+    """Return the line of a row, and the names of its target and of a column."""
     return table.lines[index], f"target '{short(table.cells['name'][index].strip())}': {column}"
 
 
 def _enter(row: dict[str, Any], path: KeyPath, value: object) -> None:
-    """Enter a value under its key, which may lie in a section."""
+    """Store a value under its key, which may be in a section."""
     for key in path[:-1]:
         row = row.setdefault(str(key), {})
     row[str(path[-1])] = value

@@ -1,4 +1,4 @@
-"""A file of targets as plain data, and how that file names a place in it: the same for YAML and for CSV."""
+"""A file of targets as plain data, with its names of places for messages: the same for YAML and CSV."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from cellapp.cell.profile.messages import KeyPath, dotted, short, value_message
 from cellapp.ground.errors import InputError
 
 _MOST_SHOWN = 5
-"""Problems in one refusal; further ones are counted."""
+"""Number of problems in one message; the others are only counted."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class TargetSource:
-    """What a file says.
+    """Contents of a file.
 
     Attributes
     ----------
     content : object
-        As YAML: keys with values; ``targets`` is a list with the keys of each target.
+        Content as in YAML: keys with values; ``targets`` is a list with the keys of each target.
     place : callable
-        File and line, as "file:line", of the value to which a path of keys leads.
+        Function that returns file and line, as "file:line", of the value at a path of keys.
     key : callable
-        What the file calls a value of a target, from its path inside the target: a dotted key, or a column.
+        Function that returns the file's name of a value of a target, a dotted key or a column, from its path there.
     words : callable
-        A message about a value as it fits the file: advice about units differs.
+        Function that adapts a message about a value to the file: advice about units differs.
     """
 
     content: object
@@ -41,17 +41,17 @@ class TargetSource:
 
 
 def placed_error(at: KeyPath, text: str) -> PydanticCustomError:
-    """An error of a validator about a value that lies deeper, at the keys ``at``; ``location`` finds them again."""
+    """Return a validator's error about a value at the deeper keys ``at``, which ``location`` reads again."""
     return PydanticCustomError("placed", "{text}", {"text": text, "at": at})
 
 
 def location(details: ErrorDetails) -> KeyPath:
-    """The path of keys of an error, with that of ``placed_error``."""
+    """Return the path of keys of an error, including that of ``placed_error``."""
     return (*details["loc"], *details.get("ctx", {}).get("at", ()))
 
 
 def checked(adapter: TypeAdapter[T], value: object, at: KeyPath) -> T:
-    """A value as its type. Raises an error that is placed at the keys ``at`` and below."""
+    """Validate a value as its type. Raise an error placed at the keys ``at`` and below."""
     try:
         return adapter.validate_python(value)
     except ValidationError as error:
@@ -60,7 +60,7 @@ def checked(adapter: TypeAdapter[T], value: object, at: KeyPath) -> T:
 
 
 def refusal(source: TargetSource, problems: Sequence[tuple[KeyPath, str]]) -> InputError:
-    """The first few problems, each the path of keys to where it lies, and the whole of its words."""
+    """Return the error with the first problems, each given as a path of keys and a complete sentence."""
     lines = [f"{source.place(at)}: {source.words(text)}" for at, text in problems[:_MOST_SHOWN]]
     more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
     return InputError("\n".join(lines + more))
@@ -69,15 +69,15 @@ def refusal(source: TargetSource, problems: Sequence[tuple[KeyPath, str]]) -> In
 def sentences(
     source: TargetSource, error: ValidationError, known_keys: Callable[[KeyPath], Sequence[str]]
 ) -> list[tuple[KeyPath, str]]:
-    """The path to each value that is wrong, and what it is called with what is wrong.
+    """Return for each wrong value the path of keys and a sentence with its name and what is wrong.
 
-    ``known_keys`` are those that may stand beside the one to which a path leads.
+    ``known_keys`` returns the keys that are allowed at the level of a path's last key.
     """
     listed = [(location(details), details) for details in error.errors(include_url=False)]
     return [
         (at, _sentence(source, at, details, known_keys))
         for at, details in listed
-        # items that are wrong count as missing
+        # a list is not too short if its own items are wrong: those are reported
         if details["type"] != "too_short" or not any(other[: len(at)] == at for other, _ in listed if other != at)
     ]
 
@@ -98,7 +98,7 @@ def _sentence(
 
 
 def _label(content: object, at: KeyPath) -> str:
-    """What a person calls the target or frame to which a path leads; empty for other parts."""
+    """Return what people call the target or frame at a path of keys; empty for other parts."""
     match at:
         case ("targets", int(index), *_):
             keys = content["targets"][index] if isinstance(content, dict) else None

@@ -1,4 +1,4 @@
-"""Targets as text: the commented YAML of a list, and the fields in which a person types one."""
+"""Convert targets to and from text: the commented YAML of a list, and the fields where a person types one."""
 
 from __future__ import annotations
 
@@ -52,21 +52,21 @@ FIELDS = (
         "the other arm of a cooperative target, its SMR seen from this one: right: 0, 0, 100 mm; 180 deg, 0, 0",
     ),
 )
-"""What a person types of a target."""
+"""Fields of a target that a person types."""
 _OPTIONAL = frozenset({"frame", "rpy", "tolerance", "orientation_tolerance", "approach", "partner"})
 _PARTS = {"position": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
 
 
 @dataclass(frozen=True)
 class TypedTarget:
-    """A target as typed; None while something is wrong, which ``problems`` says by the name of its field."""
+    """Target as typed; None if something is wrong: ``problems`` maps fields to what is wrong."""
 
     target: Target | None
     problems: Mapping[str, str]
 
 
 def targets_text(targets: Sequence[Target]) -> str:
-    """A list as commented YAML, which ``load_targets`` reads as the same targets, bit for bit."""
+    """Return a list as commented YAML, which ``load_targets`` reads as exactly the same targets, bit for bit."""
     frames = {target.work_frame.name: target.work_frame for target in targets if target.work_frame is not None}
     usual = _usual_conditions(targets)
     sections = {
@@ -83,13 +83,13 @@ def targets_text(targets: Sequence[Target]) -> str:
 
 
 def new_texts(arm: str) -> dict[str, str]:
-    """What the fields show of the first target of a list."""
+    """Return the texts of the fields for the first target of a list."""
     texts = dict.fromkeys((field.name for field in FIELDS), "")
     return {**texts, "name": f"{arm}-01", "arm": arm, "rpy": "0 deg, 0 deg, 0 deg"}
 
 
 def typed_texts(target: Target) -> dict[str, str]:
-    """What the fields show of a target, in mm and degrees."""
+    """Return the texts of the fields for a target, in mm and degrees."""
     partner = target.partner
     return {
         "name": target.name,
@@ -109,7 +109,7 @@ def typed_texts(target: Target) -> dict[str, str]:
 
 
 def frame_choices(targets: Iterable[Target], profile: Profile) -> tuple[str, ...]:
-    """The frames that a target of a list may be in: those of the cell, and the list's work frames."""
+    """Return the frames for a target of a list: those of the cell, and the list's work frames."""
     work_frames = dict.fromkeys(target.work_frame.name for target in targets if target.work_frame is not None)
     return (*frame_names(profile), *work_frames)
 
@@ -117,10 +117,10 @@ def frame_choices(targets: Iterable[Target], profile: Profile) -> tuple[str, ...
 def typed_target(
     texts: Mapping[str, str], before: Target | None, others: Sequence[Target], profile: Profile
 ) -> TypedTarget:
-    """The target that the fields say, judged by the rules of a target list.
+    """Parse the fields of a target and check it by the rules of a target list.
 
-    A field that still shows what ``before`` has keeps that value to the last bit. ``others`` are the rest of the list:
-    their work frames can be named, and conditions that all of them have of an arm hold for this target.
+    A field whose text is unchanged from ``before`` keeps that value to the last bit. ``others`` are the rest of the
+    list: their work frames can be named, and conditions that all of them state for an arm apply to this target.
     """
     listed = [*others] if before is None else [before, *others]
     shown = {} if before is None else typed_texts(before)
@@ -156,7 +156,7 @@ def _read(field: FormField, text: str) -> object:
 
 
 def _partner_keys(field: FormField, text: str) -> object:
-    """The keys of a partner typed as "arm: position; rotation"."""
+    """Return the keys of a partner typed as "arm: position; rotation"."""
     arm, found, pose = text.partition(":")
     position, _, rpy = pose.partition(";")
     if not found:
@@ -167,7 +167,7 @@ def _partner_keys(field: FormField, text: str) -> object:
 
 
 def _add_conditions(values: dict[str, object], before: Target | None, listed: Sequence[Target]) -> None:
-    """Conditions have no field: an arm keeps those that it had, else it has those of the list."""
+    """Add conditions, which have no field: those that the arm had before, else those of the list."""
     usual = _usual_conditions(listed)
     if before is not None and values.get("arm") == before.arm:
         values["conditions"] = before.conditions
@@ -181,7 +181,7 @@ def _add_conditions(values: dict[str, object], before: Target | None, listed: Se
 
 
 def _problems(error: ValidationError) -> dict[str, str]:
-    """The first problem of each field in words."""
+    """Return the first problem of each field, as text."""
     found: dict[str, str] = {}
     for details in error.errors(include_url=False):
         name, *inside = location(details)
@@ -191,7 +191,7 @@ def _problems(error: ValidationError) -> dict[str, str]:
 
 
 def _part_words(name: str, inside: KeyPath) -> str:
-    """The part of a field that is wrong, to stand before what is wrong there."""
+    """Return the name of the wrong part of a field, as a prefix of its message."""
     if name == "partner" and inside:
         return _part_words(str(inside[0]), inside[1:]) if inside[1:] else f"{inside[0]}: "
     part = _PARTS.get(name, ())
@@ -212,7 +212,7 @@ def _angles(rpy: Sequence[float] | None) -> str:
 
 
 def _usual_conditions(targets: Sequence[Target]) -> dict[str, WorkingConditions]:
-    """The conditions of each arm that states the same ones at all its targets."""
+    """Return the conditions of each arm that states the same ones at all its targets."""
     found: dict[str, WorkingConditions] = {}
     varied: set[str] = set()
     for target in targets:
@@ -223,14 +223,14 @@ def _usual_conditions(targets: Sequence[Target]) -> dict[str, WorkingConditions]
 
 
 def _target_keys(target: Target, usual: Mapping[str, WorkingConditions]) -> dict[str, object]:
-    """One target as its keys."""
+    """Return the keys of one target."""
     keys: dict[str, object] = {"name": target.name, "arm": target.arm}
     if target.frame != "base":
         keys["frame"] = target.frame
     keys |= _part_keys(target, usual)
     for name, kind, unit in (("tolerance", "length", "mm"), ("orientation_tolerance", "angle", "mrad")):
         if (value := getattr(target, name)) is not None:
-            text = f"{value * 1e3:.12g} {unit}"  # in thousandths where that is the same number
+            text = f"{value * 1e3:.12g} {unit}"  # in thousandths if that is exactly the same number
             keys[name] = text if parse_quantity(kind, text) == value else value
     if target.approach is not None:
         keys["approach"] = list(target.approach)
@@ -240,7 +240,7 @@ def _target_keys(target: Target, usual: Mapping[str, WorkingConditions]) -> dict
 
 
 def _part_keys(part: Target | Partner, usual: Mapping[str, WorkingConditions]) -> dict[str, object]:
-    """Position, rotation and conditions of one arm at a target."""
+    """Return position, rotation and conditions of one arm at a target."""
     keys: dict[str, object] = {"position": list(part.position)}
     if part.rpy is not None:
         keys["rpy"] = list(part.rpy)
@@ -259,7 +259,7 @@ def _frame_keys(frame: WorkFrame) -> dict[str, object]:
 
 
 def _flow(value: object) -> str:
-    """A value as YAML on one line."""
+    """Return a value as YAML on one line."""
     flow = yaml.dump(
         value, Dumper=yaml.CSafeDumper, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10**6
     )

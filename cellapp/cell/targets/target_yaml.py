@@ -1,4 +1,4 @@
-"""A YAML file of targets or paths as plain data, with the line of each value."""
+"""Read a YAML file of targets or paths as plain data, with the line of each value."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from cellapp.cell.targets.target_source import TargetSource
 from cellapp.ground.errors import InputError
 
 _MOST_LEVELS = 50
-"""A list of targets has about seven."""
+"""Largest nesting depth; a list of targets has about seven levels."""
 _NESTED = "nested too deeply; a {} has a few levels"
 _TOO_DEEP = "maximum nesting depth"
-"""Said by PyYAML from 6.0.4, which counts levels itself; earlier ones recurse until the process ends."""
+"""Message of PyYAML from 6.0.4, which limits the depth itself; earlier versions recurse until the process dies."""
 
 
 class _Loader(yaml.CSafeLoader):
-    """YAML's safe loader that also reads 1e-3 as a number, and refuses a key that is there twice."""
+    """YAML's safe loader that also reads 1e-3 as a number and refuses duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Return the keys with their values."""
-        written = [key for key, _ in node.value]  # construction adds what a merge key brings
+        written = [key for key, _ in node.value]  # before construction, which adds the keys of a merge key
         result = super().construct_mapping(node, deep)
         if len(result) < len(written):
             names = [key.value for key in written]
@@ -39,7 +39,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123
 
 
 def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV") -> TargetSource:
-    """Read a file. Raises ``InputError`` with file and line if it is no YAML of plain values."""
+    """Read a file. Raise ``InputError`` with file and line if it is not YAML of plain values."""
     text = _text(path, what, forms)
     try:
         _check_levels(path, text, what)
@@ -71,7 +71,7 @@ def _text(path: Path, what: str, forms: str) -> str:
 
 
 def _check_levels(path: Path, text: str, what: str) -> None:
-    """Refuse what is nested too deeply: the loader recurses in C and would end the program."""
+    """Refuse too deep nesting: the loader recurses in C and would crash the program."""
     level = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         if isinstance(event, yaml.CollectionStartEvent):
@@ -85,7 +85,7 @@ def _check_levels(path: Path, text: str, what: str) -> None:
 
 def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:
     def place(location: KeyPath) -> str:
-        """The line of the innermost part that a location leads to: that of its key, where it has one."""
+        """Return the line of the innermost existing part of a location: that of its key, if it has one."""
         node, line = root, 1
         for key in location:
             if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):

@@ -1,4 +1,4 @@
-"""Targets: SMR positions and flange rotations in any frame of the cell. Lists of them, read from files and checked."""
+"""Targets: SMR positions and flange rotations in any frame of the cell; lists of them, read from files and checked."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time
 from drivers.settings import Section
 
 _LOOSEST_M = 0.01
-"""Arms that are not calibrated do better: what is beyond was meant in millimetres, as 0.1 without a unit."""
+"""Largest accepted tolerance [m]: uncalibrated arms are better. A larger one was meant in mm, as 0.1 without unit."""
 _LOOSEST_RAD = 0.02
-"""The same of orientations: what is beyond was meant in mrad or degrees."""
+"""Largest accepted orientation tolerance [rad]; a larger one was meant in mrad or degrees."""
 _FARTHEST_M = 10.0
-"""No arm reaches farther from a base: what is beyond was meant in millimetres."""
+"""Largest coordinate in a base frame [m]: no arm reaches farther. A larger one was meant in mm."""
 _DIGEST = 16
-"""Hexadecimal digits of a digest: 64 bits tell the versions of one target apart."""
+"""Hexadecimal digits of a digest: 64 bits are enough to distinguish the versions of one target."""
 _BASE, _TRACKER = "base", "tracker"
 _POINT: TypeAdapter[tuple[float, ...]] = TypeAdapter(CellPoint)
 _THREE = ("origin", "x", "xy")
 
 
 def _tolerance(loosest: float, unit: str, words: str) -> AfterValidator:
-    """The check of a tolerance in an SI unit of which people say thousandths; ``words`` are how the unit is called."""
+    """Return the check of a tolerance in an SI unit that people often state in thousandths; ``words`` name the unit."""
 
     def check(value: float) -> float:
         if not 0.0 < value <= loosest:
@@ -190,7 +190,7 @@ class Target(Section):
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """The arms that go there."""
+        """The arms that must reach the target."""
         return (self.arm,) if self.partner is None else (self.arm, self.partner.arm)
 
 
@@ -224,19 +224,19 @@ class TargetList(Section):
 
 @dataclass(frozen=True)
 class TargetProblem:
-    """Why a target does not fit the cell or the other targets: the key that is wrong, and words to follow its name."""
+    """Why a target does not fit the cell or the other targets: the wrong key, and a text that follows its name."""
 
     key: str
     text: str
 
 
 def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
-    """Read a target list: CSV where the name of the file ends so, else YAML, whose ``targets`` may name a CSV file.
+    """Read a target list: CSV if the file name ends so, else YAML, whose ``targets`` may name a CSV file.
 
     Raises
     ------
     InputError
-        With file, line and target of the first few problems.
+        With file, line and target of the first problems.
     """
     joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     with _collector_paused():
@@ -244,7 +244,7 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
 
 
 def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
-    """The targets that a source lists, checked against each other and the cell. Raises as ``load_targets``."""
+    """Return the targets of a source, checked against each other and the cell. Raise as ``load_targets``."""
     try:
         listed = TargetList.model_validate(source.content)
     except ValidationError as error:
@@ -259,7 +259,7 @@ def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
 def set_problem(
     target: Target, others: Iterable[Target], profile: Profile, frames: Iterable[str] = ()
 ) -> TargetProblem | None:
-    """Why a target does not fit the cell or the other targets; None if it does. ``frames`` are known work frames."""
+    """Return why a target does not fit the cell or ``others``; None if it does. ``frames`` are known work frames."""
     listed = list(others)
     return next(
         (problem for index, problem in list_problems([*listed, target], profile, frames) if index == len(listed)), None
@@ -269,7 +269,7 @@ def set_problem(
 def list_problems(
     targets: Sequence[Target], profile: Profile, frames: Iterable[str] = ()
 ) -> Iterator[tuple[int, TargetProblem]]:
-    """The targets that do not fit the cell or those before them, by their place in the list, with the reason."""
+    """Yield index and problem of each target that does not fit the cell or the targets before it."""
     known: dict[str, WorkFrame] = {}
     names: set[str] = set()
     work_frames = dict.fromkeys([*frames, *(t.work_frame.name for t in targets if t.work_frame is not None)])
@@ -286,12 +286,12 @@ def list_problems(
 
 
 def frame_names(profile: Profile) -> tuple[str, ...]:
-    """The frames that need no points."""
+    """Return the names of the frames that need no points."""
     return (_BASE, _TRACKER, *profile.arms)
 
 
 def frame_problem(frame: WorkFrame, profile: Profile) -> str:
-    """Why a work frame does not fit the cell; empty if it does."""
+    """Return why a work frame does not fit the cell; empty if it does."""
     if frame.name in frame_names(profile):
         return f"'{frame.name}' is the name of a frame that every cell has; give the work frame another name"
     parents = (_TRACKER, *profile.arms)
@@ -301,7 +301,7 @@ def frame_problem(frame: WorkFrame, profile: Profile) -> str:
 
 
 def same_target(target: Target, stored: TargetRecord) -> bool:
-    """Whether a stored result is about this target as it is now. A result of an earlier version does not say."""
+    """Return whether a stored result is about this target as it is now; earlier versions stored no digest."""
     now = (target.name, target.frame, target.position, target.rpy, target.tolerance_mm)
     then = (stored.name, stored.frame, stored.position, stored.rpy, stored.tolerance_mm)
     if now != then or stored.arm not in target.arms or stored.partner != partner_of(target, stored.arm):
@@ -310,24 +310,24 @@ def same_target(target: Target, stored: TargetRecord) -> bool:
 
 
 def target_record(target: Target, arm: str) -> TargetRecord:
-    """What a result about one arm's part in a target keeps of the target."""
+    """Return the record of a target for a result about one arm's part in it."""
     return TargetRecord.like(target, arm=arm, partner=partner_of(target, arm), definition=definition(target))
 
 
 def partner_of(target: Target, arm: str) -> str:
-    """The other arm of a cooperative target; empty if there is none."""
+    """Return the other arm of a cooperative target; empty if there is none."""
     return next((name for name in target.arms if name != arm), "")
 
 
 def definition(target: Target) -> str:
-    """A digest of all that a target says: frame, partner and conditions too."""
+    """Return a digest of everything that a target states, including frame, partner and conditions."""
     later = {"orientation_tolerance"} if target.orientation_tolerance is None else set()
     return hashlib.sha256(target.model_dump_json(exclude=later).encode()).hexdigest()[:_DIGEST]
 
 
 @contextlib.contextmanager
 def _collector_paused() -> Iterator[None]:
-    """Without the cyclic garbage collector: on a long list it would take most of the time."""
+    """Pause the cyclic garbage collector, which would take most of the time for a long list."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -361,7 +361,7 @@ def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
 def _with_sections(
     keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
 ) -> dict[str, Any]:
-    """The keys of a target with its work frame and the conditions of its arms."""
+    """Return the keys of a target with its work frame and the conditions of its arms."""
     resolved = {**keys}
     frame = keys.get("frame")
     if isinstance(frame, str) and frame in frames:
@@ -374,7 +374,7 @@ def _with_sections(
 
 
 def _conditions(keys: Mapping[str, Any], usual: Mapping[str, WorkingConditions]) -> dict[str, Any]:
-    """The conditions of one arm at a target: those of the file where the target does not state its own."""
+    """Return the conditions of one arm at a target; what the target does not state is taken from the file."""
     arm, own = keys.get("arm"), keys.get("conditions")
     if not isinstance(arm, str) or arm not in usual:
         return {}
@@ -401,7 +401,7 @@ def _target_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[Key
 
 
 def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetProblem | None:
-    """Why a target does not fit the cell."""
+    """Return why a target does not fit the cell; None if it does."""
     if target.arm not in profile.arms:
         return TargetProblem("arm", f": no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}")
     frame, known = target.work_frame, frame_names(profile)
@@ -447,7 +447,7 @@ def _same(first: WorkFrame, second: WorkFrame) -> bool:
 
 
 def _known_keys(at: KeyPath) -> list[str]:
-    """The keys that a file may have beside the one to which a path leads."""
+    """Return the keys that are allowed at the level of the key that a path leads to."""
     places: Mapping[object, tuple[type[Section], Sequence[str]]] = {
         "conditions": (WorkingConditions, ()),
         "partner": (Partner, ROTATIONS[1:]),

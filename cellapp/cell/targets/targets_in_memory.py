@@ -1,4 +1,4 @@
-"""Targets that are no file: keys with values, a list of them, or a data frame; checked by the one door of targets."""
+"""Targets in memory instead of a file: keys with values, a list of them, or a data frame; checked as all targets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def targets_in_memory(given: Mapping[str, Any] | Sequence[Any] | pd.DataFrame, profile: Profile) -> tuple[Target, ...]:
-    """The targets of a cell.
+    """Return the targets of a cell.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def targets_in_memory(given: Mapping[str, Any] | Sequence[Any] | pd.DataFrame, p
     Raises
     ------
     InputError
-        As ``load_targets``; what is wrong is named by the target, or the row of the data frame.
+        As ``load_targets``; problems are located by the target, or the row of the data frame.
     """
     if is_frame(given):
         joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}

@@ -1,14 +1,14 @@
-"""Whether a target will be met to its tolerance, predicted from the model's uncertainty.
+"""Predict whether a target will be met within its tolerance, from the model's uncertainty.
 
-An error x is a normal vector about zero with covariance C. Its squared length is a weighted sum of squares with the
-eigenvalues of C as weights, so that all of its cumulants follow from traces:
+An error x is a normal vector with zero mean and covariance C. Its squared length is a sum of squares weighted with the
+eigenvalues of C, so that all of its cumulants follow from traces:
 
     k1 = tr C,  k2 = 2 tr C^2,  k3 = 8 tr C^3.
 
 The upper quantile is that of a shifted gamma distribution with these three cumulants (Hall, Buckley, Eagleson: Buckley,
-Eagleson, Australian J. Statist. 30A (1988) 150), exact where the weights that are not zero are equal; the 95 % quantile
-is exceeded with 4.7 to 5.0 % probability for any weights. The lower one is that of a gamma distribution with two of
-them (Satterthwaite 1946), as the shift is too coarse there; it is at most the true quantile.
+Eagleson, Australian J. Statist. 30A (1988) 150). It is exact if all non-zero weights are equal; for any weights its 95
+% quantile is exceeded with 4.7 to 5.0 % probability. The lower quantile is that of a gamma distribution with two
+cumulants (Satterthwaite 1946), because the shift is too coarse there; it is at most the true quantile.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LIKELY = 0.95
 
 
 def length_bounds(covariance: Array) -> tuple[Array, Array]:
-    """Lengths (n,) that normal vectors exceed, and that they stay within, with 95 % probability each.
+    """Return the lengths (n,) that normal vectors exceed, and those that they stay within, with 95 % probability.
 
     ``covariance`` (n, 3, 3) and the lengths have the same unit of length. Zero for zero covariance.
     """
@@ -42,11 +42,11 @@ def length_bounds(covariance: Array) -> tuple[Array, Array]:
 
 
 def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None) -> ToleranceVerdict:
-    """Judge a compensated command before it is driven, by the one decision rule, guarded.
+    """Judge a compensated command before it is driven, by the common decision rule, guarded.
 
-    The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are the ``length_bounds`` of its error: that of
-    the SMR, and that which a measurement finds. "in": with 95 % probability the error is within ``tolerance_mm``;
-    "out": with 95 % probability it is beyond; "cannot say": neither. Empty without a tolerance. What the model lacks is
-    no part of its uncertainty: only a measurement settles it.
+    The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are ``length_bounds``: of the SMR's error, and
+    of the error that a measurement finds. "in": with 95 % probability the error is within ``tolerance_mm``; "out": with
+    95 % probability it is larger; "cannot say": neither. Empty without a tolerance. Deficiencies of the model are not
+    part of its uncertainty: only a measurement reveals them.
     """
     return "" if tolerance_mm is None else TARGET_WORDS[decided(low_mm, high_mm, tolerance_mm)]

@@ -1,4 +1,4 @@
-"""How certain the orientation of the flange at a command is, where readings of the arm had orientations."""
+"""Uncertainty of the flange's orientation at a command, if readings of the arm had orientations."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def predicted_turns(
     home: Array,
     ranges: ConditionRanges,
 ) -> list[PredictedTurn | None]:
-    """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model knows nothing of orientations.
+    """Return predictions for n commands ``q`` (n, N) [rad]; None for all if the model has no orientation noise.
 
     ``q_nominal`` (n, N) are the commands of the published geometry, ``nominal_M`` (n, 3, 3) the flange rotations of the
-    targets in the tracker frame by the nominal base, NaN where any will do. The other arguments are as in
+    targets in the tracker frame with the nominal base, NaN if any will do. The other arguments are as in
     ``prediction.predictions``.
     """
     if arm.posterior is None or arm.posterior.noise_rad is None:
@@ -54,7 +54,7 @@ def predicted_turns(
 
 
 def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
-    """Covariances (n, 3, 3) [rad^2] of the orientations that a model with draws predicts at ``q`` (n, N) [rad]."""
+    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from a model's posterior draws."""
     assert arm.posterior is not None
     near = ranges.nearest_loaded(arm, q, conditions)
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
@@ -63,7 +63,7 @@ def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, rang
 
 
 def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted_M: Array) -> list[float | None]:
-    """Angles [mrad] by which the model has the flange off the n wanted rotations; None where any is wanted."""
+    """Return the angles [mrad] between the model's flange rotations and the n wanted ones; None if any will do."""
     free = np.isnan(wanted_M[:, 0, 0])
     wanted = np.where(free[:, None, None], np.eye(3), wanted_M)
     off = np.linalg.norm(rotation_vectors(arm.flange(q, conditions)[0] @ wanted.swapaxes(1, 2)), axis=1) * 1e3
@@ -71,10 +71,10 @@ def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted
 
 
 def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
-    """Covariances (n, 3, 3) [rad^2] of measured orientations: those of the ``true`` ones and of the noise.
+    """Return covariances (n, 3, 3) [rad^2] of measured orientations: those of the ``true`` ones plus noise.
 
-    The axes of the noise of several SMRs depend on where they are seen from. They are taken along the principal axes of
-    ``true``, largest with largest, which gives the widest bound.
+    With several SMRs the axes of the noise depend on the viewing direction. They are assumed along the principal axes
+    of ``true``, largest with largest, which gives the widest bound.
     """
     assert posterior.noise_rad is not None
     if posterior.noise_axes_rad is None:
@@ -91,7 +91,7 @@ def _judged(
     off_mrad: Sequence[float | None],
     tolerances: Sequence[float | None],
 ) -> list[PredictedTurn | None]:
-    """Predictions from covariances (n, 3, 3) [rad^2] by the model alone, under any plausible conditions, measured."""
+    """Return predictions from covariances (n, 3, 3) [rad^2]: of the model, with unknown conditions, and measured."""
     low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
     return [
         PredictedTurn(
@@ -107,5 +107,5 @@ def _judged(
 
 
 def _component_mrad(covariance: Array) -> float:
-    """Root mean square standard deviation [mrad] of a component, of a covariance (3, 3) [rad^2]."""
+    """Return the root mean square standard deviation [mrad] of a component from a covariance (3, 3) [rad^2]."""
     return float(np.sqrt(np.trace(covariance) / 3.0) * 1e3)

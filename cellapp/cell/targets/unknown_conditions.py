@@ -1,15 +1,15 @@
-"""By how much the SMR may be elsewhere because nobody stated a condition that effects of the model depend on.
+"""Possible displacement of the SMR because a condition that effects of the model depend on was not stated.
 
-A condition that is not stated is taken at a default: payload as in the profile, temperatures at the mean of the run,
-time at its end, dwell as in the run. A side of approach is chosen, and stands beside the command (``sides.py``): what
-another one does is said, and is no uncertainty. Plausible are
+A condition that is not stated is assumed at a default: payload as in the profile, temperatures at the mean of the run,
+time at its end, dwell as in the run. A side of approach is chosen and stated with the command (``sides.py``): the
+effect of another side is reported, but is not an uncertainty. Plausible ranges are
 
-- payload: that of the profile and what the run covered: it is no unknown where all readings had that of the profile;
+- payload: from the profile's to what the run covered; no unknown if all readings had the profile's payload;
 - temperature and time: what the run covered;
-- dwell: from nothing to the longest of the run, as production may not wait.
+- dwell: from zero to the longest of the run, because production may not wait.
 
-The size stated is the largest distance of the SMR from where the default puts it; the covariance is the second moment
-about that, with conditions uniform over their ranges.
+The stated size is the largest distance of the SMR from its position at the default; the covariance is the second moment
+of that displacement, with conditions distributed uniformly over their ranges.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _POINTS = np.linspace(0.0, 1.0, 5)
-"""Places in a range at which effects are evaluated: they are monotonic or slow in their conditions."""
+"""Relative positions in a range where effects are evaluated: effects are monotonic or slow in their conditions."""
 _MATTERS_M = 1e-6
-"""Below a micrometre, which is what a command may miss its target by, a condition does not matter."""
+"""Smallest displacement [m] that matters: a command may miss its target by a micrometre anyway."""
 
 
 @dataclass(frozen=True, eq=False)
 class OneUnknown:
-    """One unknown condition at n commands.
+    """Effect of one unknown condition at n commands.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class OneUnknown:
     effects : tuple of str
         Slugs of the effects that depend on it.
     largest_m : array, shape (n,)
-        Largest distance of the SMR from where the default puts it [m]; zero where the condition is stated.
+        Largest distance of the SMR from its position at the default [m]; zero if the condition is stated.
     covariance : array, shape (n, 3, 3)
-        Second moment of that [m^2].
+        Second moment of that displacement [m^2].
     """
 
     condition: str
@@ -55,20 +55,20 @@ class OneUnknown:
     covariance: Array
 
     def take(self, rows: NDArray[np.intp]) -> OneUnknown:
-        """The same at some of the commands."""
+        """Return the same for some of the commands."""
         return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """What the sides do from which joints come to n commands, where these do not state them.
+    """Effect of the joints' sides of approach at n commands that do not state them.
 
     Attributes
     ----------
     effects : tuple of str
-        Slugs of the effects that depend on them.
+        Slugs of the effects that depend on the sides.
     vectors : array, shape (n, N, 3)
-        By how much each joint's positive side moves the SMR from the middle of both [m].
+        Displacement of the SMR by each joint's positive side from the middle of both sides [m].
     """
 
     effects: tuple[str, ...]
@@ -76,17 +76,17 @@ class Sides:
 
     @property
     def matter(self) -> NDArray[np.bool_]:
-        """Joints (n, N) whose side matters."""
+        """Mask (n, N) of joints whose side matters."""
         return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
 
     def other_sides(self, signs: Array) -> OneUnknown:
-        """What may happen to commands for the sides ``signs`` (n, N) that are approached from others.
+        """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
 
-        Nothing of it counts as uncertainty: a command says for which side it holds. Where it names none, it is at the
-        middle, and either side is as likely.
+        This is no uncertainty, because a command states its sides. A command without sides is computed for the middle;
+        then either side is equally likely.
         """
         sided = np.any(signs != 0.0, axis=1)
-        taken = 2.0 * signs[:, :, None] * self.vectors  # from where a joint comes to where it would come from
+        taken = 2.0 * signs[:, :, None] * self.vectors  # from the chosen side of a joint to the other one
         away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
         largest = np.linalg.norm(away, axis=2).max(axis=1)
         covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
@@ -96,8 +96,8 @@ class Sides:
 def unknown_conditions(
     arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
 ) -> list[OneUnknown]:
-    """The conditions but the approach that matter to some of n commands ``q`` (n, N) [rad] and that these do not
-    state."""
+    """Return the conditions, except the approach, that are not stated for some of n commands ``q`` (n, N) [rad] and
+    that matter there."""
     found = [
         _over_range("payload", arm, q, conditions, _payloads(arm, ranges)),
         _over_range("temperature", arm, q, conditions, _temperatures(ranges)),
@@ -108,7 +108,7 @@ def unknown_conditions(
 
 
 def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
-    """What the sides do that n commands ``q`` (n, N) [rad] do not state; None where no effect depends on them."""
+    """Return the effect of sides not stated by n commands ``q`` (n, N) [rad]; None if no effect depends on sides."""
     terms = _dependent(arm, "approach")
     if not terms:
         return None
@@ -122,7 +122,7 @@ def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, r
 
 
 def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
-    """The conditions that matter to one command, for its result."""
+    """Return the conditions that matter to one command, for its result."""
     return tuple(
         UnknownCondition(condition=one.condition, effects=one.effects, mm=float(one.largest_m[row]) * 1e3)
         for one in found
@@ -133,7 +133,7 @@ def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondi
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 _Change = Callable[[MeasurementConditions, float, int], MeasurementConditions]
-"""The conditions of n commands with one of them at a place of its range, 0 to 1."""
+"""Function that returns the conditions of n commands with one of them at a relative position (0 to 1) in its range."""
 
 _DEPENDENT = {
     "approach": frozenset({DriverVariable.APPROACH, DriverVariable.STEP}),
@@ -146,7 +146,7 @@ _STATED = {"payload": "payload_kg", "temperature": "air_c", "time": "time_s", "d
 
 
 def _dependent(arm: ArmModel, condition: str) -> tuple[EffectTerm, ...]:
-    """The model's effects that depend on a condition."""
+    """Return the model's effects that depend on a condition."""
     return tuple(term for term in arm.effects if _variables(term) & _DEPENDENT[condition])
 
 
@@ -162,7 +162,7 @@ def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class _Mover:
-    """SMR shifts by some effects at configurations ``q`` (n, N)."""
+    """Displacements of the SMR by some effects at configurations ``q`` (n, N) [rad]."""
 
     arm: ArmModel
     q: Array
@@ -174,7 +174,7 @@ class _Mover:
         return cls(replace(arm, effects=terms, network=None, posterior=None), q, by_joint)
 
     def shift(self, conditions: MeasurementConditions) -> Array:
-        """Shift (n, 3) [m] to first order in the joint offsets."""
+        """Return the displacement (n, 3) [m] to first order in the joint offsets."""
         moved = self.arm.effect_displacement(self.q, conditions=conditions)
         return np.asarray(moved.shift_M + np.einsum("cjn,nj->nc", self.by_joint, moved.joints))
 
@@ -186,14 +186,14 @@ def _slugs(terms: Sequence[EffectTerm]) -> tuple[str, ...]:
 def _driven(
     conditions: MeasurementConditions, stated: Array, joint: int, side: float, ranges: ConditionRanges
 ) -> MeasurementConditions:
-    """The conditions with one joint coming from one side, by a step of usual size where the run knows it."""
+    """Return the conditions with one joint arriving from one side, with the run's usual step size if known."""
     approach = stated.copy()
     approach[:, joint] = side
     return replace(conditions, approach=approach, step=None if ranges.step is None else approach * ranges.step)
 
 
 def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> OneUnknown | None:
-    """Shorter rest leaves more of the last motion of each joint, whichever side it came from."""
+    """Return the effect of a shorter rest: more of each joint's last motion remains, for either side."""
     terms = _dependent(arm, "dwell")
     if not terms or ranges.dwell_s is None or ranges.step is None:
         return None
@@ -215,7 +215,7 @@ def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
 def _over_range(
     condition: str, arm: ArmModel, q: Array, conditions: MeasurementConditions, change: _Change | None
 ) -> OneUnknown | None:
-    """A condition that moves the SMR along one curve over its range."""
+    """Return the effect of a condition that moves the SMR along one curve over its range."""
     terms = _dependent(arm, condition)
     if not terms or change is None:
         return None
@@ -269,11 +269,11 @@ def _times(ranges: ConditionRanges) -> _Change | None:
 
 
 def _largest_sum(vectors: Array) -> Array:
-    """Largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
+    """Return the largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
     signs = np.array([(1.0, *rest) for rest in product((1.0, -1.0), repeat=vectors.shape[1] - 1)])
     return np.asarray(np.linalg.norm(np.einsum("sj,njc->nsc", signs, vectors), axis=2).max(axis=1))
 
 
 def _second_moment(vectors: Array) -> Array:
-    """Covariance (n, 3, 3) of the sum of vectors (n, N, 3), each with either sign."""
+    """Return the covariance (n, 3, 3) of the sum of vectors (n, N, 3), each with a random sign."""
     return np.asarray(np.einsum("nja,njb->nab", vectors, vectors))

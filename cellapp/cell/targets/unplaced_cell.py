@@ -1,4 +1,4 @@
-"""A cell of which nothing moves here, completed so that commands can be computed: only the readings are known of it."""
+"""Complete the profile of a cell in which nothing moves, so that commands can be computed from its readings alone."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ UNPLACED = (
     " checked, floor, obstacles and the tracker's view were not; of several solutions the one nearest to the measured"
     " configurations is taken"
 )
-"""What must be said of commands for such a cell."""
+"""Note that must accompany commands for such a cell."""
 _ORIGIN = Pose(position=(0.0, 0.0, 0.0))
 
 
 def is_unplaced(profile: Profile) -> bool:
-    """Whether nothing can be driven, and something that only motion needs is not stated."""
+    """Return whether nothing can be driven, and something that only motion needs is not stated."""
     arms = profile.arms.values()
     if any(arm.driver.has_device for arm in arms):
         return False
@@ -28,10 +28,10 @@ def is_unplaced(profile: Profile) -> bool:
 
 
 def commanded_profile(profile: Profile, readings: Mapping[str, Readings]) -> Profile:
-    """The profile for which commands are computed: that of the readings, completed where it ``is_unplaced``.
+    """Return the profile for computing commands: that of the readings, completed if it ``is_unplaced``.
 
-    Then the tracker's frame is the cell's, there is no floor, and a measured configuration is each arm's home. Where
-    the bases stand the calibrated model says.
+    Then the tracker's frame is the cell's, there is no floor, and each arm's home is a measured configuration. The
+    poses of the bases come from the calibrated model.
     """
     if not is_unplaced(profile):
         return profile
@@ -46,11 +46,11 @@ def commanded_profile(profile: Profile, readings: Mapping[str, Readings]) -> Pro
 
 def _completed(arm: Arm, readings: Readings | None) -> Arm:
     home = arm.home if arm.home is not None or readings is None else _usual(readings)
-    smr = arm.smr.model_copy(update={"acceptance": math.pi})  # nobody asks what the tracker sees
+    smr = arm.smr.model_copy(update={"acceptance": math.pi})  # visibility does not matter here
     return arm.model_copy(update={"base": _ORIGIN, "home": home, "smr": smr})
 
 
 def _usual(readings: Readings) -> tuple[float, ...]:
-    """The measured configuration nearest to the median of all [rad]."""
+    """Return the measured configuration nearest to the median of all [rad]."""
     away = np.abs(readings.q - np.median(readings.q, axis=0)).max(axis=1)
     return tuple(readings.q[int(np.argmin(away))].tolist())

@@ -1,4 +1,4 @@
-"""Working conditions of goals as the model takes them: what targets state, and the state of the other arm."""
+"""Working conditions of goals for the model: what targets state, and the state of the other arm."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from cellapp.robot.model import ArmModel
 
 
 def conditions_of(target: Target, arm: str) -> WorkingConditions:
-    """What a target states for one of its arms."""
+    """Return what a target states for one of its arms."""
     partner = target.partner
     return target.conditions if partner is None or target.arm == arm else partner.conditions
 
 
 def stated_conditions(profile: Profile, targets: Sequence[Target], arm: str) -> MeasurementConditions:
-    """What n targets state for ``arm``; NaN, and zero for approach signs, where one states nothing.
+    """Return what n targets state for ``arm``; NaN, or zero for approach signs, if a target states nothing.
 
-    The centre of a payload is that of the load of this mass that the profile lists. A temperature is that of the air
-    and of all joints. The approach that a target states is that of its first arm.
+    The centre of mass of a payload is that of the profile's load of this mass. A temperature is that of the air and of
+    all joints. The approach that a target states is that of its first arm.
     """
     stated, joints = [conditions_of(target, arm) for target in targets], len(profile.arms[arm].type.joints)
     temperature = _column([one.temperature for one in stated])
@@ -45,7 +45,7 @@ def stated_conditions(profile: Profile, targets: Sequence[Target], arm: str) -> 
 
 
 def load_centers(arm: Arm, payloads_kg: Sequence[float | None]) -> Array | None:
-    """Centres (n, 3) [m] of listed loads in the flange frame, NaN for others; None for a profile with one load."""
+    """Return centres of mass (n, 3) [m] of listed loads in the flange frame, NaN for others; None if none is listed."""
     if not arm.payloads:
         return None
     listed = [None if mass is None else arm.listed_load(mass) for mass in payloads_kg]
@@ -53,7 +53,7 @@ def load_centers(arm: Arm, payloads_kg: Sequence[float | None]) -> Array | None:
 
 
 def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: int) -> Array:
-    """Payload (n,) [kg] under conditions of n goals: as stated, else the profile's ``nominal_kg``."""
+    """Return the payload (n,) [kg] of n goals: as stated, else the profile's ``nominal_kg``."""
     stated = conditions.payload_kg
     return np.full(n, nominal_kg) if stated is None else np.where(np.isnan(stated), nominal_kg, stated)
 
@@ -61,13 +61,13 @@ def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: 
 def beside(
     conditions: MeasurementConditions, other: ArmModel, q: Array, payload_kg: Array | None
 ) -> MeasurementConditions:
-    """Conditions of n goals with the other arm of a cell of two at ``q`` (n, K) [rad], carrying ``payload_kg`` (n,)."""
+    """Return conditions of n goals with the other arm of two at ``q`` (n, K) [rad], carrying ``payload_kg`` (n,)."""
     moment = base_moment(other.geometry, other.bodies, q, other.up_M, payload_kg)
     return replace(conditions, other_q=q, other_moment_M=moment)
 
 
 def _column(values: Sequence[float | None]) -> Array | None:
-    """Values (n,) with NaN for what is not stated; None if nothing is."""
+    """Return values (n,) with NaN for what is not stated; None if nothing is."""
     if all(value is None for value in values):
         return None
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

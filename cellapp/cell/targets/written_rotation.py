@@ -1,4 +1,4 @@
-"""The rotation of a target as people write it: roll, pitch and yaw, a quaternion, a rotation vector or a matrix."""
+"""Read the rotation of a target: roll, pitch and yaw, a quaternion, a rotation vector or a matrix."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rot
 from drivers.quantities import Turn
 
 _LARGEST = 1e-3
-"""By how much a quaternion's norm, or a matrix times its transpose, may differ from one: rounding to three digits.
-What is beyond is no rotation, or one that was copied wrongly."""
+"""Largest deviation from one of a quaternion's norm, or of a matrix times its transpose: rounding to three digits.
+Beyond it is no rotation, or one that was copied wrongly."""
 _Number = Annotated[float, Strict(), AllowInfNan(False)]
 _ROW = tuple[_Number, _Number, _Number]
 _QUATERNION: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[_Number, _Number, _Number, _Number])
 _VECTOR: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[Turn, Turn, Turn])
 _MATRIX: TypeAdapter[tuple[tuple[float, ...], ...]] = TypeAdapter(tuple[_ROW, _ROW, _ROW])
 ROTATIONS = ("rpy", "quaternion", "rotation_vector", "matrix")
-"""Keys of which a target gives one, or none where any rotation will do."""
+"""Keys of which a target gives one, or none if any rotation will do."""
 
 
 def with_rpy(values: object) -> object:
-    """The keys of a target with ``rpy`` in place of another kind of rotation.
+    """Return the keys of a target with ``rpy`` in place of another kind of rotation.
 
     Raises
     ------
     PydanticCustomError
-        If two rotations are given, or what is given is none. It is placed at the key.
+        If two rotations are given, or the value is no rotation. It is placed at the key.
     """
     if not isinstance(values, Mapping):
         return values

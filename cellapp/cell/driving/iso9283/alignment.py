@@ -1,8 +1,8 @@
-"""Base and SMR of an arm in the tracker frame from a few measured positions, with the published geometry.
+"""Fit base and SMR of an arm in the tracker frame to a few measured positions, with the published geometry.
 
-Without a calibration nothing says where the arm's base frame is, and an accuracy against it could not be stated. The
-six parameters of the base and the three of the SMR's offset are fitted to positions that are no poses of the test. What
-the published geometry has wrong remains in the residuals; they give the covariance of the fit.
+Without a calibration the position of the arm's base frame is unknown, so that accuracy relative to it cannot be stated.
+The six parameters of the base and the three of the SMR's offset are fitted to positions that are not poses of the test.
+Errors of the published geometry remain in the residuals, from which the covariance of the fit is estimated.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from cellapp.robot.model.nominal import nominal_arm
 from drivers.trackers.protocol import Point
 
 ALIGNMENT_POSITIONS = 20
-"""Sixty coordinates for nine parameters."""
+"""Number of measured positions: sixty coordinates for nine parameters."""
 FEWEST_POSITIONS = 6
 _KNOWN_BEFORE = 1e-4
-"""Information before the first position, relative to the best of one: it keeps the criterion finite."""
+"""Prior information relative to the best of one position: it keeps the criterion finite before the first one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """An arm found by measuring.
+    """Result of the fit for one arm.
 
     Attributes
     ----------
     arm : ArmModel
         The published chain with the fitted base and SMR offset; it has no other model.
     columns : tuple of int
-        The fitted parameters, as indices into ``parameter_names``.
+        Indices of the fitted parameters in ``parameter_names``.
     covariance : array, shape (9, 9)
     rms_m : float
         Root mean square distance of the measured from the fitted positions [m].
     n : int
-        Positions.
+        Number of positions.
     """
 
     arm: ArmModel
@@ -58,15 +58,15 @@ class Alignment:
     n: int
 
     def position_covariance(self, q: Array) -> Array:
-        """Covariance (n, 3, 3) [m^2] that the fit gives to positions commanded with ``q`` (n, N) [rad]."""
+        """Return the fit's covariance (n, 3, 3) [m^2] of positions commanded with ``q`` (n, N) [rad]."""
         _, J = jacobian(self.arm.geometry, JointAngles.of(q), self.columns)
         return np.asarray(np.einsum("akn,kl,bln->nab", J, self.covariance, J))
 
 
 def published_cell(profile: Profile, found: Mapping[str, Alignment]) -> CellModel:
-    """The published chains, their bases where they were found; the others where the profile says they stand.
+    """Return the published chains, with fitted bases and SMRs if ``found``, else as the profile states them.
 
-    Raises ``InputError`` if the profile does not say where arms and tracker stand, or an arm has no home position.
+    Raise ``InputError`` if the profile does not state where arms and tracker are, or an arm has no home position.
     """
     return CellModel(
         {name: found[name].arm if name in found else nominal_model(profile, name) for name in profile.arms}
@@ -74,7 +74,7 @@ def published_cell(profile: Profile, found: Mapping[str, Alignment]) -> CellMode
 
 
 def base_and_tool(joints: int) -> tuple[int, ...]:
-    """The parameters that are fitted, rotations of the base first."""
+    """Return the indices of the fitted parameters, rotations of the base first."""
     count = len(parameter_names(joints))
     return (*range(3, 6), *range(3), *range(count - 3, count))
 
@@ -82,9 +82,9 @@ def base_and_tool(joints: int) -> tuple[int, ...]:
 def alignment_configurations(
     cell: CellBodies, homes: Mapping[str, Array], name: str, geometry: Geometry, seed: int
 ) -> Array:
-    """Configurations (n, N) [rad] that tell most about base and SMR, clear and seen, the other arms at home.
+    """Choose configurations (n, N) [rad] with most information about base and SMR, the other arms at home.
 
-    Chosen one by one for the determinant of the information (D-optimal).
+    Candidates are clear and visible. Selection is greedy by the determinant of the information matrix (D-optimal).
     """
     liked = admissible_configurations(cell, homes, name, seed)
     if not len(liked):
@@ -106,7 +106,7 @@ def alignment_configurations(
 
 
 def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Alignment:
-    """``align`` to measured points, with the orientations that were measured."""
+    """Call ``align`` with measured points, including their orientations if measured."""
     R_M_S = None
     if any(one.quaternion_M is not None for one in points):
         R_M_S = rotations_of([np.full(4, np.nan) if one.quaternion_M is None else one.quaternion_M for one in points])
@@ -116,8 +116,8 @@ def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point])
 def align(profile: Profile, name: str, q: Array, p_M: Array, R_M_S: Array | None = None) -> Alignment:
     """Fit base and SMR offset of an arm to positions ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad].
 
-    The rotation of a probe on the flange is the mean of its orientations ``R_M_S`` (n, 3, 3) against the fit.
-    Raises ``InputError`` for fewer than six positions.
+    The rotation of a probe on the flange is the mean of its orientations ``R_M_S`` (n, 3, 3) relative to the fit.
+    Raise ``InputError`` for fewer than six positions.
     """
     if len(q) < FEWEST_POSITIONS:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Cube, plane and poses of one arm: the largest cube whose poses and ways the gate accepts."""
+"""Cube, plane and poses of one arm: the largest cube whose poses, and motions between them, the gate accepts."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cellapp.estimation.iso9283.records import IsoCube, IsoPose
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, rpy_of, xyz_of
 
 LEAST_EDGE_M = 0.05
-"""A smaller cube tells nothing of an arm's working space."""
+"""Smallest useful edge [m]: a smaller cube does not represent an arm's working space."""
 _APPROACH_SHARE = 0.1
-"""Length of the approach as share of the cube's edge: it stays inside the cube."""
+"""Length of the approach relative to the cube's edge; it stays inside the cube."""
 _SHARES = (1.0, 0.85, 0.7, 0.55, 0.4)
-"""A cube whose ways the gate does not accept is tried smaller."""
+"""Sizes to try, relative to the found cube, if the gate refuses its motions."""
 _MOST_TRIES = 40
 WAYS = "ways between its poses"
 
@@ -51,7 +51,7 @@ class ChosenCube:
     limited_by: str
 
     def record(self) -> IsoCube:
-        """The cube as result."""
+        """Return the cube as a result record."""
         poses = [name for name in self.q if " " not in name]
         rpy = None
         if np.isfinite(self.rotation_B).all():
@@ -70,7 +70,7 @@ class ChosenCube:
 
 
 def choose_cube(search: CubeSearch) -> ChosenCube | str:
-    """The largest cube with a plane of the norm whose poses and ways the gate accepts, or why there is none."""
+    """Return the largest cube with a plane of the standard whose poses and motions the gate accepts; else why not."""
     found = search.cubes()
     if not found:
         return "no configuration is clear and seen by the tracker"
@@ -88,7 +88,7 @@ def choose_cube(search: CubeSearch) -> ChosenCube | str:
 
 
 def same_cube(search: CubeSearch, cube: IsoCube) -> ChosenCube | str:
-    """The cube of an earlier test, with its plane and poses, or why this arm cannot be tested in it."""
+    """Return the cube of an earlier test with its plane and poses, or why this arm cannot be tested in it."""
     plane = next((one for one in PLANES if plane_name(one) == cube.plane), None)
     start = next((np.array(pose.q) for pose in cube.poses if pose.name == "P1"), None)
     if plane is None or start is None or len(start) != search.nominal.geometry.joints:
@@ -103,12 +103,12 @@ def same_cube(search: CubeSearch, cube: IsoCube) -> ChosenCube | str:
 
 
 def approach_name(pose: str, direction: str) -> str:
-    """Name of the position from which a pose is approached along an axis."""
+    """Return the name of the position from which a pose is approached along an axis."""
     return f"{pose} {direction}"
 
 
 def directional_sequence() -> list[tuple[str, str]]:
-    """Pose and direction of each measured visit of one multi-directional cycle."""
+    """Return pose and direction of each measured visit of one multi-directional cycle."""
     return [(pose, direction) for pose in DIRECTIONAL_POSES for direction in DIRECTIONS]
 
 
@@ -116,7 +116,7 @@ def directional_sequence() -> list[tuple[str, str]]:
 
 
 def _in_plane(search: CubeSearch, cube: FoundCube, plane: tuple[str, str, str, str]) -> ChosenCube | str:
-    """The cube with the poses in one plane, or what the gate does not accept."""
+    """Return the cube with the poses in one plane, or what the gate does not accept."""
     positions = pose_positions(cube.centre_B, cube.edge, plane)
     positions |= _approaches(positions, cube.edge)
     q = cube.configurations(np.array(list(positions.values())))
@@ -134,7 +134,7 @@ def _in_plane(search: CubeSearch, cube: FoundCube, plane: tuple[str, str, str, s
 
 
 def _approaches(positions: dict[str, Array], edge: float) -> dict[str, Array]:
-    """Where the approach to each pose along each axis begins: on the side of the centre, in + direction for P1."""
+    """Return the start of the approach to each pose along each axis: towards the centre; for P1 in + direction."""
     found = {}
     for pose in DIRECTIONAL_POSES:
         for axis, direction in enumerate(DIRECTIONS):
@@ -146,7 +146,7 @@ def _approaches(positions: dict[str, Array], edge: float) -> dict[str, Array]:
 
 
 def _ways(search: CubeSearch, q: dict[str, Array]) -> Iterator[tuple[dict[str, Array], dict[str, Array]]]:
-    """All straight ways of the tests, the other arms at home, and from every position home."""
+    """Yield all straight motions of the tests, the other arms at home, and those from every position home."""
     names: Sequence[str] = [CYCLE[-1], *CYCLE]
     legs = [*pairwise(names), ("P2", "P4"), ("P4", "P2")]
     before = approach_sequence()
@@ -159,5 +159,5 @@ def _ways(search: CubeSearch, q: dict[str, Array]) -> Iterator[tuple[dict[str, A
 
 
 def approach_sequence() -> list[str]:
-    """All positions of one multi-directional cycle in turn: each visit after the beginning of its approach."""
+    """Return all positions of one multi-directional cycle: before each visit the start of its approach."""
     return [name for pose, direction in directional_sequence() for name in (approach_name(pose, direction), pose)]

@@ -1,4 +1,4 @@
-"""What an arm is commanded to for the poses of its cube: by the published geometry, or by the calibrated model."""
+"""Compute an arm's commands for the poses of its cube: from the published geometry, or from the calibrated model."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def arm_programme(
     payload_kg: float,
     alignment: Alignment | None = None,
 ) -> ArmProgramme | str:
-    """The commands of one arm for all positions of the tests, or why the model cannot command them.
+    """Return the commands of one arm for all positions of the tests, or why the model cannot command them.
 
-    Calibrated commands are for an arm that has rested for ``rested_s`` [s] and comes from the position before, the
+    Calibrated commands assume that the arm has rested for ``rested_s`` [s] and came from the position before, with the
     other arm of a pair at home.
     """
     arm, names = model.arms[name], list(cube.q)
@@ -66,7 +66,7 @@ def arm_programme(
 
 
 def _wanted_orientations(geometry: Geometry, cube: ChosenCube, names: Sequence[str]) -> dict[str, Array]:
-    """How the probe should be turned at each position (3, 3): the same at all; empty without a probe."""
+    """Return the wanted orientation (3, 3) of the probe at each position, the same at all; empty without a probe."""
     if geometry.probe is None:
         return {}
     R_M_S = geometry.T_M_B()[:3, :3] @ cube.rotation_B @ rotation_from_vector(geometry.probe)
@@ -76,7 +76,7 @@ def _wanted_orientations(geometry: Geometry, cube: ChosenCube, names: Sequence[s
 def _conditions(
     model: CellModel, name: str, homes: Mapping[str, Array], n: int, rested_s: float, payload_kg: float
 ) -> MeasurementConditions:
-    """Conditions of n commands: payload, rest until the middle of the measurement, the other arm of a pair at home."""
+    """Return conditions of n commands: payload, rest until mid-measurement, the other arm of a pair at home."""
     stated = MeasurementConditions(payload_kg=np.full(n, payload_kg), dwell_s=np.full(n, rested_s))
     others = [other for other in model.arms if other != name]
     if len(others) != 1:

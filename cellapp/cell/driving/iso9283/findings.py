@@ -1,4 +1,4 @@
-"""What was found while the tests were driven, and the result that it makes, complete or not."""
+"""Findings while the tests are driven, and the results made from them, complete or not."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _NO_PAIR = "there are no two poses at which both arms are clear and seen togethe
 
 @dataclass(eq=False)
 class IsoFindings:
-    """What was found so far."""
+    """Measurements, refusals and notes so far."""
 
     model: CellModel | None = None
     measured: Measurements = field(default_factory=Measurements)
@@ -68,7 +68,7 @@ class IsoFindings:
     seconds: float = 0.0
 
     def refuse(self, name: str, tests: Iterable[IsoTest], reason: str) -> None:
-        """Keep why tests of an arm are not made, or not all of them."""
+        """Record why an arm's tests are not made, or not completely."""
         reasons = self.refused.setdefault(name, {})
         for test in tests:
             reasons[test] = f"{reasons[test]}; {reason}" if test in reasons else reason
@@ -77,7 +77,7 @@ class IsoFindings:
 def arm_results(
     profile: Profile, found: IsoFindings, arms: Sequence[str], rng: np.random.Generator
 ) -> dict[str, ArmIso9283]:
-    """Cube, base and characteristics of each arm that was to be tested."""
+    """Return cube, base and characteristics of each arm that was to be tested."""
     results = {}
     for name in arms:
         kinds = [kind for arm, kind in found.programmes if arm == name]
@@ -93,15 +93,14 @@ def arm_results(
 
 
 def pair_results(found: IsoFindings, rng: np.random.Generator) -> tuple[PairIso9283, ...]:
-    """Characteristics of each pair of arms whose cooperative test was asked for."""
+    """Return the characteristics of each pair of arms whose cooperative test was requested."""
     return tuple(_pair(found, pair, rng) for pair in found.pairs)
 
 
 def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ...]:
-    """Places and paths with too few cycles, arms and pairs that could not be tested at all, each with its reason.
+    """Return places and paths with too few cycles, and arms and pairs that were not tested at all, with reasons.
 
-    ``tests`` are those that were asked for. A test that a cell cannot make, among others that it can, is refused, not
-    missing.
+    ``tests`` are the requested ones. If a cell can make some tests but not another, that one is refused, not missing.
     """
     words = []
     for place, wanted in found.wanted.items():
@@ -126,7 +125,7 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
 
 
 def lost_beam_words(found: IsoFindings) -> tuple[str, ...]:
-    """Paths on which the beam broke, and what was done."""
+    """Return the paths on which the beam broke, and what was done."""
     lost = ((where, sum(track.lost_beams for track in runs.tracks)) for where, runs in _runs_of_paths(found))
     return tuple(
         f"{where}: the beam broke {counted(count, 'time')}; these cycles were driven again from their beginning"
@@ -139,7 +138,7 @@ def lost_beam_words(found: IsoFindings) -> tuple[str, ...]:
 
 
 def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns | WeavingRuns]]:
-    """Every path that was to be driven, with its name."""
+    """Yield every path that was to be driven, with its name."""
     for runs in found.paths:
         at = f", {runs.series:.0%} of the speed" if runs.series else ""
         yield f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}", runs
@@ -195,7 +194,7 @@ def _weaving(found: IsoFindings, name: str, kind: IsoCommands) -> WeavingCharact
 
 
 def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:
-    """Rotation (3, 3) of the base in M that the commands assume."""
+    """Return the rotation (3, 3) of the base in M that the commands assume."""
     assert found.model is not None
     arm = found.model.arms[name]
     return np.asarray((arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3])

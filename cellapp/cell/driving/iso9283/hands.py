@@ -1,4 +1,4 @@
-"""What a person does at the arms in tests of ISO 9283: hang another load, pull at the flange; each step is recorded."""
+"""Ask a person for actions at the arms in tests of ISO 9283: attach a load, pull at the flange; record each step."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cellapp.ground.progress import Listener, Progress
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """Asks a person at an open cell; ``hold`` returns when the job is resumed. A simulated cell helps itself.
+    """Asks a person at an open cell; ``hold`` returns when the job is resumed. A simulated cell acts by itself.
 
-    ``cycles`` are those of a test under forces.
+    ``cycles`` is the number for a test under forces.
     """
 
     cell: Cell
@@ -31,9 +31,9 @@ class Hands:
     cycles: int
 
     def hang(self, name: str, load_kg: float) -> bool:
-        """Have another load hung on the flange of an arm at home; whether its controller knows it.
+        """Have another load attached to the flange of an arm at home; return whether its controller is set to it.
 
-        Why the arm is not driven with a load that its controller does not know is kept.
+        If not, record why the arm is not driven with that load.
         """
         self._ask(
             f"arm {name}: hang {load_kg:g} kg on the flange, all that it carries together, and set the payload of its"
@@ -47,9 +47,9 @@ class Hands:
     def under_forces(
         self, programme: ArmProgramme, forces: Sequence[float], measure: Callable[[Place, int, int], None]
     ) -> None:
-        """Static compliance where the arm stands: without a force, under each one, and without one, in each direction.
+        """Test static compliance at the present position, in each direction: no force, each force, no force.
 
-        ``measure`` takes place, cycle and group; the arm does not move meanwhile.
+        ``measure`` is called with place, cycle and group; the arm does not move in the meantime.
         """
         steps = [*((force, 0) for force in (0.0, *forces)), (0.0, 1)]
         for direction in FORCE_DIRECTIONS:
@@ -62,7 +62,7 @@ class Hands:
                     measure(place, cycle, group)
 
     def pull(self, name: str, direction: str, force_n: float) -> None:
-        """Have a force applied to the flange along an axis of the arm's base; none: have it let go."""
+        """Have a force applied to the flange along an axis of the arm's base; if zero, have the flange released."""
         words = f"let go of the flange of arm {name}; nobody touches it"
         if force_n:
             words = f"pull at the flange of arm {name} with {force_n:g} N along {direction} of its base, and hold that"

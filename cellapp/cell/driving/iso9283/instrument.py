@@ -1,4 +1,4 @@
-"""The tracker of a cell as the instrument of the tests, and what it can tell of the tolerances beforehand."""
+"""Describe a cell's tracker as the instrument of the tests, and judge beforehand which tolerances it can verify."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _TESTED_BY: Mapping[Characteristic, IsoTest] = {
 
 
 def mpe_factor(profile: Profile) -> float:
-    """What a tracker's covariance is multiplied by: drivers state half of the maximum permissible error as sigma."""
+    """Return the factor for a tracker's covariance: drivers take half of the maximum permissible error as sigma."""
     return (MPE_SHARE[profile.tolerances.mpe] / MPE_SHARE["half"]) ** 2
 
 
 def abilities(profile: Profile, found: IsoFindings, tests: tuple[IsoTest, ...], cycles: int) -> list[IsoAbility]:
-    """Each tolerance of the tests to be made against what the tracker can tell at the arms' cubes.
+    """Compare each tolerance of the requested tests with the tracker's uncertainty at the arms' cubes.
 
-    Empty where the rule compares the values alone: it decides on any of them.
+    Empty if the decision rule compares only values: then every tolerance can be decided.
     """
     if profile.tolerances.decision == "simple":
         return []
-    judged = {name: programme for (name, _), programme in found.programmes.items()}  # the last commands are judged
+    judged = {name: programme for (name, _), programme in found.programmes.items()}  # the last commands win
     compared = [one for name, own in judged.items() for one in _of_arm(profile, f"arm {name}", own, tests, cycles)]
     tolerance_m = profile.tolerances.cooperative
     if "cooperative" in tests and tolerance_m is not None:
@@ -83,6 +83,6 @@ def _farthest_m(programme: ArmProgramme) -> float:
 
 
 def _frame(programme: ArmProgramme) -> Array:
-    """Mean covariance (3, 3) [m^2] of the commanded positions, the same in all directions."""
+    """Return the mean covariance (3, 3) [m^2] of the commanded positions, made isotropic."""
     variance = float(np.mean([np.trace(one) / 3.0 for one in programme.frame.values()]))
     return np.asarray(variance * np.eye(3))

@@ -36,7 +36,7 @@ from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TrackerError, stream_of
 
 _CLOSE = 2000
-"""Points of the commanded zigzag."""
+"""Number of points of the commanded zigzag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class PathTests:
     series: float = 0.0
 
     def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
-        """Drive all paths of an arm with each kind of commands; why one cannot be driven is kept."""
+        """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
         refusal = self._refusal(name)
         specs = refusal or path_specs(name, self.findings.cubes[name], self.speed_share)
         if isinstance(specs, str):
@@ -75,11 +75,11 @@ class PathTests:
 
     @property
     def _interval_s(self) -> float:
-        """Of points, so that there are as many at each speed."""
+        """Interval of points [s], inversely proportional to the speed: each path has as many points at each speed."""
         return INTERVAL_S / self.speed_share
 
     def _refusal(self, name: str) -> str:
-        """Why no path of an arm can be measured; empty if they can."""
+        """Return why no path of an arm can be measured; empty if paths can."""
         if stream_of(self.paths.cell.tracker) is None:
             return "this tracker's driver cannot measure a moving SMR"
         if not isinstance(self.paths.cell.arms[name], PathFollower):
@@ -87,7 +87,7 @@ class PathTests:
         return ""
 
     def _weave(self, name: str, commands: tuple[IsoCommands, ...], period_s: float) -> None:
-        """Drive a line with weaving over all cycles with each kind of commands; why not is kept."""
+        """Drive a line with weaving over all cycles with each kind of commands; record why not."""
         cube = self.findings.cubes[name]
         spec = weaving_spec(name, cube, self.speed_share)
         plan = plan_path(self.profile, self.model, spec, period_s)
@@ -116,12 +116,12 @@ class PathTests:
             self._repeat(runs, name, trajectory, path)
 
     def _tracker_at(self, path: CartesianPath) -> Array:
-        """Covariance (3, 3) of a point at the beginning of a path [m^2]."""
+        """Return the covariance (3, 3) [m^2] of a point at the beginning of a path."""
         start_M = path.positions(np.zeros(1))
         return np.asarray(mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, start_M)[0])
 
     def _repeat(self, runs: PathRuns | WeavingRuns, name: str, trajectory: Trajectory, path: CartesianPath) -> None:
-        """Drive a path once for each cycle; why fewer were driven is kept."""
+        """Drive a path once per cycle; record why fewer were driven."""
         try:
             for _ in range(self.cycles):
                 runs.tracks.append(self._run(name, trajectory, path))
@@ -170,7 +170,7 @@ class PathTests:
 
 
 def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:
-    """What is driven with one kind of commands, or why nothing is."""
+    """Return what is driven with one kind of commands, or why nothing is."""
     if plan.refusal:
         return plan.refusal
     trajectory, path = plan.trajectory, plan.path
@@ -184,7 +184,7 @@ def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPat
 
 
 def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:
-    """The poses of a path in M (k, 3) [m], relative to the base that the commands assume; points of arcs left out."""
+    """Return the poses of a path in M (k, 3) [m], relative to the base that the commands assume, without arc points."""
     targets = spec.targets()
     goals = goals_of_arm(model, targets, spec.arm)
     rows = [k for k, target in enumerate(targets) if target.name.startswith("pose")]

@@ -21,35 +21,35 @@ from cellapp.robot.kinematics.transforms import Array, rotation_zyx, rpy_of, xyz
 from cellapp.robot.paths.cartesian import CartesianPath
 
 PATH_SPEED = 0.25
-"""Speed of the SMR along the paths at 100 % [m/s]: the norm's rated path velocity, which profiles do not state. It is
-what collaborative arms may do beside people, and most joints keep it."""
+"""Speed of the SMR along the paths at 100 % [m/s]. It stands for the standard's rated path velocity, which profiles do
+not state: collaborative arms may move so fast beside people, and most joints can follow."""
 _TOLERANCE_M = 1e-3
-"""How far the joint path of the model may be from the commanded one; the plan itself stays below some 10 um."""
+"""Allowed distance of the model's joint path from the commanded path [m]; the plan itself stays below some 10 um."""
 _PLACES = 50
-"""Places along each path at which it is evaluated; the norm asks for ten or more."""
+"""Number of positions along each path where it is evaluated; the standard requires at least ten."""
 _ENDS = 0.02
-"""Share of the path at each end that is left out: the arm is at rest there, and no plane is crossed."""
+"""Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
 _BLEND_SHARE = 0.1
-"""Where corners are rounded: of the rectangle's shorter side, before and after each corner."""
+"""Length of the rounding before and after each corner, relative to the rectangle's shorter side."""
 _REACH_SHARE = 0.4
-"""How far from a corner points belong to it, as share of the rectangle's shorter side."""
+"""Distance from a corner within which points belong to it, relative to the rectangle's shorter side."""
 
 _REORIENTED_RAD = float(np.radians(20.0))
-"""By how much the flange turns about its own axis along a line with reorientation."""
+"""Rotation of the flange about its own axis along a line with reorientation [rad]."""
 _WEAVING_SPEED = 0.05
-"""Of the SMR along the zigzag at 100 % [m/s]: an arm that swings several times a second cuts its turns."""
+"""Speed of the SMR along the zigzag at 100 % [m/s]: an arm that swings several times a second cuts its turns."""
 _WAVES = 5
 _WAVE_SHARE, _STROKE_SHARE = 0.08, 0.06
-"""Length of a wave and its height from one side to the other, as shares of the cube's edge."""
+"""Length of a wave and its peak-to-peak height, relative to the cube's edge."""
 _TURN_BLEND = 0.25
-"""Where the turns of a zigzag are rounded, as share of its legs."""
+"""Length of the rounding at the turns of a zigzag, relative to its legs."""
 
 LINE, RECTANGLE, ROUNDED = "line P2 to P4", "rectangle", "rectangle, rounded corners"
 LARGE, SMALL, WEAVING = "large circle", "small circle", "weaving"
 
 
 def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec] | str:
-    """The test paths of an arm in its base, or why it cannot drive them."""
+    """Return the test paths of an arm in its base, or why it cannot drive them."""
     if not np.isfinite(cube.rotation_B).all():
         return "paths need an arm that can hold its rotation, with six joints or more"
     rpy = rpy_of(cube.rotation_B)
@@ -71,7 +71,7 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
 
 
 def weaving_spec(name: str, cube: ChosenCube, speed_share: float) -> PathSpec:
-    """A line with weaving about P1 in the plane of the poses, from P2 towards P4."""
+    """Return a line with weaving about P1 in the plane of the poses, from P2 towards P4."""
     along, across = weaving_axes(cube)
     half = 0.5 * _WAVE_SHARE * cube.edge
     legs = np.arange(2 * _WAVES + 1)
@@ -91,7 +91,7 @@ def weaving_spec(name: str, cube: ChosenCube, speed_share: float) -> PathSpec:
 
 
 def weaving_axes(cube: ChosenCube) -> tuple[Array, Array]:
-    """Unit vectors of the line and of the weaving in the arm's base; both lie in the plane of the poses."""
+    """Return unit vectors of the line and of the weaving in the arm's base; both lie in the plane of the poses."""
     at = cube.position_B
     along = at["P4"] - at["P2"]
     along = along / np.linalg.norm(along)
@@ -101,12 +101,12 @@ def weaving_axes(cube: ChosenCube) -> tuple[Array, Array]:
 
 
 def weaving_turns(cube: ChosenCube) -> Array:
-    """How far along the line each turn is, from the beginning of the zigzag [m]; without its ends."""
+    """Return the distance of each turn along the line from the start of the zigzag [m], without its ends."""
     return 0.5 * _WAVE_SHARE * cube.edge * np.arange(1.0, 2.0 * _WAVES)
 
 
 def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
-    """Arc lengths (m,) [m] of the places at which a path is evaluated, the places (m, 3) [m], unit tangents (m, 3)."""
+    """Return arc lengths (m,) [m], positions (m, 3) [m] and unit tangents (m, 3) where a path is evaluated."""
     s = path.length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES)
     half = 1e-4 * path.length
     chord = path.positions(s + half) - path.positions(s - half)
@@ -114,7 +114,7 @@ def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
 
 
 def corners_of(spec: PathSpec, positions_M: Array) -> tuple[Corner, ...]:
-    """The corners of a path through ``positions_M`` (k, 3) [m], its poses in turn; none of a line or circle."""
+    """Return the corners of a path through ``positions_M`` (k, 3) [m], its poses in order; none of a line or circle."""
     if spec.name not in (RECTANGLE, ROUNDED):
         return ()
     ways = np.diff(positions_M, axis=0)
@@ -129,7 +129,7 @@ def corners_of(spec: PathSpec, positions_M: Array) -> tuple[Corner, ...]:
 
 
 def _shorter_side(sides: Array) -> float:
-    """Of a rectangle that begins and ends in the middle of a side, (6, 3) [m]."""
+    """Return the shorter side [m] of a rectangle (6, 3) [m] that begins and ends in the middle of a side."""
     return float(np.linalg.norm(np.diff(sides[1:5], axis=0), axis=1).min())
 
 

@@ -1,4 +1,4 @@
-"""The programme of the tests: which positions arms visit in which order, and where each visit belongs."""
+"""Programme of the tests: which positions the arms visit in which order, and to which test each visit belongs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def wanted_cycles(test: IsoTest, cycles: int) -> int:
-    """Cycles of a test where ``cycles`` were asked for: some tests take no more than the norm's."""
+    """Return the number of cycles of a test if ``cycles`` were requested: some take no more than the standard's."""
     short = ("drift", "path", "stabilisation", "compliance")
     return min(cycles, NORM_CYCLES[test]) if test in short else cycles
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One motion: arm -> joint positions (N,) [rad]. ``place`` is None where nothing is measured."""
+    """One motion: arm -> joint positions (N,) [rad]. ``place`` is None if nothing is measured."""
 
     targets: Mapping[str, Array]
     place: Place | None
@@ -32,7 +32,7 @@ class Visit:
 
 
 def legs() -> list[tuple[str, str]]:
-    """Every position with the one before it that the tests of one arm drive."""
+    """Return all positions that the tests of one arm drive to, each with the position before it."""
     around, approaches = [CYCLE[-1], *CYCLE], approach_sequence()
     found = [*zip(around, CYCLE, strict=False), ("P4", "P2"), ("P2", "P4")]
     found += zip([approaches[-1], *approaches], approaches, strict=False)
@@ -40,7 +40,7 @@ def legs() -> list[tuple[str, str]]:
 
 
 def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0, load_kg: float | None = None) -> Iterator[Visit]:
-    """The pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` and ``load_kg`` as in ``Place``."""
+    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` and ``load_kg`` as in ``Place``."""
     yield _passing(arm, "P1", "P2")
     for cycle in range(cycles):
         for position in CYCLE:
@@ -49,7 +49,7 @@ def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0, load_kg: flo
 
 
 def distance_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
-    """The distance test: P2 and P4 in turn."""
+    """Yield the distance test: P2 and P4 alternately."""
     yield _passing(arm, "P2", "P4")
     yield _passing(arm, "P4", "P2")
     for cycle in range(cycles):
@@ -58,7 +58,7 @@ def distance_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
 
 
 def directional_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
-    """The multi-directional test: P1, P2 and P4, each approached along x, y and z."""
+    """Yield the multi-directional test: P1, P2 and P4, each approached along x, y and z."""
     sequence = approach_sequence()
     for cycle in range(cycles):
         for before, position in zip([sequence[-1], *sequence], sequence, strict=False):
@@ -68,20 +68,20 @@ def directional_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
 
 
 def drift_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
-    """One group of the drift test: cycles P5 to P1, measured at P1 alone."""
+    """Yield one group of the drift test: cycles P5 to P1, measured only at P1."""
     for cycle in range(cycles):
         yield from _exercise(arm, cycle, arm.place("drift", "P1"))
 
 
 def exercise_visits(arm: ArmProgramme) -> Iterator[Visit]:
-    """One cycle between two groups of the drift test."""
+    """Yield one cycle between two groups of the drift test."""
     yield from _exercise(arm, 0, None)
 
 
 def paired_visits(
     first: ArmProgramme, second: ArmProgramme, pairs: Sequence[tuple[str, str]], cycles: int
 ) -> Iterator[Visit]:
-    """The cooperative test: both arms to each pair of poses together, always in the same order."""
+    """Yield the cooperative test: both arms to each pair of poses together, always in the same order."""
     for cycle in range(cycles):
         for a, b in pairs:
             place = Place("cooperative", first.commands, (first.name, second.name), (a, b))
@@ -92,9 +92,9 @@ def paired_visits(
 def pose_pairs(
     cell: CellBodies, homes: Mapping[str, Array], q: Mapping[str, Mapping[str, Array]]
 ) -> list[tuple[str, str]]:
-    """Which poses two arms can stand at together, clear and both seen; each pose at most once, in the norm's order.
+    """Pair poses that two arms can take together, clear and both visible; each at most once, in the standard's order.
 
-    ``q`` maps both arms to their nominal joint positions by pose. As many pairs as possible, of equal names first.
+    ``q`` maps both arms to their nominal joint positions by pose. Find as many pairs as possible, equal names first.
     """
     first, second = q
     both = [(a, b) for a in CYCLE for b in CYCLE]
@@ -123,5 +123,5 @@ def _passing(arm: ArmProgramme, position: str, before: str) -> Visit:
 
 
 def _before(position: str) -> str:
-    """The position before this one in a cycle."""
+    """Return the position before this one in a cycle."""
     return CYCLE[CYCLE.index(position) - 1]

@@ -1,8 +1,8 @@
-"""The largest test cube of an arm: reached with one orientation, clear, and seen by the tracker.
+"""Find the largest test cube of an arm: reachable with one orientation, free of collisions, visible to the tracker.
 
-Seeds are clear configurations that the tracker sees, each turned so that its SMR faces the tracker. From each, joint
-positions are continued over a lattice of positions along the axes of the arm's base, with the rotation of the seed, as
-far as every constraint holds: so all poses lie on one branch of the inverse, whatever the chain.
+Seeds are admissible, visible configurations, each rotated so that its SMR faces the tracker. From each seed the joint
+positions are continued over a lattice of positions along the axes of the arm's base, with the seed's orientation, as
+far as all constraints hold: so all poses are on one branch of the inverse kinematics, whatever the chain.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from cellapp.robot.kinematics.transforms import invert as inverse_transform
 from cellapp.robot.model import ArmModel
 
 _SEEDS = 16
-"""Orientations and branches that are tried."""
+"""Number of orientations and branches to try."""
 _STEPS_ALONG = 12
-"""Lattice steps along the length of the stretched arm: some 100 mm for the arms of a calibration cell."""
+"""Lattice steps over the length of the stretched arm: steps of some 100 mm for the arms of a calibration cell."""
 _LARGEST_STEP_RAD = 0.6
-"""A joint that turns more from one lattice position to the next passes near a singularity."""
+"""Largest joint motion between lattice neighbours [rad]; more means that a singularity is near."""
 _LIMIT_MARGIN_RAD = 0.05
-"""Kept from joint limits: calibrated commands differ from nominal ones by up to some 20 mrad."""
+"""Distance from joint limits [rad]: calibrated commands differ from nominal ones by up to some 20 mrad."""
 _FACING_SHARE = 0.2
-"""Share of the seen configurations, those that face the tracker best, from which seeds are taken."""
+"""Fraction of the visible configurations from which seeds are taken: those that face the tracker best."""
 _FINER = 4
-"""The chosen cube is grown in steps of the lattice's over this."""
+"""The chosen cube is grown in steps of the lattice step divided by this."""
 _WITHIN = np.linspace(-0.5, 0.5, 3)
-"""Places along each edge at which a grown cube is looked at."""
+"""Positions along each edge at which a grown cube is checked [edge lengths]."""
 REACH, LIMITS, BODIES, VIEW = "out of reach", "joint limits", "clearance", "not seen by the tracker"
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """What an arm reaches with one orientation.
+    """Positions that an arm reaches with one orientation.
 
     Attributes
     ----------
     nominal : ArmModel
-        The published chain, its base in M.
+        The published chain, with its base in M.
     rotation_M : array, shape (3, 3)
-        Of the flange; NaN for arms with fewer than six joints, whose rotation follows from the position.
+        Rotation of the flange; NaN for arms with fewer than six joints, where it follows from the position.
     origin_B : array, shape (3,)
-        SMR of the seed in the arm's base [m].
+        SMR of the seed in the base frame [m].
     step : float
-        Of the lattice [m].
+        Lattice step [m].
     q : mapping
-        Lattice position -> joint positions (N,) [rad], where all constraints hold.
+        Lattice position -> joint positions (N,) [rad], for positions where all constraints hold.
     refused : mapping
-        Lattice position beside them -> the constraint that does not hold there.
+        Adjacent lattice position -> constraint that is violated there.
     """
 
     nominal: ArmModel
@@ -71,7 +71,7 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class FoundCube:
-    """The largest cube: edge [m], centre (3,) [m] in B, joint positions there, what a larger one offends."""
+    """Largest cube: edge [m], centre (3,) [m] in B, joint positions there, constraints that a larger one violates."""
 
     region: Region
     edge: float
@@ -80,7 +80,7 @@ class FoundCube:
     limited_by: str
 
     def configurations(self, position_B: Array) -> Array:
-        """Joint positions (n, N) [rad] at positions (n, 3) [m] in the cube, continued from its centre; NaN if not."""
+        """Return joint positions (n, N) [rad] at positions (n, 3) [m], continued from the centre; NaN if impossible."""
         n = len(position_B)
         at = np.tile(self.q, (n, 1))
         for share in (0.25, 0.5, 0.75, 1.0):
@@ -92,9 +92,9 @@ class FoundCube:
 
 @dataclass(frozen=True, eq=False)
 class CubeSearch:
-    """Searches the cube of one arm of a cell, the others at home.
+    """Search for the test cube of one arm of a cell, with the others at home.
 
-    ``arm`` is the model whose published chain is driven; ``cell`` has the bodies that the gate knows.
+    ``arm`` is the model whose published chain is driven; ``cell`` has the bodies for the gate.
     """
 
     cell: CellBodies
@@ -104,7 +104,7 @@ class CubeSearch:
     seed: int
 
     def cubes(self) -> list[FoundCube]:
-        """The largest cube of each orientation, the largest first; empty if no configuration is clear and seen."""
+        """Return the largest cube of each orientation, largest first; empty if no configuration is admissible."""
         found = []
         for q, rotation_M in self._seeds():
             region = self._region(q, rotation_M)
@@ -115,7 +115,7 @@ class CubeSearch:
         return sorted(grown, key=lambda one: -round(one.edge, 6))
 
     def holds(self, q: Array) -> list[str]:
-        """For configurations (n, N) [rad] the first constraint that does not hold; empty where all do."""
+        """Return the first violated constraint of configurations (n, N) [rad]; empty text if all hold."""
         low, high = self.cell.arms[self.name].limits.T
         n = len(q)
         words = np.full(n, LIMITS, dtype=object)
@@ -131,11 +131,11 @@ class CubeSearch:
 
     @property
     def nominal(self) -> ArmModel:
-        """The published chain alone, its base in M."""
+        """The published chain alone, with its base in M."""
         return replace(self.arm, geometry=self.arm.nominal, effects=(), network=None, posterior=None)
 
     def _seeds(self) -> list[tuple[Array, Array]]:
-        """Configurations (N,) far apart from each other, and rotations (3, 3) in which their SMRs face the tracker."""
+        """Choose configurations (N,) far apart; return each with a rotation (3, 3) where its SMR faces the tracker."""
         liked = admissible_configurations(self.cell, self.homes, self.name, self.seed)
         if not len(liked):
             return []
@@ -153,7 +153,7 @@ class CubeSearch:
         return [(liked[k], _turned(normal[k], to_tracker[k]) @ rotations[k]) for k in chosen]
 
     def _region(self, q: Array, rotation_M: Array) -> Region | None:
-        """What is reached from a seed with its rotation; None if the seed itself offends something."""
+        """Return what is reached from a seed with its rotation; None if the seed itself violates a constraint."""
         nominal = self.nominal
         geometry = nominal.geometry
         rotations, origins = flange_poses(geometry, q[None])
@@ -179,7 +179,7 @@ class CubeSearch:
         refused: dict[tuple[int, int, int], str],
         frontier: list[tuple[int, int, int]],
     ) -> list[tuple[int, int, int]]:
-        """Continue to the lattice positions beside ``frontier``; return those where all constraints hold."""
+        """Continue to the lattice neighbours of ``frontier``; return those where all constraints hold."""
         new: dict[tuple[int, int, int], Array] = {}
         for place in frontier:
             for axis, sign in product(range(3), (-1, 1)):
@@ -203,7 +203,7 @@ class CubeSearch:
         return [key for key in keys if key in known]
 
     def _on_lattice(self, region: Region) -> FoundCube:
-        """The largest cube of the lattice."""
+        """Return the largest cube of the lattice."""
         keys = np.array(list(region.q))
         low = keys.min(axis=0)
         held: NDArray[np.bool_] = np.zeros(keys.max(axis=0) - low + 1, dtype=np.bool_)
@@ -220,7 +220,7 @@ class CubeSearch:
         return FoundCube(region, steps * region.step, centre, at, _limits_beside(region, corner, steps))
 
     def _enlarged(self, cube: FoundCube) -> FoundCube:
-        """The cube grown by parts of a lattice step, its centre moved by parts of a step too, where all holds."""
+        """Return the cube grown and shifted by fractions of a lattice step, as far as all constraints hold."""
         if cube.edge == 0.0:
             return cube
         part = cube.region.step / _FINER
@@ -240,7 +240,7 @@ class CubeSearch:
 
 
 def _solve(region: Region, position_B: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Joint positions (n, N) [rad] at positions (n, 3) [m] in B with the region's rotation, and whether they reach."""
+    """Return joint positions (n, N) [rad] at positions (n, 3) [m] in B, with the region's rotation; and success."""
     n = len(position_B)
     position_M = apply(region.nominal.geometry.T_M_B(), position_B)
     rotation_M = np.broadcast_to(region.rotation_M, (n, 3, 3))
@@ -250,7 +250,7 @@ def _solve(region: Region, position_B: Array, start: Array) -> tuple[Array, NDAr
 
 
 def _turned(direction: Array, to: Array) -> Array:
-    """The smallest rotation (3, 3) that turns one unit vector into another."""
+    """Return the smallest rotation (3, 3) from one unit vector to another."""
     axis = np.cross(direction, to)
     sine = float(np.linalg.norm(axis))
     angle = float(np.arctan2(sine, direction @ to))
@@ -258,13 +258,13 @@ def _turned(direction: Array, to: Array) -> Array:
 
 
 def _arm_length(arm: ArmModel) -> float:
-    """Length of the stretched arm [m]: the way along the chain does not depend on the joints."""
+    """Return the length of the stretched arm [m]: distances along the chain, which do not depend on the joints."""
     origins = frame_poses(arm.geometry, np.zeros((1, arm.geometry.joints)))[1][:, 0]
     return float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum() + np.linalg.norm(arm.geometry.tool))
 
 
 def _limits_beside(region: Region, corner: NDArray[np.intp], steps: int) -> str:
-    """The constraints that do not hold one lattice step around the cube, the most frequent first."""
+    """Return the constraints that are violated one lattice step around the cube, the most frequent first."""
     counted = Counter(
         word
         for key, word in region.refused.items()

@@ -1,4 +1,4 @@
-"""Record how an arm comes to rest at P1, followed by the tracker: stabilisation time, overshoot, posing time."""
+"""Record how an arm comes to rest at P1, tracked by the tracker: stabilisation time, overshoot, posing time."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from drivers.trackers.protocol import StreamingTracker, TrackerError, stream_of
 NO_STREAM = "this tracker's driver cannot measure a moving SMR"
 _INTERVAL_S = 0.005
 _BEFORE_S, _AFTER_S = 0.3, 2.0
-"""Recorded at rest before the motion, and after its controller reports its end."""
+"""Recorded rest [s] before the motion, and after the controller reports its end."""
 _POSE, _BEFORE = "P1", "P2"
 _BAND_M = 1e-4
-"""Limit band where the profile has no tolerance of repeatability: that of arms of this class."""
+"""Limit band [m] if the profile has no repeatability tolerance: the repeatability of arms of this class."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class SettlingTests:
     cycles: int
 
     def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
-        """Record the motions of an arm with each kind of commands; why they cannot be recorded is kept."""
+        """Record the motions of an arm with each kind of commands, or why they cannot be recorded."""
         tracker = stream_of(self.cell.tracker)
         if tracker is None:
             self.findings.refuse(name, ["stabilisation"], NO_STREAM)
@@ -87,7 +87,7 @@ class SettlingTests:
             self.mover.move({name: end})
             self.mover.rest(name, _AFTER_S, self.control)
         except BaseException:
-            with suppress(TrackerError):  # the reason of the halt is the one to report
+            with suppress(TrackerError):  # the cause of the halt is the one to report
                 tracker.end_track()
             raise
         track = tracker.end_track()

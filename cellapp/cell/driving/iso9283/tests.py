@@ -1,6 +1,6 @@
 """Drive the tests of ISO 9283: find base and cube of each arm, visit the poses cycle by cycle, measure at rest.
 
-What was measured is kept from visit to visit in an object of the caller, who evaluates it even if the job is stopped.
+Measurements are stored visit by visit in the caller's object, so that they can be evaluated even if the job is stopped.
 """
 
 from __future__ import annotations
@@ -57,23 +57,23 @@ from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import NotReady, Point, TrackerError
 
 DWELL_S = 1.0
-"""Rest before each measurement: arms of this size have stopped swinging by then."""
+"""Rest before each measurement [s]: arms of this size have stopped swinging by then."""
 _MISSED_IN_A_ROW = 3
-"""Consecutive visits without a measurement after which the job ends: something covers the SMR."""
+"""Consecutive visits without a measurement after which the job ends: the SMR is probably covered."""
 _GROUPS = 12
 _INTERVAL_S = (300.0, 1800.0)
-"""Groups of a drift test, and the limits of the time from one to the next: a few are in the first hour."""
+"""Number of groups of a drift test, and limits of the time between them [s]: several groups fall in the first hour."""
 
 
 @dataclass(frozen=True, eq=False)
 class IsoTask:
-    """What to test.
+    """Settings of the tests.
 
-    ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
-    and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
-    ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``, pose tests with the
-    payloads ``also_loads`` [kg]; static compliance is tested under ``forces`` [N].
-    ``cubes`` are those of an earlier test by arm, else an arm gets its own; ``nests`` the figures of several SMRs.
+    The tracker of ``profile`` is at its true pose if the cell is simulated. ``model`` is the calibrated one; if None,
+    base and SMR of each arm are found first. ``cycles`` is the requested number, ``speed`` the fraction of the
+    profile's speed, ``drift_s`` the duration of the drift test [s]. Pose and path tests are repeated at
+    ``also_speeds``, pose tests with the payloads ``also_loads`` [kg]; static compliance is tested under ``forces`` [N].
+    ``cubes`` maps arms to cubes of an earlier test, other arms get new ones; ``nests`` are shapes of several SMRs.
     """
 
     profile: Profile
@@ -101,17 +101,17 @@ def drive_tests(
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
 ) -> None:
-    """Make the tests one after the other, one arm at a time and the others at home; cooperative ones with two arms.
+    """Make the tests one after the other, one arm at a time with the others at home; cooperative tests with two arms.
 
-    ``findings`` takes each visit as soon as it is measured. ``opened`` is called with the open cell before anything
-    moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``open_with`` opens the cell.
+    Each visit is added to ``findings`` when it is measured. ``opened`` is called with the open cell before anything
+    moves; its exception ends the job. ``confirm`` is called before the first motion. ``open_with`` opens the cell.
 
     Raises
     ------
     InputError
         If base and SMR of an arm cannot be found.
     HardwareError
-        If a device fails, all arms have been stopped then; or if measurements are missing one after the other.
+        If a device fails (all arms have been stopped), or if consecutive measurements are missing.
     Stopped, Aborted
         On request; the arms have been braked.
     """
@@ -144,7 +144,7 @@ def drive_tests(
 
 @dataclass(eq=False)
 class _Session:
-    """Drives and measures in an open cell."""
+    """Drives to the poses and measures in an open cell."""
 
     task: IsoTask
     findings: IsoFindings
@@ -158,7 +158,7 @@ class _Session:
     _missed: int = 0
 
     def use(self, bodies: CellBodies) -> None:
-        """Move with these bodies from now on, slowly in a cell of real arms."""
+        """Use these bodies from now on; move slowly in a cell of real arms."""
         self.bodies = bodies
         self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
         self.driver = Driver(self.mover, self.homes)
@@ -169,7 +169,7 @@ class _Session:
     # -- before the tests ----------------------------------------------------------------------------------------------
 
     def aligned(self) -> CellModel:
-        """The published geometry with bases and SMRs as they are found by measuring."""
+        """Return the published geometry with bases and SMRs as found by measuring."""
         profile = self.task.profile
         rough = published_cell(profile, {})
         for name in self.task.arms:
@@ -191,7 +191,7 @@ class _Session:
         return published_cell(profile, self.findings.alignments)
 
     def prepare(self, model: CellModel) -> None:
-        """Find the cube of each arm and what is commanded in it."""
+        """Find the cube of each arm and compute its commands there."""
         profile, found = self.task.profile, self.findings
         for number, name in enumerate(self.task.arms):
             self._hold()
@@ -218,7 +218,7 @@ class _Session:
                 )
 
     def _programme(self, name: str, kind: IsoCommands, payload_kg: float) -> ArmProgramme | str:
-        """What an arm is commanded to in its cube with a payload, or why it cannot be."""
+        """Return an arm's commands in its cube with a payload, or why there are none."""
         assert self.findings.model is not None
         return arm_programme(
             self.findings.model,
@@ -232,7 +232,7 @@ class _Session:
         )
 
     def say_what_can_be_told(self) -> None:
-        """Compare the tolerances with what the tracker can tell from here; say where it cannot tell them."""
+        """Compare the tolerances with the tracker's uncertainty from here; report those that it cannot verify."""
         task = self.task
         self.findings.abilities = abilities(task.profile, self.findings, task.tests, task.cycles)
         for one in self.findings.abilities:
@@ -242,7 +242,7 @@ class _Session:
     # -- the tests -----------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """All tests that were asked for; drift first, while the arms are as cold as they will be."""
+        """Run all requested tests; drift first, while the arms are cold."""
         tests = self.task.tests
         programmes = self.findings.programmes.values()
         self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
@@ -269,7 +269,7 @@ class _Session:
         self._by_hand(by_hand)
 
     def _by_hand(self, loads: Sequence[tuple[float, str, Sequence[Visit]]]) -> None:
-        """The tests for which a person does something at an arm: other loads, forces on the flange."""
+        """Run the tests that need a person at the arm: other loads, forces on the flange."""
         cycles = wanted_cycles("compliance", self.task.cycles)
         hands = Hands(self.cell, self.findings, self.control, self.listener, self._hold, cycles)
         for load, name, visits in loads:
@@ -290,12 +290,12 @@ class _Session:
             self.mover.go_home([name])
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
-        """The commands of an arm by the calibrated model where there are some."""
+        """Return the commands of an arm, those of the calibrated model if available; None if there are none."""
         kinds = [kind for kind in self.task.commands if (name, kind) in self.findings.programmes]
         return self.findings.programmes[name, kinds[-1]] if kinds else None
 
     def _settling(self) -> None:
-        """How each arm comes to rest, the others at home."""
+        """Test how each arm comes to rest, the others at home."""
         tests = SettlingTests(
             profile=self.task.profile,
             cell=self.cell,
@@ -317,7 +317,7 @@ class _Session:
             self._done += 1
 
     def _poses_at(self, share: float) -> list[Visit]:
-        """The pose test at another share of the speed."""
+        """Return the visits of the pose test at another fraction of the speed."""
         if "pose" not in self.task.tests:
             return []
         found = [
@@ -329,7 +329,7 @@ class _Session:
         return found
 
     def _poses_with(self, load_kg: float, name: str) -> list[Visit]:
-        """The pose test of an arm with another payload."""
+        """Return the visits of the pose test of an arm with another payload."""
         found: list[Visit] = []
         for kind in self.task.commands if "pose" in self.task.tests else ():
             programme = self._programme(name, kind, load_kg)
@@ -341,7 +341,7 @@ class _Session:
         return found
 
     def _paths(self, speed: float, series: float = 0.0) -> None:
-        """The paths of one arm after the other, the others at home."""
+        """Run the path tests of one arm after the other, the others at home."""
         model, names = self.findings.model, list(self.findings.cubes)
         assert model is not None
         paths = PathTests(
@@ -361,7 +361,7 @@ class _Session:
         self.listener(Progress("paths", len(names), len(names), "done"))
 
     def _visits(self) -> list[Visit]:
-        """The visits of all tests that are measured at rest, drift apart."""
+        """Return the visits of all tests that are measured at rest, except drift."""
         found: list[Visit] = []
         makers = {"pose": pose_visits, "multidirectional": directional_visits, "distance": distance_visits}
         for programme in self.findings.programmes.values():
@@ -383,7 +383,7 @@ class _Session:
         return found
 
     def _rehearse(self, visits: Sequence[Visit]) -> None:
-        """First motions of real arms, or of those with another load: slowly and without measuring, to be watched."""
+        """Drive real arms slowly and without measuring, for a person to watch: first motions, or with another load."""
         if self.task.profile.moves_hardware:
             self.mover.speed = min(self.task.profile.collection.slow_start.speed, self.task.speed)
             for visit in visits:
@@ -391,7 +391,7 @@ class _Session:
         self.mover.speed = self.task.speed
 
     def _drift(self, name: str) -> None:
-        """Groups of cycles over the time asked for; in between the arm moves as in the cycles."""
+        """Measure groups of cycles over the requested time; between groups the arm keeps moving as in the cycles."""
         programme = self._last_programme(name)
         if programme is None:
             return
@@ -414,7 +414,7 @@ class _Session:
     # -- one visit -----------------------------------------------------------------------------------------------------
 
     def _visit(self, visit: Visit, group: int = 0) -> None:
-        """Drive there, and measure if it is a place; what is missing is kept with its reason."""
+        """Drive to a visit's targets; measure if it has a place; record why a measurement is missing."""
         self._hold()
         names = list(visit.targets)
         try:
@@ -446,7 +446,7 @@ class _Session:
         )
 
     def _measure_here(self, place: Place, cycle: int, group: int) -> None:
-        """Measure an arm where it stands: a person may have hands on it, and it must not move."""
+        """Measure an arm where it is, without motion: a person may have hands on it."""
         self._hold()
         (name,) = place.arms
         try:
@@ -480,4 +480,4 @@ class _Session:
 
 def _raise_if_not_ready(error: Exception) -> None:
     if isinstance(error, NotReady):
-        raise HardwareError(str(error)) from error  # it measures nothing at the next position either
+        raise HardwareError(str(error)) from error  # it would not measure at the next position either

@@ -1,4 +1,4 @@
-"""Watch a job that another process of this computer runs, and ask it for things as if it were one's own.
+"""Watch a job that runs in another process of this computer, and send it requests as if it were one's own.
 
 remote = attach(folder)
 remote.follow(listener)  # in a thread of its own, until the job ends or somebody calls ``remote.leave``
@@ -22,27 +22,27 @@ from cellapp.ground.errors import CellappError, CheckFailed, HardwareError, Inpu
 from cellapp.ground.progress import CancelToken, CellLive, Listener, Progress
 
 _SILENT_S = 1.0
-"""A job that runs is heard five times a second."""
+"""Time without data [s] after which a job counts as silent: a running job sends five times a second."""
 _MOST_READ = 65536
 _FAILURES = {kind.exit_code: kind for kind in (CheckFailed, InputError, HardwareError)}
 
 
 class Detached(Exception):
-    """This process watches the job no longer; the job goes on."""
+    """This process no longer watches the job; the job goes on."""
 
 
 class RemoteControl(JobControl):
-    """The control of a job in another process: requests go there along a connection that stays open.
+    """Control of a job in another process: requests are sent over a connection that stays open.
 
-    ``request``, ``holds``, ``has_brakes``, ``cancelled`` and ``live()`` are as that process last said, or as a request
-    that it has not answered yet will make them.
+    ``request``, ``holds``, ``has_brakes``, ``cancelled`` and ``live()`` are as last received from that process, or as a
+    request that it has not answered yet will make them.
 
     Attributes
     ----------
     name : str
-        What the job does, in a word.
+        What the job does, as one word.
     process : int
-        The process that runs it.
+        Id of the process that runs it.
     """
 
     def __init__(self, folder: Path, process: int, connection: socket.socket) -> None:
@@ -58,12 +58,12 @@ class RemoteControl(JobControl):
 
     @property
     def name(self) -> str:
-        """What the job does, in a word."""
+        """What the job does, as one word."""
         return self._beat.name
 
     @property
     def has_brakes(self) -> bool:
-        """Whether the other process has arms open."""
+        """Whether the other process has opened arms."""
         return self._beat.has_brakes
 
     @property
@@ -73,13 +73,13 @@ class RemoteControl(JobControl):
 
     @property
     def age_s(self) -> float:
-        """How long ago the other process was last heard [s]; more than 1 s is a doubt."""
+        """Time since the last data from the other process [s]; more than 1 s is a doubt."""
         return time.monotonic() - self._heard_s
 
-    # -- requests: sent first, then expected here ----------------------------------------------------------------------
+    # -- requests: first sent, then assumed here -----------------------------------------------------------------------
 
     def pause(self) -> None:
-        """Ask the job to wait after the present stop."""
+        """Ask the job to wait after the current stop."""
         self._send("pause")
         super().pause()
 
@@ -89,7 +89,7 @@ class RemoteControl(JobControl):
         super().resume()
 
     def stop(self) -> None:
-        """Brake all arms of the job now. Where the process is gone, ``follow`` says that nobody heard it."""
+        """Brake all arms of the job now. If the process is gone, ``follow`` reports that the request was lost."""
         self._send("stop")
         super().stop()
 
@@ -99,26 +99,26 @@ class RemoteControl(JobControl):
         super().abort()
 
     def leave(self, how: str = "") -> None:
-        """Watch no longer. The job goes on: the person beside it is another one."""
+        """Stop watching. The job goes on: another person attends it."""
         self._left = how or "left"
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Leave a job that was never followed."""
+        """Close the connection to a job that was never followed."""
         self.leave()
         self._connection.close()
 
     def _send(self, verb: Verb) -> None:
         with self._sending:
-            self._asked += 1  # first: a heartbeat under way does not know of this request
+            self._asked += 1  # before sending: a heartbeat in transit does not include this request yet
             try:
                 self._connection.sendall(f"{verb}\n".encode())
             except OSError:
                 self._unheard = verb
 
     def live(self) -> CellLive | None:
-        """What the other process knows of its cell, which is as much older as that was last heard."""
+        """Return what the other process last sent of its cell, with ages increased by the time since then."""
         live, age_s = self._beat.live, self.age_s
         if live is None:
             return None
@@ -130,7 +130,7 @@ class RemoteControl(JobControl):
     # -- what the other process says -----------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Wait for the first line. Raises ``InputError`` if the job has ended, or refuses; ``HardwareError`` if it is
+        """Wait for the first line. Raise ``InputError`` if the job has ended or refuses, ``HardwareError`` if it is
         silent."""
         for line in self._heard:
             if line is None:
@@ -142,14 +142,14 @@ class RemoteControl(JobControl):
         raise NoJob(f"no job runs in {self.folder}; the last one has ended")
 
     def follow(self, listener: Listener, say: Callable[[str], None]) -> None:
-        """Hand on the events of the job until it ends; ``say`` takes what a person must know of the connection.
+        """Pass the job's events to ``listener`` until it ends, and messages about the connection to ``say``.
 
         Raises
         ------
         Cancelled
-            If it was stopped or aborted.
+            If the job was stopped or aborted.
         CellappError
-            If it failed; ``HardwareError`` also if its process is gone without a word.
+            If the job failed; ``HardwareError`` also if its process is gone without a last message.
         Detached
             After ``leave``.
         """
@@ -187,7 +187,7 @@ class RemoteControl(JobControl):
                 CancelToken.cancel(self)
 
     def _lines(self) -> Iterator[Line | None]:
-        """What the other process says, until the connection ends; None where it was silent for too long."""
+        """Yield what the other process sends until the connection ends; None after each silence."""
         while True:
             try:
                 data = self._connection.recv(_MOST_READ)
@@ -245,7 +245,7 @@ def attach(folder: Path) -> RemoteControl:
     Raises
     ------
     InputError
-        If no job runs there (``NoJob``), it runs on another computer or in this process, or too many programs watch it.
+        If no job runs there (``NoJob``), it runs on another computer or in this process, or too many clients watch it.
     HardwareError
         If a job listens but does not answer.
     """

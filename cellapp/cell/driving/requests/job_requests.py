@@ -1,7 +1,7 @@
-"""Requests of a person to the job that runs in a run's folder, from another process on the same computer: its side.
+"""Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
 
-The job listens on a loopback port; ``ground.asking`` says where that is published. ``watching`` beside this serves
-those who also watch what it does.
+The job listens on a loopback port, which ``ground.asking`` publishes. ``watching`` in this folder serves those who also
+watch the job.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, ignore
 
 _POLL_S = 0.05
-"""How often the server looks whether the job has ended."""
+"""Period [s] in which the server checks whether the job has ended."""
 
 
 @contextlib.contextmanager
@@ -47,8 +47,8 @@ def taking_requests(
 ) -> Iterator[Listener]:
     """Let other processes send requests to this job, which runs in ``folder``, while the context is open.
 
-    ``name`` says in a word what the job does. It gives the listener to report to: what it hears, those who watch the
-    job hear after ``listener``.
+    ``name`` is what the job does, as one word. Yield the listener to report to: it passes events to ``listener``, then
+    to those who watch the job.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _refuse_second(folder: Path) -> None:
 
 
 class _Server(socketserver.ThreadingTCPServer):
-    """One thread for each request: one that is slow does not delay a stop."""
+    """Server with one thread per request, so that a slow one does not delay a stop."""
 
     daemon_threads = True
     block_on_close = False
@@ -104,13 +104,13 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class _Request(socketserver.StreamRequestHandler):
-    """One line, the token and a verb, and one line in answer; or a stream, for those who watch."""
+    """One line with token and verb, answered by one line; or a stream for those who watch."""
 
     timeout = PATIENCE_S
     server: _Server
 
     def handle(self) -> None:
-        with contextlib.suppress(OSError):  # the asking process went away, or it is silent
+        with contextlib.suppress(OSError):  # the client has gone, or it is silent
             given, _, asked = self.rfile.readline(LONGEST_LINE).strip().partition(b" ")
             if not hmac.compare_digest(given, self.server.token.encode()):
                 return
@@ -123,7 +123,7 @@ class _Request(socketserver.StreamRequestHandler):
 
 
 def answer_to(control: JobControl, verb: str) -> Answer:
-    """Do what is asked, and say so; or why not."""
+    """Carry out a request and return the answer, or refuse it with a reason."""
     if verb == LOOK:
         return Answer(LOOK, True, "a job runs here")
     if verb not in VERBS:
@@ -146,7 +146,7 @@ def answer_to(control: JobControl, verb: str) -> Answer:
 
 
 def _refusal(control: JobControl, verb: Verb) -> str:
-    """Why a request does not fit the state of the job; empty if it does."""
+    """Return why a request does not fit the state of the job; empty if it does."""
     before = control.request
     if verb in ("pause", "resume") and before == "abort":
         return "the job was aborted and ends"
@@ -173,5 +173,5 @@ def _publish(folder: Path, address: JobAddress) -> None:
 def _withdraw(folder: Path, token: str) -> None:
     address = address_of_job(folder)
     if address is not None and address.token == token:
-        with contextlib.suppress(OSError):  # a file that stays behind names a port where nobody answers
+        with contextlib.suppress(OSError):  # a file left behind is harmless: nobody answers at its port
             (folder / JOB_FILE).unlink()

@@ -1,6 +1,6 @@
-"""What a job tells those who watch it: lines of JSON, each an object whose key ``type`` names its class.
+"""Messages from a job to those who watch it: lines of JSON, each an object whose key ``type`` names its class.
 
-``encode`` and ``decode`` are the only way to and from these lines; numbers come back exactly as they were.
+Always use ``encode`` and ``decode`` for these lines; numbers are preserved exactly.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ _TYPE = "type"
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """The state of a job, at least every 0.2 s.
+    """State of a job, sent at least every 0.2 s.
 
     Attributes
     ----------
     name : str
-        What the job does, in a word: "collect".
+        What the job does, as one word: "collect".
     request : str
-        What a person asked of it and stands.
+        The last request of a person that is still in force.
     holds : bool
-        Whether it waits after a halt for ``resume`` or ``abort``; otherwise it ends.
+        Whether the job waits after a halt for ``resume`` or ``abort``; if not, it ends.
     has_brakes : bool
-        Whether arms are open that a stop brakes.
+        Whether arms are open that a stop would brake.
     ends : bool
-        Whether it was asked to end.
+        Whether the job was asked to end.
     live : CellLive or None
-        What is known of its cell at this moment; None where no cell is open.
+        Present state of its cell; None if no cell is open.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Answer:
-    """Whether a request that came along the stream was carried out, and a sentence."""
+    """Answer to a request from the stream: whether it was carried out, and a sentence."""
 
     verb: Verb | Literal["look", "watch", "unknown"]
     carried_out: bool
@@ -62,7 +62,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Ending:
-    """The last line: how the job ended; where it failed, the error's sentence and exit code."""
+    """Last line: how the job ended; if it failed, the error's message and exit code."""
 
     how: Literal["done", "stopped", "aborted", "failed"]
     text: str = ""
@@ -73,7 +73,7 @@ Line = Progress | Heartbeat | Answer | Ending
 
 
 def ending_of(error: BaseException | None) -> Ending:
-    """How a job ended that raised ``error``, or nothing."""
+    """Return the ending of a job that raised ``error``, or succeeded if None."""
     if error is None:
         return Ending("done")
     if isinstance(error, Aborted):
@@ -86,12 +86,12 @@ def ending_of(error: BaseException | None) -> Ending:
 
 
 def encode(line: Line) -> bytes:
-    """One line with its end."""
+    """Return one line, including its end-of-line character."""
     return json.dumps(line, default=_plain).encode() + b"\n"
 
 
 def decode(line: bytes) -> Line:
-    """Read one line. Raises ``ValueError`` if it is none that ``encode`` writes."""
+    """Parse one line. Raise ``ValueError`` if it is not one that ``encode`` writes."""
     found = json.loads(line)
     try:
         if found.get("detail") is not None:
@@ -120,7 +120,7 @@ def _object(found: Mapping[str, Any]) -> object:
 
 @cache
 def _adapters() -> Mapping[str, TypeAdapter[Any]]:
-    """Class name -> what makes its objects. Made once, by those who watch."""
+    """Return the pydantic adapter of each class by its name; built once, on first use."""
     from pydantic import TypeAdapter
 
     return {kind.__name__: TypeAdapter(kind) for kind in (*get_args(Detail), *get_args(Line))}

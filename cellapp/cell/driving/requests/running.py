@@ -1,4 +1,4 @@
-"""A job that runs in a run's folder: others reach it, and the run keeps what became of each arm's stop."""
+"""Run a job in a run's folder: other processes can reach it, and the run records how each arm's halt ended."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cellapp.ground.progress import Listener, ignore
 
 @contextlib.contextmanager
 def running_job(run: RunFile, control: JobControl, name: str, listener: Listener = ignore) -> Iterator[Listener]:
-    """Take requests of other processes, and record arms that were not seen at rest, while the context is open.
+    """While the context is open, take requests of other processes and record arms that were not seen at rest.
 
-    It gives the listener to report to. Raises as ``taking_requests`` does.
+    Yield the listener to report to. Raise as ``taking_requests``.
     """
     recording = control.recording(partial(note_halt, run))
     with recording, taking_requests(run.folder, control, name, listener) as heard:

@@ -1,4 +1,4 @@
-"""The job's side of those who watch it: each has a thread and a bounded queue of its own, and never delays the job."""
+"""Serve those who watch a job: each has a thread and a bounded queue of its own, and never delays the job."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from cellapp.ground.progress import Progress
 
 MOST_WATCHERS = 8
 _MOST_WAITING = 2000
-"""Events that wait for a slow watcher; it loses the oldest ones. The run file has all."""
+"""Length of a watcher's event queue; a slow watcher loses the oldest events. The run file has all."""
 _MOST_ANSWERS = 50
 _BEAT_S = 0.2
 _FAREWELL_S = 0.5
-"""How long the end of a job waits at most until all watchers have been told."""
+"""Longest delay [s] of a job's end until all watchers have been told."""
 
 AnswerTo = Callable[[str], Answer]
-"""Carries out a request and says so."""
+"""Callback that carries out a request and returns the answer."""
 
 
 class Watchers:
-    """Tells everybody who watches a job what it does.
+    """Sends the events of a job to everybody who watches it.
 
     Parameters
     ----------
     name : str
-        What the job does, in a word.
+        What the job does, as one word.
     control : JobControl
-        Its state is in each heartbeat.
+        Its state is part of each heartbeat.
     """
 
     def __init__(self, name: str, control: JobControl) -> None:
@@ -45,17 +45,17 @@ class Watchers:
         self._ending: Ending | None = None
 
     def publish(self, event: Progress) -> None:
-        """Hand an event to all watchers. It takes microseconds, whatever they do."""
+        """Queue an event for all watchers. This takes microseconds, however slow they are."""
         detail = event.detail
         kind = (event.job, type(detail), getattr(detail, "arm", None))
         with self._lock:
-            self._recent.pop(kind, None)  # the newest is the last one
+            self._recent.pop(kind, None)  # keep insertion order: the newest is the last one
             self._recent[kind] = event
             for watcher in self._watchers:
                 watcher.tell(event)
 
     def serve(self, connection: socket.socket, answer: AnswerTo) -> None:
-        """Write to a connection what happens, and carry out what comes along it, until either side ends."""
+        """Write events to a connection and carry out requests from it until either side ends."""
         watcher = _Watcher(connection, self._beat)
         with self._lock:
             refused = len(self._watchers) >= MOST_WATCHERS
@@ -76,7 +76,7 @@ class Watchers:
                 self._watchers.remove(watcher)
 
     def end(self, ending: Ending) -> None:
-        """Tell everybody how the job ended, for a bounded time."""
+        """Tell all watchers how the job ended; return after ``_FAREWELL_S`` at the latest."""
         with self._lock:
             self._ending, present = ending, tuple(self._watchers)
         until_s = time.monotonic() + _FAREWELL_S
@@ -93,7 +93,7 @@ class Watchers:
 
 
 class _Watcher:
-    """One connection: a thread of its own writes, the one that serves it reads."""
+    """One connection: its own thread writes, the thread that serves it reads."""
 
     def __init__(self, connection: socket.socket, beat: Callable[[], Heartbeat]) -> None:
         self._connection, self._beat = connection, beat
@@ -110,7 +110,7 @@ class _Watcher:
         self._news.set()
 
     def dismiss(self, ending: Ending) -> None:
-        """Write what waits, and this as the last line."""
+        """Write the queued events, then ``ending`` as the last line."""
         self._ending = ending
         self._news.set()
 
@@ -128,21 +128,21 @@ class _Watcher:
             writer.join()
 
     def _requests(self) -> Iterator[str]:
-        """The lines that come along the connection until it ends; nobody sends a long one."""
+        """Yield the lines from the connection until it ends; a line that is too long ends it."""
         begun = b""
         with contextlib.suppress(OSError):
             while not self._over.is_set() and len(begun) < LONGEST_LINE:
                 try:
                     data = self._connection.recv(LONGEST_LINE)
                 except TimeoutError:
-                    continue  # a watcher need not ask for anything
+                    continue  # a watcher need not send requests
                 if not data:
                     return
                 *lines, begun = (begun + data).split(b"\n")
                 yield from (line.decode("utf-8", "replace").strip() for line in lines)
 
     def _write(self) -> None:
-        with contextlib.suppress(OSError):  # the watcher went away, or it reads nothing for longer than the patience
+        with contextlib.suppress(OSError):  # the watcher has gone, or it has not read for longer than the timeout
             while not self._over.is_set():
                 self._connection.sendall(b"".join(map(encode, self._lines())))
                 if self._ending is not None and not self._events:
@@ -153,9 +153,9 @@ class _Watcher:
         self._over.set()
         self.gone.set()
         with contextlib.suppress(OSError):
-            self._connection.shutdown(socket.SHUT_RDWR)  # the thread that reads must not wait on
+            self._connection.shutdown(socket.SHUT_RDWR)  # wake up the reading thread
 
     def _lines(self) -> list[Line]:
-        """What waits: answers first, and the state that follows from them."""
+        """Return the queued lines: answers first, then the state that results from them, then events."""
         answers = [self._answers.popleft() for _ in range(len(self._answers))]
         return [*answers, self._beat(), *(self._events.popleft() for _ in range(len(self._events)))]
