@@ -48,8 +48,7 @@ def _point(stamp_s: float, p_M: NDArray[np.float64], sigma_m: float) -> str:
 
 
 def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
-    """Read an answer to ``points`` received at ``now_s``: a packet, and the number of points left. Raises
-    ``BadField``."""
+    """Read an answer to ``points`` that came at ``now_s``: a packet, and how many points wait. Raises ``BadField``."""
     text = fields.get("points", "")
     found = [_POINT.fullmatch(part) for part in text.split(";")] if text else []
     if any(match is None for match in found):

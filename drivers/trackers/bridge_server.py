@@ -197,8 +197,7 @@ class TrackerService:
         self._links.call_soon(action)
 
     def restart(self) -> None:
-        """Disconnect all clients and forget all results, like a restart of the computer; call it in the links'
-        thread."""
+        """Disconnect all clients and forget all results, like a restart of the computer. Only in the links' thread."""
         self._boot = secrets.token_hex(8)
         self._results.clear()
         self._prepared_for = ""

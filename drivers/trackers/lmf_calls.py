@@ -80,8 +80,7 @@ class CallThread:
         return cast(_T, call.result)
 
     def _wait_for(self, done: Callable[[], bool], limit_s: float) -> bool:
-        """Wait until ``done()``, with ``_changed`` held; time in which this process was not scheduled does not
-        count."""
+        """Wait until ``done()``, holding ``_changed``; time in which this process was not scheduled does not count."""
         waited_s = 0.0
         while not done() and waited_s < limit_s:
             began_s = time.monotonic()

@@ -130,8 +130,7 @@ class TwoFace:
 
     @property
     def across_m(self) -> float:
-        """Full difference of the two faces perpendicular to the beam [m]; half of it is the convention of ISO
-        10360-10."""
+        """Full difference of the two faces perpendicular to the beam [m]; ISO 10360-10 uses half of it."""
         difference, beam = self._split()
         return float(np.linalg.norm(difference - (difference @ beam) * beam))
 
