@@ -15,8 +15,7 @@ ESCAPE_WAITS_MS = 15
 """Time for which an Escape byte may be the start of another key's sequence; terminals send the rest at once."""
 
 _SWITCH_S = 0.001
-"""Thread switch interval [s]: a computing thread must yield soon, as several threads run between a key and the
-brakes."""
+"""Thread switch interval [s]. Several threads run between a key and the brakes: one that computes must yield soon."""
 
 
 def run_app(folder: Path = Path("profiles")) -> int:

@@ -327,8 +327,7 @@ class JobRecord:
                 self.tracker = TrackerRecord(name, False, detail, self._air_of(detail))
 
     def _air_of(self, point: PointMeasured) -> AirReport | None:
-        """Return the air at a point; the weather station's, with pressure and humidity, if its temperature is the
-        same."""
+        """Return the air at a point: all that is known if the temperature is the same, else the temperature alone."""
         air = self.tracker.air
         if point.temperature_c is None or (air is not None and air.temperature_c == point.temperature_c):
             return air

@@ -44,14 +44,14 @@ def screen_file(step: str) -> str:
 def write_screens(
     profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE, outputs: Outputs = NEW_ONLY
 ) -> list[Path]:
-    """Draw every screen as an SVG file, with a run or without one; their paths. Nothing is changed in the run.
+    """Draw every screen as an SVG file, with a run or without one; return the paths. The run is not changed.
 
     The first picture is that of the first start, in a folder without profiles.
 
     Parameters
     ----------
     profile : Path
-        A profile; where ``run`` is given, that from which it was planned.
+        A profile; if ``run`` is given, the one from which it was planned.
     run : Path or None
         Folder of the run.
     folder : Path
@@ -59,7 +59,7 @@ def write_screens(
     size : tuple
         Columns and lines.
     outputs : Outputs
-        What may be replaced; left out, nothing.
+        What may be replaced; default: nothing.
 
     Raises
     ------
