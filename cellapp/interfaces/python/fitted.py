@@ -96,7 +96,7 @@ class Fitted(Charted):
         return model.predict(at, conditions=stated)
 
     def uncertainty(self, arm: str, q: ArrayLike, **conditions: ArrayLike) -> Array:
-        """Return the standard deviation (n,) [m] of a predicted coordinate, without measurement noise."""
+        """Return the standard deviation (n,) [m] of a coordinate as ``predict`` gives it, without measurement noise."""
         model, at, stated = self._asked(arm, q, conditions)
         return model.uncertainty(at, stated)
 
