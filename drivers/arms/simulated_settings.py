@@ -17,7 +17,7 @@ class SimulatedArmSettings(ArmSettings):
     needs_plant: ClassVar[bool] = True
 
     def emulated_controller(self) -> EmulatedController:
-        """Return an emulator without conditions: any free address can replace the controller."""
+        """Return that a controller at any free address can replace it."""
         return EmulatedController()
 
     def open(self, arm: ArmContext) -> Arm:
