@@ -1,7 +1,7 @@
 """Reader of a UR controller's state over RTDE with a plain socket: outputs only, nothing is written.
 
-Used when the RTDE client that moves the arm has failed or has not been started. Packets are ``size uint16, type uint8,
-payload``, big-endian; protocol version 2.
+Used when the RTDE client that moves the arm has failed or has not been started. Packets are
+``size uint16, type uint8, payload``, big-endian; protocol version 2.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ class LinkBending(Effect):
 class ShearingLinkBending(Effect):
     """Beams that bend and also shear (Timoshenko), as short tubes with openings do.
 
-    In addition to bending, the transverse force, of all weight beyond the middle of the link, shifts the tip by ``force
-    length / shear``. ``shear`` is the product kappa G A [N].
+    In addition to bending, the transverse force, of all weight beyond the middle of the link, shifts the tip by
+    ``force length / shear``. ``shear`` is the product kappa G A [N].
     """
 
     bending: LinkBending

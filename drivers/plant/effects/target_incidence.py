@@ -14,9 +14,10 @@ from drivers.plant.effect import Effect, Parameters, Situation
 class TargetIncidence(Effect):
     """A glass plate of thickness d and index n before the corner cube, with dihedral angle errors ``dihedral``.
 
-    At incidence angle t the optical path through the plate, minus that through the same air, is ``d (sqrt(n^2 - sin^2
-    t) - cos t)`` (Snell's law); its value at t = 0 is part of the reflector constant. A dihedral error deflects the
-    returned beam, in proportion to the distance and the sine of t. Sizes: 2 to 20 um, larger for glass (estimates).
+    At incidence angle t the optical path through the plate, minus that through the same air, is
+    ``d (sqrt(n^2 - sin^2 t) - cos t)`` (Snell's law); its value at t = 0 is part of the reflector constant. A dihedral
+    error deflects the returned beam, in proportion to the distance and the sine of t. Sizes: 2 to 20 um, larger for
+    glass (estimates).
     """
 
     thickness: float

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 _REFRESH_S = 5.0
 """Interval of device queries: slow enough for any controller, fast enough to show that a stop was released."""
 _TODAY_AFTER_S = 0.6
-"""Delay until the first screen is drawn."""
+"""Delay of reading today's work, so that the first screen is drawn before it."""
 _NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
