@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from drivers.plant import Plant
 
 Sleep = Callable[[float], object]
-"""Sleeps for at most the given time [s] and returns early when the job is cancelled."""
+"""Function that sleeps for at most the given time [s] and returns early when the job is cancelled."""
 
 
 class Clock(Protocol):
@@ -20,7 +20,7 @@ class Clock(Protocol):
         """Return the time since an arbitrary origin [s]; never decreases."""
 
     def wait(self, duration_s: float, sleep: Sleep) -> None:
-        """Let ``duration_s`` [s] pass. ``sleep`` is how the caller waits in real time, so that it can be cancelled."""
+        """Wait until ``duration_s`` [s] have passed. ``sleep`` is a wait in real time that the caller can cancel."""
 
 
 class RealClock:
@@ -36,7 +36,7 @@ class RealClock:
 
 
 def slept_s() -> float:
-    """Return how long this computer has slept since it started [s]; 0 where the system does not tell."""
+    """Return how long this computer has been suspended since it started [s]; 0 if the system does not report it."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
 

@@ -1,4 +1,4 @@
-"""What a probe of a device reports."""
+"""Result of a probe of a device."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Status = Literal["ok", "warning", "failed"]
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """What a device says of itself; None: not reported.
+    """What a device reports about itself; None if not reported.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class DeviceReport:
     air_c, pressure_hpa, humidity_percent : float or None
         The air at a sensor [degC, hPa, %].
     dh_rows : tuple of rows or None
-        Rows theta, d, a, alpha of each joint by which a controller computes [rad, m, m, rad].
+        Rows theta, d, a, alpha of each joint that a controller uses [rad, m, m, rad].
     dh_checksum : str or None
-        Of the factory's calibration in it; empty if it has none.
+        Checksum of the controller's factory calibration; empty if it has none.
     """
 
     model: str | None = None
@@ -52,7 +52,7 @@ class Finding:
     text : str
         What was found and, unless it is ok, what to do.
     device : DeviceReport or None
-        What the device reported, with the finding about the device as a whole.
+        Report of the device, in the finding about the device as a whole.
     """
 
     subject: str

@@ -1,7 +1,8 @@
-"""Registries: what this program has built in, then what installed distributions add through entry points.
+"""Registries of built-in entries and of those that installed distributions add through entry points.
 
 A plug-in is code of somebody else and runs with the rights of the user: who installs it trusts it. Nothing is imported
-before a registry is first used. A plug-in that cannot be used is left out, and a sentence says why; all others work.
+before a registry is first used. A plug-in that cannot be used is skipped with a sentence that says why; all others
+work.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 PREFIX = "cellapp."
-"""How the names of all groups begin."""
+"""Prefix of the names of all groups."""
 _LONGEST_REASON = 200
-"""Characters of an exception's message in a sentence; pydantic writes several lines."""
+"""Longest exception message in a sentence [characters]; pydantic writes several lines."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,9 @@ class Plugin:
     Attributes
     ----------
     what : str
-        What the registry holds: "effect", "kind of arm".
+        What the registry contains: "effect", "kind of arm".
     name, target : str
-        Empty where the distribution's list of entry points cannot be read.
+        Empty if the distribution's list of entry points cannot be read.
     problem : str
         Why it is not used, as a sentence about it; empty if it is used.
     """
@@ -49,7 +50,7 @@ class Plugin:
 
     @property
     def refusal(self) -> str:
-        """Why it is not used, where that is written, and what to do; empty if it is used."""
+        """Why and where the plug-in is not used, and what to do; empty if it is used."""
         if not self.problem:
             return ""
         entry = f", {self.what} '{self.name}' = {self.target} of [{self.group}]" if self.name else ""
@@ -75,7 +76,7 @@ class Registry(Mapping[str, T]):
     what : str
         What an entry is, for people: "effect".
     built_in : mapping
-        A plug-in cannot replace one of these.
+        Entries that a plug-in cannot replace.
     accept : callable
         Takes name and object of an entry point; returns the entry or raises ``ValueError`` with what is wrong.
     last : mapping
@@ -104,15 +105,15 @@ class Registry(Mapping[str, T]):
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """All entry points of the group, by distribution and name; also those that are not used."""
+        """All entry points of the group, by distribution and name, including those that are not used."""
         return self._found.plugins
 
     def plugin(self, name: str) -> Plugin | None:
-        """The plug-in that an entry comes from; None for a built-in one."""
+        """Return the plug-in that provides an entry; None for a built-in one."""
         return next((one for one in self.plugins if one.name == name and not one.problem), None)
 
     def refusal(self, name: str) -> str:
-        """Why there is no entry of this name although a plug-in has, or may have, one; empty otherwise."""
+        """Return why a plug-in's entry of this name is missing, if a plug-in has or may have one; else empty."""
         if name in self:
             return ""
         return "; ".join(one.refusal for one in self.plugins if one.problem and one.name in (name, ""))
@@ -132,7 +133,7 @@ class Registry(Mapping[str, T]):
         return _Found(entries, tuple(plugins))
 
     def _taken(self, plugin: Plugin, offered: Sequence[Plugin]) -> str:
-        """Say who else has the name. Of two plug-ins neither is used: nobody can say which one was meant."""
+        """Return who else has the name. Of two plug-ins neither is used: nobody can say which one was meant."""
         if plugin.name in self._built_in or plugin.name in self._last:
             return f"'{plugin.name}' is built in and stays as it is; the plug-in needs another name"
         others = [f"{one.distribution} {one.version}" for one in offered if one.name == plugin.name and one != plugin]
@@ -140,7 +141,7 @@ class Registry(Mapping[str, T]):
 
 
 def _loaded(plugin: Plugin, accept: Callable[[str, object], T]) -> tuple[T | None, str]:
-    """The entry of an entry point, or None and what is wrong with it."""
+    """Return the entry of an entry point, or None and what is wrong with it."""
     from importlib.metadata import EntryPoint
 
     entry_point = EntryPoint(plugin.name, plugin.target, plugin.group)
@@ -162,19 +163,19 @@ def _reason(error: BaseException) -> str:
 
 
 def _offered(group: str, what: str) -> list[Plugin]:
-    """The entry points of a group by distribution and name, none of them imported."""
+    """Return the entry points of a group by distribution and name, without importing them."""
     from importlib.metadata import distributions
 
     found: dict[str, list[Plugin]] = {}
     for one in distributions():
         text = _text(one.read_text)
-        if f"[{PREFIX}" not in text:  # before any metadata is parsed: an environment has hundreds of distributions
+        if f"[{PREFIX}" not in text:  # before parsing any metadata: an environment has hundreds of distributions
             continue
         name, version = _name_and_version(one)
         problem = "" if name and version else "its metadata has no name or no version"
         shown = name or f"(a distribution without a name in {one.locate_file('')})"
         key = re.sub(r"[-_.]+", "-", shown).lower()
-        if key in found:  # behind another one of the same name on sys.path: its modules cannot be imported
+        if key in found:  # shadowed by another one of the same name on sys.path: its modules cannot be imported
             continue
         plugin = Plugin(shown, version or "(no version)", group, what, "", "", problem)
         found[key] = _entries(plugin, text)
@@ -182,10 +183,10 @@ def _offered(group: str, what: str) -> list[Plugin]:
 
 
 def _name_and_version(one: Distribution) -> tuple[str, str]:
-    """Empty where the metadata has none or cannot be read."""
+    """Return name and version of a distribution; empty if missing or unreadable."""
     try:
         metadata = one.metadata
-    except (UnicodeDecodeError, OSError):  # the backport of importlib.metadata takes its place once it is imported
+    except (UnicodeDecodeError, OSError):  # the backport of importlib.metadata replaces it once it is imported
         return "", ""
     name, version = ("".join(metadata.get_all(key) or ()) for key in ("Name", "Version"))
     return name, version
@@ -194,7 +195,7 @@ def _name_and_version(one: Distribution) -> tuple[str, str]:
 def _text(read: Callable[[str], str | None]) -> str:
     try:
         return read("entry_points.txt") or ""
-    except UnicodeDecodeError:  # no list of a plug-in: the format is UTF-8
+    except UnicodeDecodeError:  # not a plug-in's list: the format is UTF-8
         return ""
 
 

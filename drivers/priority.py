@@ -1,6 +1,7 @@
-"""Running before other programs of this computer, as far as the system permits.
+"""Scheduling priority over other programs of this computer, as far as the system permits.
 
-On Linux and macOS usual users may not, on Linux without a limit ``nice`` or ``rtprio`` for them; then nothing changes.
+On Linux and macOS ordinary users may not raise it, on Linux unless they have a limit ``nice`` or ``rtprio``; then
+nothing changes.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ _LEAST_REAL_TIME = 1
 
 
 def run_first(niceness: int) -> None:
-    """Prefer this thread, and the threads and processes that it starts from now on; on macOS the whole process.
+    """Raise the priority of this thread and of threads and processes that it starts later; on macOS of the process.
 
-    Where Linux shares the processors among sessions first (``sched_autogroup``), this counts within a session only.
+    If Linux shares the processors among sessions first (``sched_autogroup``), this counts only within a session.
     """
     if hasattr(os, "setpriority"):
         with suppress(OSError):
@@ -25,10 +26,10 @@ def run_first(niceness: int) -> None:
 
 @contextmanager
 def in_real_time(*, inherited: bool = False) -> Iterator[bool]:
-    """Run this thread as soon as it has something to do while this context is open; whether that is permitted.
+    """Give this thread real-time scheduling while this context is open; yield whether that is permitted.
 
-    For what stands for another computer, and for what measures times: neither may compute for long, as all else waits
-    meanwhile. ``inherited``: threads and processes that are started meanwhile run so, too, and keep it.
+    For emulations of another computer and for time measurements. Neither may compute for long, as everything else waits
+    meanwhile. ``inherited``: threads and processes started meanwhile get it too, and keep it.
     """
     flags = () if inherited else ("SCHED_RESET_ON_FORK",)
     permitted = _schedule("SCHED_RR", *flags)
@@ -36,7 +37,7 @@ def in_real_time(*, inherited: bool = False) -> Iterator[bool]:
         yield permitted
     finally:
         if permitted:
-            _schedule("SCHED_OTHER", *flags)  # not everybody may lower that flag
+            _schedule("SCHED_OTHER", *flags)  # lowering that flag needs a privilege
 
 
 def _schedule(*flags: str) -> bool:

@@ -80,9 +80,9 @@ RelativeLength = Annotated[float, _quantity("relative length")]
 Temperature = Annotated[float, _quantity("temperature")]
 
 _ARM_SCALE_M = 10.0
-"""No link or tool of an industrial arm is longer."""
+"""Largest length of an arm's part: no link or tool of an industrial arm is longer."""
 _CELL_SCALE_M = 100.0
-"""Beyond the range of a laser tracker (80 m)."""
+"""Largest length in a cell: beyond the range of a laser tracker (80 m)."""
 
 
 def _at_most(limit_m: float) -> AfterValidator:

@@ -1,4 +1,4 @@
-"""Base of all settings, and what every kind of device may use to define its own.
+"""Base of all settings, and helpers for every kind of device to define its own.
 
 Settings modules import neither numpy nor a device library: loading a profile imports all of them.
 """
@@ -30,14 +30,14 @@ class Section(BaseModel):
 
 
 class SettingError(ValueError):
-    """A setting that a device cannot be opened with. The message starts with the key inside the device's section."""
+    """A setting with which a device cannot be opened. The message starts with the key inside the device's section."""
 
 
 S = TypeVar("S", bound=Section)
 
 
 def device_kinds(group: str, what: str, base: type[S], built_in: Sequence[type[S]]) -> Registry[type[S]]:
-    """The registry of the settings of some kind of device, by their key ``kind``; see ``drivers.plugins.Registry``."""
+    """Return the registry of the settings of device kinds by their key ``kind``; see ``drivers.plugins.Registry``."""
     return Registry(group, what, {str(one.model_fields["kind"].default): one for one in built_in}, _accept(base))
 
 
@@ -51,18 +51,18 @@ def _accept(base: type[S]) -> Callable[[str, object], type[S]]:
         field = found.model_fields["kind"]
         if get_args(field.annotation) != (name,) or field.default != name:
             raise ValueError(f'class {found.__name__} needs the line \'kind: Literal["{name}"] = "{name}"\'')
-        found.model_rebuild()  # an annotation that cannot be resolved is told here, not with the whole profile
+        found.model_rebuild()  # report an annotation that cannot be resolved here, not with the whole profile
         return found
 
     return accept
 
 
 class OneOf:
-    """Annotation for a field that holds the settings of one of several device kinds, selected by their key ``kind``.
+    """Annotation for a field that contains the settings of one of several device kinds, selected by their key ``kind``.
 
     ``driver: Annotated[TrackerSettings, OneOf(TRACKERS)]`` is a ``TrackerSettings`` for a type checker and the
     discriminated union of the registered kinds for pydantic. A section with such a field sets ``defer_build``: its
-    schema is then made when it is first used, not while modules of plug-ins may still be half imported.
+    schema is then built at first use, and not while modules of plug-ins may still be only partly imported.
     """
 
     def __init__(self, registry: Registry[type[S]]) -> None:
@@ -79,7 +79,7 @@ class OneOf:
         return core_schema.no_info_before_validator_function(self._not_refused, union)
 
     def _not_refused(self, value: object) -> object:
-        """Say why a plug-in that has the wanted kind is not used, in the place of the kinds that there are."""
+        """Raise ``ValueError`` if a plug-in with the wanted kind is not used; else pydantic lists the known kinds."""
         kind = value.get("kind") if isinstance(value, dict) else None
         if isinstance(kind, str) and (refusal := self.registry.refusal(kind)):
             raise ValueError(f"kind: {refusal}")

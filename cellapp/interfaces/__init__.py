@@ -1,1 +1,1 @@
-"""How people and programs reach a verb: command line, terminal application, page, Python."""
+"""Access to the verbs for people and programs: command line, terminal application, page, Python."""

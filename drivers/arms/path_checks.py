@@ -1,4 +1,4 @@
-"""Check of a stream of joint positions before its first one is sent: numbers, limits, steps, and where the arm is."""
+"""Checks of a stream of joint positions before the first one is sent: finite numbers, limits, steps, start position."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from drivers.arms.protocol import JointLimits, LimitExceeded
 
 AT_START_RAD = 1e-3
-"""The arm must be this near to the first position: well above a joint's repeatability, well below a visible jump."""
+"""Largest distance of the arm from the first position: well above repeatability, well below a visible jump."""
 _ROUNDING_RAD = 1e-9
 _SLACK = 1e-3
-"""Relative excess of speed and acceleration that counts as rounding of the samples."""
+"""Relative excess of speed and acceleration that is taken for rounding of the samples."""
 
 
 def checked_path(
@@ -22,7 +22,7 @@ def checked_path(
     limits: JointLimits,
     here: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the joint positions (m, N) [rad] of a stream for arm ``name``, which rests at ``here`` (N,).
+    """Check a stream of joint positions (m, N) [rad] for arm ``name``, which rests at ``here`` (N,); return an array.
 
     Raises ``LimitExceeded`` with the first place that must not be sent. The stream begins and ends at rest.
     """
@@ -58,7 +58,7 @@ def checked_path(
 
 
 def driven(path: NDArray[np.float64], reached: float) -> NDArray[np.float64]:
-    """The part of ``path`` (m, N) that an arm followed; it came to rest at row ``reached``, which is the last one."""
+    """Return the part of ``path`` (m, N) up to the row (with a fraction) ``reached``, at which the arm came to rest."""
     if reached >= len(path) - 1:
         return path
     last = int(reached)

@@ -1,4 +1,4 @@
-"""Ending a stream of joint positions before its end: the arm slows down along the path and rests on it.
+"""Early end of a stream of joint positions: the arm slows down along the path and comes to rest on it.
 
 Loads no numpy: the worker process starts faster without it.
 """
@@ -9,13 +9,13 @@ import math
 from collections.abc import Sequence
 
 SLOWS_WITHIN_S = 1.0
-"""Time in which the arm slows down. A path within half of its limits stays within them."""
+"""Time in which the arm slows down. A path that uses at most half of its limits stays within them."""
 
 
 def slowed(rows: Sequence[Sequence[float]], sent: int, period_s: float) -> tuple[list[list[float]], float]:
-    """Rows that end a path of which ``sent`` rows were sent, and the row at which it ends, between two rows too.
+    """Return rows that end a path early, after ``sent`` rows, and the row (with a fraction) at which it ends.
 
-    The rate at which the path is passed falls from 1 to 0 like a cosine; nothing lies beside the path.
+    The rate at which the path is passed falls from 1 to 0 like a cosine; the arm never leaves the path.
     """
     last = len(rows) - 1
     steps = max(round(SLOWS_WITHIN_S / period_s), 1)

@@ -117,14 +117,14 @@ class ArmState:
 
 @dataclass(frozen=True)
 class LiveArm:
-    """What is known of an arm without asking it.
+    """What is known of an arm without a query.
 
     Attributes
     ----------
     age_s : float
-        Age of the newest state from the controller [s]; inf where there is none.
+        Age of the newest state from the controller [s]; inf if there is none.
     moving : bool
-        Whether a joint moved in it or a motion has been accepted since; true where neither can be excluded.
+        Whether a joint moved in that state or a motion has been accepted since; true if neither can be excluded.
     """
 
     age_s: float
@@ -180,7 +180,7 @@ class HostStalled(ArmError):
 
 
 DoubtListener = Callable[[ArmError], None]
-"""Receives the first doubt about an arm, from any thread, and returns at once."""
+"""Callback for the first doubt about an arm. It is called from any thread and must return at once."""
 
 
 class Arm(Protocol):
@@ -210,7 +210,7 @@ class Arm(Protocol):
         """Return payload and TCP as configured in the controller."""
 
     def warnings(self) -> tuple[str, ...]:
-        """Return findings that a person should know but that do not keep the arm from moving; one sentence each."""
+        """Return findings that a person should know and that do not prevent motion; one sentence each."""
 
     def watch(self, listener: DoubtListener) -> None:
         """Report the first doubt after each ``connect`` to ``listener``: a fault, a lost link, no state for 0.3 s.
@@ -219,22 +219,22 @@ class Arm(Protocol):
         """
 
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which joint positions (n, N) [rad] the controller's safety configuration forbids, shape (n,).
+        """Return a mask (n,) of the joint positions (n, N) [rad] that the controller's safety configuration forbids.
 
-        None is forbidden where the controller cannot be asked. Raises ``LinkLost``.
+        All False if the controller cannot be asked. Raises ``LinkLost``.
         """
 
     def state(self) -> ArmState:
         """Return the current state, never an old one. Raises ``LinkLost``."""
 
     def live(self) -> LiveArm:
-        """Return what is known of the arm now, and how old that is. From any thread; asks nothing, never waits."""
+        """Return the newest known state of motion and its age. From any thread; sends no query and never waits."""
 
     def confirm(self) -> None:
-        """Make sure, at most 0.3 s, that every link over which the arm is moved, seen and stopped answers now.
+        """Check within 0.3 s that every link over which the arm is moved, observed and stopped answers now.
 
-        Usually takes a few milliseconds: it is called for all arms directly before every motion of any of them.
-        Raises ``LinkLost``, or the fault of the arm; the listener of ``watch`` has been told then.
+        Usually takes a few milliseconds: it is called for all arms directly before every motion of any of them. Raises
+        ``LinkLost``, or the fault of the arm; the listener of ``watch`` has been told before.
         """
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
@@ -253,8 +253,8 @@ class Arm(Protocol):
     def refuse_motion(self) -> None:
         """Accept no motion until the next ``connect``. From any thread, at once: no device is waited for.
 
-        A motion that goes on need not be stopped by it: ``brake`` follows, and includes it. A driver that can send its
-        stop without waiting sends it here already.
+        It need not stop a running motion: ``brake`` follows, and includes it. A driver that can send its stop without
+        waiting sends it here already.
         """
 
     def brake(self) -> None:
@@ -281,11 +281,11 @@ class FollowedPath:
     Attributes
     ----------
     time_s : array, shape (m,)
-        Since the first position was sent [s].
+        Time since the first position was sent [s].
     q : array, shape (m, N)
         Joint positions from the controller's encoders [rad].
     reached : float
-        Row of the path at which the arm came to rest, between two rows too; inf: at its end.
+        Row of the path at which the arm came to rest, with a fraction between two rows; inf: at its end.
     """
 
     time_s: NDArray[np.float64]
@@ -295,22 +295,22 @@ class FollowedPath:
 
 @runtime_checkable
 class PathFollower(Protocol):
-    """What an arm can do besides, if its controller follows a stream of joint positions."""
+    """Additional interface of an arm whose controller follows a stream of joint positions."""
 
     @property
     def path_period_s(self) -> float:
         """Time between two positions of a stream [s]; known when connected."""
 
     def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
-        """Stream the joint positions ``q`` (m, N) [rad], one each ``period_s``, from the arm's position on.
+        """Stream the joint positions ``q`` (m, N) [rad], one every ``period_s``, beginning at the arm's position.
 
-        ``wait_settled`` waits for the end; everything that ends a motion ends the stream: ``brake`` and ``stop`` from
-        any thread, a fault, a lost link, a computer that is late. Raises as ``Arm.start_move`` does, ``LimitExceeded``
-        also where the arm is not at the beginning, or a step is faster than the limits allow.
+        ``wait_settled`` waits for the end. Everything that ends a motion also ends the stream: ``brake`` and ``stop``
+        from any thread, a fault, a lost link, a late computer. Raises as ``Arm.start_move`` does, and ``LimitExceeded``
+        if the arm is not at the first position or a step is faster than the limits allow.
         """
 
     def end_path(self) -> None:
-        """Slow down along the path in about a second, and come to rest on it; ``wait_settled`` returns then.
+        """Slow down along the path within about a second and come to rest on it; ``wait_settled`` returns then.
 
         From any thread; harmless when no path is being followed. The arm stays ready to move. Raises ``LinkLost``.
         """

@@ -1,4 +1,4 @@
-"""What every kind of arm brings: its settings, how it is opened and probed, and what generic code may ask about it."""
+"""Interface of every kind of arm: settings, how it is opened and probed, and what generic code may ask about it."""
 
 from __future__ import annotations
 
@@ -79,14 +79,14 @@ class ArmSettings(Section):
     needs_plant: ClassVar[bool] = False
     """Whether the arm belongs to the simulated cell."""
     has_device: ClassVar[bool] = True
-    """Whether there is an arm to move; otherwise the readings come from a file."""
+    """Whether there is an arm to move; if not, readings come from a file."""
     packages: ClassVar[tuple[Package, ...]] = ()
     repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and keeps the device from nobody."""
+    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
 
     @property
     def controller_address(self) -> str:
-        """Network address of the controller, which no other arm may have; empty if there is none."""
+        """Network address of the controller, unique among the arms; empty if there is none."""
         return ""
 
     def emulated_controller(self) -> EmulatedController | None:
@@ -100,20 +100,20 @@ class ArmSettings(Section):
 
     @abstractmethod
     def open(self, arm: ArmContext) -> Arm:
-        """Return the driver, not connected yet. Raises ``SettingError``."""
+        """Create the driver, not connected yet. Raises ``SettingError``."""
 
     @abstractmethod
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
 
     def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
-        """Some states of the arm as its controller sends them, for a report of a fault; none from other kinds."""
+        """Return some states of the arm as its controller sends them, for a fault report; empty for other kinds."""
         return ()
 
     def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
-        """Read the joints of an arm that a person leads, once it has rested for ``rest_s`` [s]. Nothing can move by it.
+        """Read the joints of an arm that a person leads by hand, once it has rested for ``rest_s`` [s]. Nothing moves.
 
-        The arm is not taken over: no program is started or ended on the controller, no stop is released.
+        The driver does not take over the arm: it starts or ends no program on the controller and releases no stop.
 
         Raises
         ------

@@ -31,13 +31,13 @@ from drivers.plant.factory import factory_calibration
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 
 CYCLE_S = 0.008
-"""Control cycle: every query takes one, so that time passes while a caller polls."""
+"""Control cycle: every query takes one, so that simulated time passes while a caller polls."""
 SETTLE_S = 0.2
 """An arm counts as settled after this time at rest."""
 _ROUNDING_RAD = 1e-9
-"""A target may exceed a limit by rounding."""
+"""Tolerance of a position limit for rounding."""
 _ROUNDING = 1e-9
-"""Relative excess of a rate that counts as rounding."""
+"""Relative tolerance of a speed or acceleration limit for rounding."""
 
 _Sample = tuple[float, NDArray[np.float64], NDArray[np.float64]]
 """Time [s], joint positions [rad] and speeds [rad/s] of a control cycle."""
@@ -56,13 +56,13 @@ class SimulatedArm:
         self._fault: ProtectiveStop | EmergencyStop | None = None
         self._link_cut = False
         self._refusals = 0
-        """Number of calls of ``refuse_motion``: no motion until the next ``connect``."""
+        """Number of calls of ``refuse_motion``; each refuses motion until the next ``connect``."""
         self._released = 0
         self._cut_short = False
         """Whether the last motion was stopped before its goal."""
         self._listener: DoubtListener = lambda error: None
         self._stream: NDArray[np.float64] | None = None
-        """The positions that are being streamed; another array, or None, once this has ended."""
+        """The positions that are being streamed. ``_send`` stops when this is another array or None."""
         self._sent = 0
         self._reached = math.inf
         self._record: list[_Sample] | None = None
@@ -88,7 +88,7 @@ class SimulatedArm:
         self._listener = listener
 
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return that no joint positions are forbidden: a simulated arm has no safety configuration."""
+        """Return all False: a simulated arm has no safety configuration."""
         self._link()
         return np.zeros(len(q), dtype=np.bool_)
 
@@ -136,7 +136,7 @@ class SimulatedArm:
         return self._now()
 
     def live(self) -> LiveArm:
-        """Return whether the arm moves: at age 0 while it is linked, infinitely old otherwise."""
+        """Return whether the arm moves. The age is 0 while it is linked, else infinite."""
         linked = self._connected and not self._link_cut
         return LiveArm(0.0 if linked else math.inf, self._moving)
 
@@ -211,7 +211,7 @@ class SimulatedArm:
             raise MotionStopped(f"arm {self._name}: it was stopped; connect again when it may move")
 
     def _may_start(self) -> None:
-        """Raise what keeps the arm from beginning a motion: its link, a fault, a refusal, a motion in progress."""
+        """Raise the reason why the arm cannot begin a motion: its link, a fault, a refusal, a motion in progress."""
         self._link()
         self._no_fault()
         self._may_move()
@@ -226,7 +226,7 @@ class SimulatedArm:
         return CYCLE_S
 
     def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
-        """Stream joint positions, which the arm follows with the lag of ``drivers.plant.servo``."""
+        """Stream joint positions; the arm follows them with the lag of ``drivers.plant.servo``."""
         self._may_start()
         here = self._plant.q(self._name)
         limits = JointLimits(self._config.limits, self._config.speed, self._config.acceleration)
@@ -237,7 +237,7 @@ class SimulatedArm:
         self._send(path, 0, self._plant.clock_s)
 
     def _send(self, path: NDArray[np.float64], row: int, began_s: float) -> None:
-        """Send one position and enter the next into the plant's schedule; a stream that has ended sends no more."""
+        """Send one position and schedule the next in the plant; do nothing if the stream has ended."""
         if self._stream is not path:
             return
         self._followed.append((self._plant.clock_s - began_s, self._plant.q(self._name)))
@@ -269,21 +269,21 @@ class SimulatedArm:
     # -- recording ----------------------------------------------------------------------------------------------------
 
     def start_recording(self) -> None:
-        """Keep the joints of each control cycle, while others let the plant's time pass."""
+        """Record the joints in each control cycle while other calls advance the plant's time."""
         self._link()
         record: list[_Sample] = []
         self._record = record
         self._keep(record, self._plant.clock_s, 0)
 
     def _keep(self, record: list[_Sample], began_s: float, number: int) -> None:
-        """Keep one sample and enter the next into the plant's schedule."""
+        """Record one sample and schedule the next in the plant."""
         if self._record is not record:
             return
         record.append((self._plant.clock_s, self._plant.q(self._name), self._plant.speeds(self._name)))
         self._plant.schedule.at(began_s + (number + 1) * CYCLE_S, lambda: self._keep(record, began_s, number + 1))
 
     def pulse(self) -> bool:
-        """A simulated arm has no output."""
+        """Return False: a simulated arm has no output."""
         return False
 
     def recorded(self) -> tuple[int, int]:
@@ -299,7 +299,7 @@ class SimulatedArm:
         return JointRecord(np.array([one[0] for one in record]), q, qd, CYCLE_S)
 
     def wait_settled(self, timeout_s: float) -> ArmState:
-        """Advance until the arm was at rest for ``SETTLE_S``, or until the plant's schedule brings a fault.
+        """Advance until the arm has been at rest for ``SETTLE_S``, or until the plant's schedule brings a fault.
 
         Raises ``ArmTimeout``, or what stopped it: a fault, or ``MotionStopped``.
         """
@@ -321,7 +321,7 @@ class SimulatedArm:
         return self._now()
 
     def _rest_due_s(self) -> float:
-        """When the arm rests, as far as that is known [s]."""
+        """Return when the arm comes to rest, as far as known [s]."""
         rest_s = self._plant.rest_s(self._name)
         return rest_s if self._stream is None else max(rest_s, self._stream_end_s)
 
@@ -335,7 +335,7 @@ class SimulatedArm:
         self._brake()
 
     def stop(self) -> None:
-        """Brake now and advance until the arm is at rest. Harmless at rest."""
+        """Brake now and advance until the arm is at rest; harmless at rest."""
         self._link()
         self._brake()
         self._plant.advance(max(self._plant.rest_s(self._name) - self._plant.clock_s, 0.0))
@@ -345,7 +345,7 @@ class SimulatedArm:
         self._halt()
 
     def _halt(self) -> None:
-        """End a stream and brake."""
+        """End the stream, if any, and brake."""
         self._stream = None
         self._plant.stop(self._name)
 
@@ -370,7 +370,7 @@ class SimulatedArm:
         self._listener(self._fault)
 
     def cut_link(self) -> None:
-        """Block all calls until ``release`` and ``connect``. The arm itself continues its motion; a stream ends."""
+        """Block all calls until ``release`` and ``connect``. The arm continues a motion; a stream ends."""
         if self._stream is not None:  # its controller gets no more positions
             self._halt()
         self._link_cut = True

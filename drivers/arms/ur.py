@@ -1,12 +1,12 @@
 """A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
-Three properties hold even if that client hangs, crashes with the link or reports old states. Every call returns in
-bounded time. On any doubt all that ``drivers.arms.ur_guarded_link`` describes happens at once. If even that fails, the
-controller's watchdog expires and stops the program.
+Three properties hold even if that client hangs, crashes with the link or reports old states. First, every call returns
+in bounded time. Second, any doubt triggers at once all that ``drivers.arms.ur_guarded_link`` describes. Third, if even
+that fails, the controller's watchdog expires and stops the program.
 
-``brake`` stops the arm in three ways: the worker decelerates the motion through the control program; at most 20 ms
-later a line on an open dashboard connection, and the worker on another one, end the program; and the worker no longer
-kicks the watchdog.
+``brake`` stops the arm in three ways. The worker decelerates the motion through the control program. At most 20 ms
+later the program is ended by a line on an open dashboard connection, and by the worker on another one. The worker also
+no longer kicks the watchdog.
 
 After a fault or a brake nothing moves until ``connect`` is called again. The driver never releases a protective stop.
 """
@@ -41,31 +41,31 @@ from drivers.patience import Patience
 
 LONGEST_PROBE_S = 5.0
 LONGEST_BRAKING_S = 3.0
-"""Several times what a UR arm takes to brake from full speed."""
+"""Upper bound of the braking time: several times what a UR arm takes to brake from full speed."""
 
 _HELLO_WITHIN_S = 10.0
 _ENDS_WITHIN_S = 3.0
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
-"""Joint positions in one request to the worker: it asks the controller about one in 8 to 20 ms."""
+"""Joint positions per request to the worker, which needs 8 to 20 ms for each to ask the controller."""
 _ROWS_WITHIN_S = 10.0
 
 GoingOn = Callable[[], None]
-"""Raises ``MotionStopped`` if motions were refused since a connection began."""
+"""Callback that raises ``MotionStopped`` if motions were refused since a connection began."""
 
 
 class UrArm(GuardedLink):
-    """One UR arm. ``live`` and what stops may be called from any thread, the rest from one at a time."""
+    """One UR arm. Any thread may call ``live`` and the stopping methods, one thread at a time the others."""
 
     def __init__(
         self, name: str, settings: UrOptions, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
     ) -> None:
-        """Nothing is opened yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
+        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
         super().__init__(name, settings, rest_s)
         self._expected = expected
         self._rest_s = rest_s
         self._interrupted = False
-        """Whether the last ``connect`` was ended by a refusal of motion."""
+        """Whether a refusal of motion ended the last ``connect``."""
         self._probed: UrProbe | None = None
         self._serial = ""
         self._checksum: str | None = expected.checksum
@@ -75,10 +75,10 @@ class UrArm(GuardedLink):
     def connect(self) -> None:
         """Probe the controller over plain sockets, check it against the expectation, then start the RTDE client.
 
-        After a fault it does all of this again; a program of this driver that may still run is stopped first. After
+        After a fault it does all of this again, and first stops a program of this driver that may still run. After
         ``brake`` alone it starts the control program again and checks readiness, payload, TCP and speed slider.
         Harmless when connected, without a fault and not braked. Raises as the protocol specifies, and ``MotionStopped``
-        if motions are refused meanwhile: then the client is killed, and a program that it has started is stopped.
+        if motions are refused meanwhile: then it kills the client and stops a program that the client has started.
         """
         brakes = self._latch.brakes
 
@@ -103,12 +103,12 @@ class UrArm(GuardedLink):
         self._doubt.report()
 
     def _give_up(self) -> None:
-        """Kill the client, and stop the program that it has started, if any: in half a second, as nothing has moved."""
+        """Kill the client and stop the program that it may have started. Takes half a second: nothing has moved yet."""
         self._drop_worker()
         if self._program.may_run:
             with suppress(LinkLost):
                 self._program.bring_to_rest(quickly=True)
-            self._program.started()  # one that was uploaded may still start
+            self._program.started()  # a program that was uploaded may still start
 
     def _connect_anew(self, going_on: GoingOn) -> None:
         self._drop_worker()
@@ -118,7 +118,7 @@ class UrArm(GuardedLink):
             [check for check in checks(self._expected, probe) if check.subject not in ("program", "state")]
         )
         stopped = probe.sample is not None and probe.sample.program == "STOPPED" and not probe.program_running
-        if not stopped and self._program.may_run:  # the two may differ: its watchdog may just have ended it
+        if not stopped and self._program.may_run:  # the two may differ: the watchdog may have just ended the program
             self._require_rest(look=going_on)
             probe = self._probe(going_on)
         results = checks(self._expected, probe)
@@ -162,7 +162,7 @@ class UrArm(GuardedLink):
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return the findings of the last ``connect`` that do not keep the arm from moving, and late heartbeats."""
+        """Return the findings of the last ``connect`` that do not prevent motion, and late heartbeats."""
         gaps = self.heartbeat_gaps()
         if not gaps.late:
             return self._warnings
@@ -174,12 +174,12 @@ class UrArm(GuardedLink):
         return (*self._warnings, text)
 
     def heartbeat_gaps(self) -> HeartbeatGaps:
-        """Return how regularly this computer has kept the controller's watchdog from expiring, over all connections."""
+        """Return how regularly this computer has kicked the controller's watchdog, over all connections."""
         worker = self._worker
         return self._gaps if worker is None else self._gaps.joined(worker.gaps)
 
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which joint positions (n, 6) [rad] the controller's safety configuration forbids, shape (n,).
+        """Return a mask (n,) of the joint positions (n, 6) [rad] that the controller's safety configuration forbids.
 
         Takes about 20 ms for each on a CB3 controller, 8 ms on an e-Series one. Raises as ``start_move`` does.
         """
@@ -224,7 +224,7 @@ class UrArm(GuardedLink):
         return arm_state(answer, self._settings.settle_speed)
 
     def disconnect(self) -> None:
-        """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
+        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed."""
         worker, self._worker = self._worker, None
         self._doubt.mute()
         if worker is not None:
@@ -240,7 +240,7 @@ class UrArm(GuardedLink):
     def _is_well(self, going_on: GoingOn) -> bool:
         """Return whether the client runs without a fault; after a brake, restart its program.
 
-        Raises what keeps a braked arm from moving again.
+        Raises the reason why a braked arm cannot move again.
         """
         worker, probe = self._worker, self._probed
         if worker is None or probe is None or self._doubt.error is not None:
@@ -315,7 +315,7 @@ class UrArm(GuardedLink):
             going_on()
             doubt = self._link_in_doubt(f"the client did not start: {error}", error.kind)
             if worker.opening:
-                self._program.started()  # one that was uploaded may still start
+                self._program.started()  # a program that was uploaded may still start
             raise doubt from error
         except BaseException:
             self._give_up()

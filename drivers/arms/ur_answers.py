@@ -1,4 +1,4 @@
-"""What a UR arm's worker answers, in the terms of the arm's protocol: errors with their remedies, and states."""
+"""Translation of a UR worker's answers to the terms of the arm's protocol: errors with their remedies, and states."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ REFUSALS: Mapping[str, type[ArmError]] = {
     "failed": ArmError,
     "advised": ArmError,
 }
-"""Exception for each kind of refusal of the worker. The text of kinds without a remedy here says what to do."""
+"""Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
 _REMEDIES = {
     "link": "see whether the controller is on and the network between works, then connect again",
     "driver": "close other programs on this computer, then connect again",
@@ -47,13 +47,13 @@ _REMEDIES = {
 
 
 def arm_error(name: str, kind: str, text: str) -> ArmError:
-    """Return the exception for a refusal of arm ``name``: what is wrong, and what to do."""
+    """Return the exception for a refusal of arm ``name``; its message says what is wrong and what to do."""
     remedy = _REMEDIES.get(kind, "")
     return REFUSALS[kind](f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
 
 
 def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
-    """Return the state that a worker answered; a joint faster than ``moving_rad_s`` moves."""
+    """Return the state from a worker's answer; a joint faster than ``moving_rad_s`` counts as moving."""
     mode, safety, fault = str(answer["robot_mode"]), str(answer["safety_mode"]), answer["fault"]
     reason, problem = "", not_ready(mode, safety)
     if problem is not None:
@@ -74,5 +74,5 @@ def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
         safety_mode=safety,
         program=str(answer["program"]),
         speed_fraction=answer["speed_fraction"],
-        current_a=np.array(current_a, dtype=np.float64) if any(current_a) else None,  # zeros: drives that measure none
+        current_a=np.array(current_a, dtype=np.float64) if any(current_a) else None,  # all 0: not measured
     )

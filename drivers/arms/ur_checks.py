@@ -1,4 +1,4 @@
-"""Check that a UR controller is the expected one and that its arm can be moved as intended.
+"""Checks that a UR controller is the expected one and that its arm can be moved as intended.
 
 The same list serves the doctor, which moves nothing, and ``UrArm.connect``, which refuses if one fails.
 """
@@ -31,7 +31,7 @@ JOINTS = 6
 _LIMIT_SLACK_RAD = 1e-3
 _RATE_SLACK = 1e-3
 _TCP_SLACK_M, _TCP_SLACK_RAD = 5e-4, 2e-3
-"""Slack for the rounding of values typed on the pendant."""
+"""Tolerance for the rounding of values typed on the pendant."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class UrExpectation:
     model : str
         Sales name: "UR10", "UR5e".
     serial, checksum : str or None
-        Of the controller, and of its D-H parameters at the last calibration; None: unknown, not compared.
+        Serial number of the controller; checksum of its D-H parameters at the last calibration. None: not compared.
     limits : JointLimits
         Positions, speeds and accelerations that will be requested, six joints.
     payload_kg, payload_center_m : float, array of shape (3,)
@@ -53,7 +53,7 @@ class UrExpectation:
     payload_slack_kg, payload_slack_m : float
         Accepted deviation of the payload configured in the controller.
     simulation : bool
-        Whether the controller must be in simulation mode, in which no arm moves; else it must not.
+        Whether the controller must be in simulation mode, in which no arm moves; if False, it must not be.
     """
 
     model: str
@@ -70,7 +70,7 @@ class UrExpectation:
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check. ``error``: exception that a failed check raises at ``connect``."""
+    """Result of one check. ``error`` is the exception that ``connect`` raises if the check has failed."""
 
     subject: str
     status: Status
@@ -79,7 +79,7 @@ class Check:
 
 
 def checks(expected: UrExpectation, probe: UrProbe) -> list[Check]:
-    """Return all checks that need no motion, in the order in which a person would correct them."""
+    """Return all checks that need no motion, in the order in which a person would correct the findings."""
     return [
         _model(expected, probe),
         _serial(expected, probe),
@@ -99,7 +99,7 @@ def checks(expected: UrExpectation, probe: UrProbe) -> list[Check]:
 
 
 def load_checks(expected: UrExpectation, probe: UrProbe, answer: Mapping[str, Any]) -> list[Check]:
-    """Check payload, TCP and speed slider again, as the control program sees them once it runs.
+    """Check payload, TCP and speed slider again, as the running control program sees them.
 
     ``answer`` is the worker's state with the tool centre point; what it does not report is taken from the ``probe``.
     """

@@ -1,7 +1,7 @@
 """The RTDE client of one UR arm, inside its worker process: connection, control program, motion, stop.
 
-ur_rtde's object for control may be used by one thread only. It busy-waits for the controller, up to minutes where its
-link broke; hence every call that could hang ends the process after a time limit.
+Only one thread may use ur_rtde's control object. After a broken link it busy-waits for the controller, up to minutes.
+Therefore every call that could hang ends the process after a time limit.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from drivers.patience import Patience
 _FREQUENCY_HZ = 125.0
 _PROGRAM_WITHIN_S = 5.0
 _COMMAND_WITHIN_S = 5.0
-"""The client itself gives up a command that the control program does not take after 4 s."""
+"""Time limit of a command. The client itself gives up after 4 s if the control program does not take the command."""
 _STOP_WITHIN_S = 1.0
 _DECELERATION = 10.0
-"""Of the leading joint in a stop [rad/s^2]: the value with which ur_rtde itself stops a motion at a given speed."""
+"""Deceleration of the leading joint in a stop [rad/s^2]: ur_rtde itself uses it to stop a motion at a given speed."""
 _READY_AFTER_S = 0.03
-"""Some control cycles after a command its program is ready for the next. If the program is stopped before, the client
-waits for it in vain, for 4 s."""
+"""Time from a command until its program is ready for the next one: some control cycles. If the program is stopped
+before, the client waits for it in vain, for 4 s."""
 _ASK_AGAIN_S = 0.002
 _ASKED_WITHIN_S = 0.15
-"""Shorter than what the application takes for a silent worker."""
+"""Time limit of the question for local control; shorter than the silence that makes a worker doubtful."""
 
 
 class Refusal(Exception):
     """A request that cannot be served: its kind, one of ``drivers.arms.ur_answers.REFUSALS``, and a sentence.
 
-    That says what to do unless ``REMEDIES`` there does for all of the kind.
+    The sentence says what to do, unless ``_REMEDIES`` there has a remedy for the kind.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -54,7 +54,7 @@ def advised(text: str) -> Refusal:
 
 
 class UrControl:
-    """The client's two connections: ``receive`` for states, ``control`` for commands to its program."""
+    """The client's two connections: ``receive`` for states, ``control`` for commands to its control program."""
 
     def __init__(self, host: str, control: Any, receive: Any, optional: Sequence[str] = ()) -> None:
         self.host = host
@@ -63,14 +63,14 @@ class UrControl:
 
     @classmethod
     def open(cls, host: str, optional: Sequence[str], timeout_s: float, opening: Callable[[], None]) -> UrControl:
-        """Connect and start the control program; the states also have the ``optional`` variables.
+        """Connect and start the control program; add the ``optional`` variables to the states.
 
         ``opening`` is called just before a program may run on the controller. Raises ``Refusal``.
         """
         from rtde_control import RTDEControlInterface
         from rtde_receive import RTDEReceiveInterface
 
-        # the constructors hold the interpreter's lock, so no thread of this process could end one that hangs
+        # the constructors hold the interpreter's lock, so no thread of this process could end a constructor that hangs
         with exit_after(timeout_s):
             try:
                 receive = RTDEReceiveInterface(host, _FREQUENCY_HZ, [*VARIABLES, *optional])
@@ -90,7 +90,7 @@ class UrControl:
 
     @property
     def program_runs(self) -> bool:
-        """Whether the control program runs, from the connection that commands it."""
+        """Whether the control program runs, according to the command connection."""
         return bool(self._control.isProgramRunning())
 
     @property
@@ -103,7 +103,7 @@ class UrControl:
         return read_worker_sample(self._receive, self._optional)
 
     def operation(self) -> tuple[int, bool]:
-        """Return the number of the last motion that the program began, and whether it runs."""
+        """Return the number of the last motion that the program began, and whether that motion runs."""
         status = self._control.getAsyncOperationProgressEx()
         return int(status.operationId()), bool(status.isAsyncOperationRunning())
 
@@ -115,12 +115,12 @@ class UrControl:
         Raises ``Refusal``.
         """
         patience = Patience(_PROGRAM_WITHIN_S)
-        while self.program_runs:  # the client learns of a stop one period later than the state
+        while self.program_runs:  # the client learns of a stop one period later than the state shows it
             if patience.over:
                 raise failed("the control program was stopped but still runs")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
-        if in_local_control(self.host, _ASKED_WITHIN_S):  # it would not start, and nothing would say why
+        if in_local_control(self.host, _ASKED_WITHIN_S):  # the program would not start, and no message would say why
             raise Refusal("local", f"{LOCAL_CONTROL}, so it accepts no program; switch it to Remote")
         meanwhile()
         try:
@@ -134,7 +134,7 @@ class UrControl:
             time.sleep(_ASK_AGAIN_S)
 
     def set_watchdog(self, hertz: float) -> None:
-        """Let the controller stop the program if it receives nothing for the inverse of ``hertz``."""
+        """Start the controller's watchdog: it stops the program if it receives nothing for 1 / ``hertz`` [s]."""
         if not self._asked(lambda: self._control.setWatchdog(hertz)):
             raise failed("the control program does not respond (it refused the watchdog)")
 
@@ -143,7 +143,7 @@ class UrControl:
         self._control.kickWatchdog()
 
     def tcp(self) -> tuple[float, ...] | None:
-        """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if none.
+        """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if not set.
 
         Raises ``Refusal``.
         """
@@ -153,13 +153,13 @@ class UrControl:
     def within_safety_limits(self, q: Sequence[float]) -> bool:
         """Return whether the controller's safety configuration allows the joint positions. Raises ``Refusal``."""
         allowed = self._asked(lambda: self._control.isJointsWithinSafetyLimits(q))
-        # an unanswered question also counts as "not allowed" in the client
+        # the client also returns False for a question that was not answered
         if not allowed and not (self.connected and self.program_runs):
             raise failed("its control program ended while it was asked about safety limits")
         return bool(allowed)
 
     def _asked(self, question: Callable[[], Any]) -> Any:
-        """Return the control program's answer. Raises ``Refusal``: the client raises for some that are not served."""
+        """Return the control program's answer. Raises ``Refusal``, also for exceptions that the client raises."""
         with self._commanding():
             try:
                 return question()
@@ -169,7 +169,7 @@ class UrControl:
     # -- motion --------------------------------------------------------------------------------------------------------
 
     def move(self, goal: Sequence[float], speed: float, acceleration: float) -> bool:
-        """Begin a joint motion; return whether the program took it. Raises ``Refusal``."""
+        """Begin a joint motion; return whether the program accepted it. Raises ``Refusal``."""
         with self._commanding():
             try:
                 return bool(self._control.moveJ(goal, speed, acceleration, True))
@@ -177,7 +177,7 @@ class UrControl:
                 raise failed(f"the RTDE client refused the motion: {error}") from error
 
     def servo(self, goal: Sequence[float], period_s: float, lookahead_s: float, gain: float) -> bool:
-        """Send one position of a stream, which takes effect in the next control cycle; return whether it was sent."""
+        """Send one position of a stream, effective in the next control cycle; return whether it was sent."""
         with exit_after(_COMMAND_WITHIN_S):
             try:
                 return bool(self._control.servoJ(goal, 0.0, 0.0, period_s, lookahead_s, gain))
@@ -185,12 +185,12 @@ class UrControl:
                 raise failed(f"the RTDE client refused a position of the path: {error}") from error
 
     def end_servo(self) -> bool:
-        """End a stream; the arm rests at its last position. Return whether the program took it."""
+        """End a stream; the arm rests at its last position. Return whether the program accepted it."""
         with self._commanding():
             return bool(self._control.servoStop(_DECELERATION))
 
     def brake(self) -> None:
-        """Stop a motion with full deceleration; does nothing if the program has ended, or has just had a command."""
+        """Stop a motion at full deceleration; do nothing if the program has ended or has just received a command."""
         if time.monotonic() - self._commanded_s < _READY_AFTER_S or not (self.connected and self.program_runs):
             return
         with self._commanding(_STOP_WITHIN_S):
@@ -204,7 +204,7 @@ class UrControl:
 
 
 def _open_refusal(text: str) -> Refusal:
-    """Return why the RTDE client's constructor raised, reworded where its text is unclear."""
+    """Return a refusal for an exception of the RTDE client's constructor; reword texts that are unclear."""
     if "enable remote control" in text:
         return Refusal("local", "not in remote control; switch the pendant from Local to Remote")
     if "before timeout of 5 seconds" in text:

@@ -1,4 +1,4 @@
-"""Doubts about an arm since it was connected: the first is kept, and one of each kind is reported to a listener."""
+"""Doubts about an arm since ``connect``: the first is stored, and the first of each kind is reported to a listener."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from drivers.arms.protocol import ArmError, DoubtListener
 
 
 class FirstDoubt:
-    """Keeps the first doubt and reports one of each kind. Any thread may call any method.
+    """Store of the first doubt; reports the first of each kind. Any thread may call any method.
 
-    A later doubt of another kind matters: the first one may be harmless, and a safety stop is not.
+    A later doubt of another kind matters: the first may be harmless, but a safety stop is not.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class FirstDoubt:
         self._lock = threading.Lock()
 
     def watch(self, listener: DoubtListener) -> None:
-        """Report to ``listener`` from now on, at once what is noted already."""
+        """Report to ``listener`` from now on; report doubts that are already noted at once."""
         with self._lock:
             self._listener = listener
             noted = [*self._noted.values()] if self._reporting else []
@@ -37,7 +37,7 @@ class FirstDoubt:
             listener(error)
 
     def note(self, error: ArmError, text: str, kind: str = "link") -> None:
-        """Keep a doubt if it is the first, and report it if it is the first of its kind and the arm is connected."""
+        """Store a doubt if it is the first; report it if it is the first of its kind and the arm is connected."""
         with self._lock:
             if type(error) in self._noted:
                 return
@@ -49,7 +49,7 @@ class FirstDoubt:
             self._listener(error)
 
     def report(self) -> None:
-        """Report doubts from now on, and those that came while the arm was being connected."""
+        """Report doubts from now on, and also those noted during ``connect``."""
         with self._lock:
             noted = [] if self._reporting else [*self._noted.values()]
             self._reporting = True

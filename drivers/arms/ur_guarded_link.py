@@ -1,7 +1,7 @@
-"""The links of one UR arm: its worker process and its dashboard, over which it is asked, moved and stopped.
+"""The links of one UR arm, its worker process and its dashboard connection, for queries, motions and stops.
 
-On any doubt the listener is called, then the worker process is killed, a stop is requested over a separate dashboard
-connection, and the arm is monitored over a separate RTDE connection until it rests.
+On any doubt, in this order: the listener is called, the worker process is killed, a stop is requested over a separate
+dashboard connection, and the arm is monitored over a separate RTDE connection until it rests.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from drivers.patience import Patience
 ANSWER_WITHIN_S = 2.0
 CONFIRM_WITHIN_S = 0.3
 _MESSAGE_WITHIN_S = 0.3
-"""A worker that takes no message for this long hangs."""
+"""A worker that accepts no message for this long hangs."""
 
 
 class GuardedLink:
-    """What stops one UR arm, what doubts it, and what is asked of its worker."""
+    """Base of one UR arm's driver: stops, doubts, and calls to the worker."""
 
     def __init__(self, name: str, settings: UrOptions, rest_s: float) -> None:
         self._name = name
@@ -37,7 +37,7 @@ class GuardedLink:
         self._settings = settings
         self._worker: WorkerProcess | None = None
         self._connecting: WorkerProcess | None = None
-        """The worker while it may start a program on the controller for ``connect``."""
+        """The worker during ``connect``, while it may start a program on the controller; else None."""
         self._stop_line = StopLine(settings.host, self._dashboard_lost)
         self._program = OwnProgram(settings.host, rest_s)
         self._fault: ArmError | None = None
@@ -55,7 +55,7 @@ class GuardedLink:
         self._doubt.watch(listener)
 
     def live(self) -> LiveArm:
-        """Return what the worker reported last, at most 0.05 s ago while all is well."""
+        """Return the worker's last report, at most 0.05 s old in normal operation."""
         worker = self._worker
         return LiveArm(math.inf, self._program.may_run) if worker is None else worker.live
 
@@ -66,7 +66,7 @@ class GuardedLink:
         return None if worker is None else worker.pid
 
     def confirm(self) -> None:
-        """Ask the dashboard, then the worker, and over that the arm's state and whether its control program runs.
+        """Query the dashboard, then the worker; the worker checks the arm's state and whether its control program runs.
 
         Raises ``LinkLost``, or the arm's fault; the listener has been told.
         """
@@ -92,9 +92,9 @@ class GuardedLink:
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def refuse_motion(self) -> None:
-        """Accept no motion until the next ``connect``; one that is under way starts nothing more on the controller.
+        """Accept no motion until the next ``connect``; a ``connect`` in progress starts nothing more on the controller.
 
-        The worker is told to brake, if that needs no waiting.
+        Tell the worker to brake if that needs no waiting.
         """
         self._refuse()
         worker = self._worker
@@ -108,7 +108,7 @@ class GuardedLink:
             connecting.abandon()
 
     def brake(self) -> None:
-        """Stop at full deceleration; returns within some 20 ms, within 0.4 s if the dashboard does not answer.
+        """Stop at full deceleration; return within about 20 ms, or within 0.4 s if the dashboard does not answer.
 
         Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
         """
@@ -144,13 +144,13 @@ class GuardedLink:
                 kind = error.kind if isinstance(error, WorkerGone) else "link"
                 why = cause(error) if isinstance(error, LinkLost) else str(error)
                 doubt = self._link_in_doubt(f"the stop failed: {why}", kind)
-                if self._program.may_run:  # else it was seen at rest, and the lost link shows at the next call
+                if self._program.may_run:  # otherwise it was seen at rest, and the next call reports the lost link
                     raise doubt from error
 
     def _command_stop(self) -> None:
-        """Stop the arm by all means, and wait for the dashboard's confirmation. Raises ``LinkLost`` without a name."""
+        """Stop the arm by all means; wait until the dashboard confirms. Raises ``LinkLost`` without the arm's name."""
         worker = self._worker
-        # before the dashboard: the worker must not take the stop for one by somebody else
+        # before the dashboard stop, which the worker must not take for a stop by somebody else
         informed = worker is None or worker.brake()
         if not self._program.may_run:
             return
@@ -158,14 +158,14 @@ class GuardedLink:
             self._stop_line.stop()
         finally:
             if worker is not None and not informed and not worker.brake(_MESSAGE_WITHIN_S):
-                worker.kill_at_once()  # it would keep the watchdog from expiring
+                worker.kill_at_once()  # a living worker would keep the watchdog from expiring
 
     def _require_not_braked(self) -> None:
         if self._latch.in_force:
             raise arm_error(self._name, "stopped", "it was stopped")
 
     def _require_last_stop(self) -> None:
-        """Raise ``MotionStopped`` if another stop or a brake must stay in force."""
+        """Raise ``MotionStopped`` if a brake is in force or another stop is under way."""
         self._require_not_braked()
         if self._latch.stops > 1:
             raise arm_error(self._name, "stopped", "it is being stopped")
@@ -190,27 +190,27 @@ class GuardedLink:
         return self._doubted("link", f"the dashboard, over which it is stopped, does not answer: {why}")
 
     def _fault_or(self, stopped: ArmError) -> ArmError:
-        """Return the fault that came before a stop, if any: it is what a person must know."""
+        """Return the fault that preceded a stop, if any: a person must know the fault."""
         doubt, worker = self._doubt.error, self._worker
         if doubt is None or worker is None:
             return doubt or stopped
         if isinstance(doubt, LinkLost):
             return self._link_in_doubt(self._doubt.text, self._doubt.kind)
         with suppress(WorkerGone, WorkerRefusal):
-            fault = worker.call("state", ANSWER_WITHIN_S)["fault"]  # its cause may be known better by now
+            fault = worker.call("state", ANSWER_WITHIN_S)["fault"]  # the worker may know the cause better by now
             if fault is not None:
                 return arm_error(self._name, fault["kind"], fault["text"])
         return type(doubt)(*doubt.args)
 
     def _link_in_doubt(self, why: str, kind: str) -> ArmError:
-        """Report, kill the client, stop the arm, monitor it until it rests if possible; return what to raise."""
+        """Report the doubt, kill the client, stop the arm, monitor it until it rests if possible; return the error."""
         self._doubted(kind, why)
         self._drop_worker()
         try:
             self._program.bring_to_rest()
             outcome = "a stop was requested and the arm was seen at rest"
         except LinkLost as error:
-            reason = "" if kind == "nonsense" else f" ({cause(error)})"  # else it would be said twice
+            reason = "" if kind == "nonsense" else f" ({cause(error)})"  # without this condition it would be said twice
             outcome = (
                 f"it could not be seen at rest{reason}; its controller stops it"
                 f" {1.0 / self._settings.watchdog_hz:.1f} s after the last message of this computer, but treat it as"

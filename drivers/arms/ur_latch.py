@@ -1,4 +1,4 @@
-"""The latch of a UR arm: motions are refused from a brake until the next connection."""
+"""The stop latch of a UR arm: from a brake until the next ``connect`` all motions are refused."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from contextlib import contextmanager
 
 
 class StopLatch:
-    """Counts brakes, and stops that are under way. Any thread may call any method.
+    """Counter of brakes and of stops under way. Any thread may call any method.
 
     Attributes
     ----------
     brakes : int
         Number of brakes so far.
     stops : int
-        Stops that are being commanded or waited for: a program that is started meanwhile would be stopped by them.
+        Number of stops being commanded or waited for. They would also stop a program that is started meanwhile.
     """
 
     def __init__(self) -> None:
@@ -26,11 +26,11 @@ class StopLatch:
 
     @property
     def in_force(self) -> bool:
-        """Whether there was a brake that has not been released."""
+        """Whether a brake has not been released."""
         return self.brakes > self._released
 
     def refuse(self) -> None:
-        """Count a brake, which may be commanded later."""
+        """Count a brake; it may be commanded later."""
         with self._changed:
             self.brakes += 1
             self._changed.notify_all()

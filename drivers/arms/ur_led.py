@@ -1,7 +1,7 @@
-"""Read a UR arm that a person leads by hand: outputs only, over RTDE. Nothing is written, no program is touched.
+"""Reading of a UR arm that a person leads by hand, over RTDE outputs only. Nothing is written, no program is touched.
 
-Freedrive is the person's: the button of the pendant or of a handle. The arm counts as resting while no joint is faster
-than ``settle_speed`` or leaves ``settle_window``.
+The person enables freedrive with the button of the pendant or of a handle. The arm counts as resting while no joint is
+faster than ``settle_speed`` or leaves ``settle_window``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.arms.ur_rtde_reader import UrSample, samples
 from drivers.patience import Patience
 
 _READ_MODES = ("IDLE", "BACKDRIVE", "RUNNING")
-"""Modes in which the joints have power, so that their encoders are read."""
+"""Modes in which the joints have power, so that their encoders can be read."""
 
 
 def read_led_arm(
@@ -33,7 +33,7 @@ def read_led_arm(
     rtde_port: int = RTDE_PORT,
     **ports: Any,
 ) -> ArmState:
-    """Return the arm's state, joints averaged over the last ``rest_s`` [s] of rest; ``ports`` are those of the probe.
+    """Return the arm's state, joints averaged over the last ``rest_s`` [s] of rest. ``ports`` are those of the probe.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def read_led_arm(
     WrongRobot
         If the controller is not the one of the profile.
     LinkLost
-        If the controller is silent for ``settings.timeout``, or what answers is none.
+        If the controller is silent for ``settings.timeout``, or the peer is no UR controller.
     ArmError
         If the joints have no power.
     """
@@ -76,7 +76,7 @@ def _once_resting(link: Connection, settings: UrOptions, rest_s: float, patience
 
 
 def _left(window: deque[UrSample]) -> float:
-    """The widest way of a joint within a window [rad]."""
+    """Return the largest range of a joint within a window [rad]."""
     return float(np.ptp(_joints(window), axis=0).max())
 
 

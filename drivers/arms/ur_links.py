@@ -29,12 +29,12 @@ _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK)
 
 
 def resolve(host: str, patience: Patience) -> str:
-    """Return the IPv4 address of a host. A thread waits for the system's resolver, which has no time limit.
+    """Return the IPv4 address of a host. A thread calls the system's resolver, which has no time limit.
 
     Raises
     ------
     LinkLost
-        If none is found in time.
+        If no address is found in time.
     """
     try:
         return str(ipaddress.IPv4Address(host))
@@ -70,7 +70,7 @@ def printable(text: str, longest: int = 80) -> str:
 
 
 def cause(error: LinkLost) -> str:
-    """Return what is wrong with a plain link, without what to do, which the arm's message says at its end."""
+    """Return the cause of a link error without the remedy, which the arm's message adds at its end."""
     return str(error).split("; ")[0]
 
 
@@ -104,12 +104,12 @@ class Connection:
         self._socket.close()
 
     def shut_down(self) -> None:
-        """End the connection, so that a thread that waits for bytes gets the end; harmless when closed."""
+        """Shut the connection down, so that a thread waiting for bytes gets the end; harmless when closed."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def keep_alive(self) -> None:
-        """Let the system notice within seconds that the peer or the cable is gone."""
+        """Enable TCP keep-alive: the system notices within seconds that the peer or the cable is gone."""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in (("TCP_KEEPIDLE", 1), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 2)):
             if hasattr(socket, option):
@@ -125,7 +125,7 @@ class Connection:
         return self._refusal
 
     def receive(self, patience: Patience) -> bytes | None:
-        """Return some bytes, empty if the peer closed, None if nothing came in time. Raises ``OSError``."""
+        """Return some bytes; empty if the peer closed, None if nothing came in time. Raises ``OSError``."""
         if patience.over or not self._wait(selectors.EVENT_READ, patience):
             return None
         return self._socket.recv(_READ_BYTES)
@@ -139,7 +139,7 @@ class Connection:
             self._socket.setblocking(False)
 
     def send_at_once(self, data: bytes) -> None:
-        """Send a short text without waiting. Raises ``OSError``, also if the peer has not read what was sent before."""
+        """Send a short text without waiting. Raises ``OSError``, also if the peer has not read earlier text."""
         if self._socket.send(data) != len(data):
             raise BrokenPipeError("the peer does not read")
 
@@ -152,12 +152,12 @@ class Connection:
 
 
 class Dashboard:
-    """Dashboard server on a connection: one line per request and answer, of limited length.
+    """Client of a dashboard server: one line per request and answer, of limited length.
 
     Attributes
     ----------
     patience : Patience
-        Limit of all waits together.
+        Common time limit of all waits.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class Dashboard:
         return self._read(f"the answer to '{line}'")
 
     def _read(self, what: str) -> str:
-        """Return the next line that is not empty; ``what`` names it in messages."""
+        """Return the next non-empty line; ``what`` names it in messages."""
         while True:
             end = self._received.find(b"\n", 0, _MAX_LINE)
             if end >= 0:
@@ -233,9 +233,9 @@ def stop_program(
 
 
 def require_stopped(ask: Callable[[str], str], host: str) -> None:
-    """Stop the program over a dashboard that ``ask`` asks. Raises ``LinkLost`` as ``stop_program`` does."""
+    """Stop the program with dashboard commands through ``ask``. Raises ``LinkLost`` as ``stop_program`` does."""
     answer = ask("stop")
-    # a controller without a running program reports a failure: it is stopped too
+    # a controller without a running program reports a failure, but it is stopped
     if answer.startswith("Stopped") or ask("running").lower().endswith("false"):
         return
     why = f"it answered '{printable(answer)}'"

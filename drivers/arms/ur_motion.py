@@ -1,4 +1,4 @@
-"""Motions of a UR arm as its RTDE client shows them: state samples, rest criterion, rates of the leading joint.
+"""Motions of a UR arm as its RTDE client shows them: state samples, rest criterion, speed of the leading joint.
 
 Loads no numpy: the worker process starts faster without it.
 """
@@ -13,12 +13,12 @@ from typing import Any
 from drivers.arms.ur_rtde_reader import PROGRAM_STATES, ROBOT_MODES, SAFETY_MODES, UrSample, mode_name
 
 MAX_SPEED = 3.14
-"""Of a joint [rad/s]; the RTDE client accepts no more."""
+"""Largest joint speed that the RTDE client accepts [rad/s]."""
 MAX_ACCELERATION = 40.0
-"""Of a joint [rad/s^2]; the RTDE client accepts no more."""
+"""Largest joint acceleration that the RTDE client accepts [rad/s^2]."""
 DECELERATES_WITHIN_S = 0.02
-"""In a stop, time for the control program to decelerate the motion before the program is ended. On emulated controllers
-this reaches the program after 1 to 11 ms; the end of a program after 0.4 ms, but it brakes less hard."""
+"""Time in a stop for the control program to decelerate the motion, before the program is ended. On emulated controllers
+the command reaches the program after 1 to 11 ms. Ending the program takes 0.4 ms but brakes less hard."""
 STILL_MOVING = "it is still moving; wait until it rests, or stop it"
 VARIABLES = (
     *("timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"),
@@ -59,12 +59,12 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
 
 
 _STREAMS_APART_S = 0.05
-"""The end of a motion comes over another connection than positions, which may be older by this much."""
+"""Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
 _REST_DWELL_S = 0.05
 
 
 class Unrest:
-    """Whether an arm may move: from a motion's request until states after its end have shown it at rest for a while."""
+    """Whether the arm may move: from the request of a motion until states after its end have shown rest for a while."""
 
     def __init__(self) -> None:
         self._moved = False
@@ -73,7 +73,7 @@ class Unrest:
 
     @property
     def may_move(self) -> bool:
-        """Whether the arm was not seen at rest since the last motion."""
+        """Whether the arm has not been seen at rest since the last motion."""
         return self._moved
 
     def begin(self) -> None:
@@ -81,11 +81,11 @@ class Unrest:
         self._moved, self._still_since_s = True, None
 
     def end(self, now: float) -> None:
-        """Note that the motion has ended, was stopped or failed; the arm may still brake."""
+        """Note that the motion has ended, was stopped or failed; the arm may still be braking."""
         self._from_s, self._still_since_s = now + _STREAMS_APART_S, None
 
     def look(self, sample: UrSample, now: float, rest_speed: float, *, running: bool) -> None:
-        """Look at a new state; ``running`` is whether a motion is in progress."""
+        """Evaluate a new state; ``running``: a motion is in progress."""
         if running or now < self._from_s or sample.speed > rest_speed:
             self._still_since_s = None
         elif self._still_since_s is None:
@@ -100,7 +100,7 @@ class Unrest:
 
 @dataclass
 class Motion:
-    """A motion: the client's operation number before it, and what has been observed since."""
+    """A motion: the client's operation number before it, and the observations since."""
 
     goal: Sequence[float]
     number_before: int
@@ -111,14 +111,14 @@ class Motion:
 
 
 _STREAM_PERIODS_S = 0.016
-"""Two states of a CB3 controller: silence that the worker measures may be longer at the controller by this much."""
+"""Two state periods of a CB3 controller: it may see a silence that is longer than measured here by this much."""
 _EXPIRED_WITHIN_S = 0.2
-"""A program that is seen stopped this long after a silence was stopped by the watchdog."""
+"""Largest time between a silence and a stopped program for which the watchdog is blamed."""
 
 
 @dataclass
 class Kicks:
-    """When the controller's watchdog was kicked, and how long this computer was silent in between.
+    """Times at which the controller's watchdog was kicked, and the silences of this computer between them.
 
     Attributes
     ----------
@@ -139,11 +139,11 @@ class Kicks:
         self._last_s, self._period_s, self._expired = now, period_s, None
 
     def end(self) -> None:
-        """Note that the program was stopped on purpose: from now on silence means nothing."""
+        """Note that the program was stopped on purpose: silences no longer count."""
         self._last_s = None
 
     def due(self, now: float) -> bool:
-        """Return whether it is time for the next kick."""
+        """Return whether the next kick is due."""
         return self._last_s is None or now - self._last_s >= 0.2 * self._period_s
 
     def kicked(self, now: float) -> None:
@@ -171,7 +171,7 @@ class Kicks:
 
 @dataclass(frozen=True)
 class RestCriterion:
-    """The arm rests if for ``dwell_s`` no joint exceeds ``speed`` [rad/s] or leaves a window ``position`` [rad]."""
+    """Rest criterion: for ``dwell_s`` no joint exceeds ``speed`` [rad/s] or leaves a window ``position`` [rad]."""
 
     dwell_s: float
     speed: float

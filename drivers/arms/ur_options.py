@@ -1,4 +1,4 @@
-"""What a profile may say of an arm of the kind ``ur``: all that its driver reads of the settings."""
+"""Profile options of an arm of the kind ``ur``: all settings that its driver reads."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _TRACE_WITHIN_S = 5.0
 
 
 class UrPathArm(UrArm):
-    """One UR arm, see ``UrArm``; the whole path is handed to the worker, which sends it by its own clock."""
+    """One UR arm, see ``UrArm``. The worker receives the whole path and sends it by its own clock."""
 
     _recorder: UrRecorder | None = None
 
@@ -34,13 +34,13 @@ class UrPathArm(UrArm):
         return _CB3_PERIOD_S if self._connected().series == "CB3" else _PERIOD_S
 
     def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
-        """Stream joint positions ``q`` (m, 6) [rad]; the arm must rest at the first one, which its worker checks again.
+        """Stream joint positions ``q`` (m, 6) [rad]. The arm must rest at the first one; the worker checks this again.
 
         Raises ``LimitExceeded`` before anything is sent, otherwise as ``start_move``.
         """
         controller_period_s = self.path_period_s
         state = self.state()
-        if state.moving:  # first: where it is says nothing
+        if state.moving:  # before the checks of the path: the position of a moving arm means nothing
             raise arm_error(self._name, "advised", STILL_MOVING)
         path = checked_path(self._name, q, period_s, controller_period_s, self._limits, state.q)
         self._program.started()
@@ -65,7 +65,7 @@ class UrPathArm(UrArm):
             raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
 
     def followed(self) -> FollowedPath:
-        """Return what the controller reported of the joints while it followed the last path."""
+        """Return the joint positions that the controller reported while it followed the last path."""
         answer = self._call("followed", _TRACE_WITHIN_S)
         time_s = np.array(answer["time_s"], dtype=np.float64)
         q = np.array(answer["q"], dtype=np.float64).reshape(len(time_s), JOINTS)
@@ -74,16 +74,16 @@ class UrPathArm(UrArm):
     # -- recording -----------------------------------------------------------------------------------------------------
 
     def start_recording(self) -> None:
-        """Record every state of the controller over a connection of its own. Raises ``LinkLost``."""
+        """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
         self._end_recorder()
         self._recorder = UrRecorder(self._name, self._host, self.path_period_s, self._settings.trigger_output)
 
     def pulse(self) -> bool:
-        """Let the controller's output give a pulse; False without one."""
+        """Send a pulse at the controller's output; return False if there is none."""
         return self._recorder is not None and self._recorder.pulse()
 
     def recorded(self) -> tuple[int, int]:
-        """Return how many samples have come, and how many did not."""
+        """Return the numbers of received and lost samples."""
         recorder = self._recorder
         return (0, 0) if recorder is None else recorder.so_far()
 

@@ -1,6 +1,6 @@
-"""One connected UR arm that follows paths: the supervisor of its worker, which also sends a stream of positions.
+"""The supervisor of a UR arm's worker, extended to follow paths: it also sends a stream of positions.
 
-While a stream is in progress, its positions keep the controller's watchdog from expiring; a kick would interrupt it.
+During a stream its positions keep the controller's watchdog from expiring; a kick would interrupt the stream.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from drivers.arms.ur_supervisor import AT_GOAL_RAD, Application, Supervisor
 
 
 class PathSupervisor(Supervisor):
-    """Executes requests for one arm, see ``Supervisor``; ``stream`` is to be called when ``patience_s`` has passed."""
+    """Supervisor that also streams, see ``Supervisor``; ``stream`` must be called when ``patience_s`` has passed."""
 
     def __init__(self, application: Application, control: UrControl, watchdog_hz: float, rest: RestCriterion) -> None:
         super().__init__(application, control, watchdog_hz, rest)
-        self._stream: Stream | None = None  # the last one; it is in progress while ``_streams``
-        self._streamed: Motion | None = None  # its motion
+        self._stream: Stream | None = None  # the last stream; it is in progress while ``_streams``
+        self._streamed: Motion | None = None  # the motion of that stream
 
     def path(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Begin to stream joint positions; ``stream`` sends them."""
@@ -45,7 +45,7 @@ class PathSupervisor(Supervisor):
         return {}
 
     def followed(self) -> dict[str, Any]:
-        """Return where the arm was while it followed the last path."""
+        """Return the recorded joint positions of the last path."""
         return {"time_s": [], "q": []} if self._stream is None else self._stream.answer()
 
     def end_path(self) -> dict[str, Any]:
@@ -64,13 +64,13 @@ class PathSupervisor(Supervisor):
 
     @property
     def patience_s(self) -> float:
-        """Time until the next position of a stream is due [s]; infinite without one."""
+        """Time until the next position of a stream is due [s]; infinite if there is no stream."""
         if self._stream is None or not self._streams:
             return math.inf
         return max(self._stream.due_s - time.monotonic(), 0.0)
 
     def stream(self) -> None:
-        """Send the position that is due, if any; a brake, a fault or a late computer ends the stream."""
+        """Send the position that is due, if any; end the stream after a brake, a fault or a delay of the computer."""
         stream, now = self._stream, time.monotonic()
         if stream is None or not self._streams or self._application.braked or now < stream.due_s:
             return
@@ -87,7 +87,7 @@ class PathSupervisor(Supervisor):
         except Refusal as refusal:
             self._record_fault(refusal)
             return
-        if self._application.braked:  # perhaps before the position was sent
+        if self._application.braked:  # the brake may have come before the position was sent
             self.take_brake()
             self._stop_program()
         elif not accepted:
@@ -98,8 +98,8 @@ class PathSupervisor(Supervisor):
             stream.note_sent(now)
 
     def _not_streamed(self) -> None:
-        """Record why the control program took no further position."""
-        self._streamed = None  # no further position is sent while the reason is looked for
+        """Record why the control program did not accept a position."""
+        self._streamed = None  # send no further position while the reason is determined
         try:
             self._require_ready(self._states.next())
         except Refusal:
@@ -111,7 +111,7 @@ class PathSupervisor(Supervisor):
         self.stream()
 
     def _track_motion(self, motion: Motion, sample: UrSample, now: float, news: bool) -> None:
-        """End a stream whose arm has arrived; record that an arm does not follow, or that its slider was moved."""
+        """End a stream whose arm has arrived; record a fault if the arm does not follow or its slider was moved."""
         stream = self._stream
         if stream is None or not self._streams:
             super()._track_motion(motion, sample, now, news)

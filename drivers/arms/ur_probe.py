@@ -1,7 +1,7 @@
-"""Probe a Universal Robots controller over plain sockets, without changing the robot's state.
+"""Probe of a Universal Robots controller over plain sockets, without changing the robot's state.
 
-The dashboard port gets a fixed list of questions. From the primary port data are only read, over RTDE the state is read
-once. On the script port a connection is opened and closed without sending a byte.
+The dashboard receives a fixed list of questions. The primary port is only read; over RTDE the state is read once. On
+the script port a connection is opened and closed without sending a byte.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from drivers.patience import Patience
 
 _LARGEST_PACKAGE = 65536
 _MAX_PACKAGES = 200
-_MAX_STATES = 20  # the kinematics come in the first one; 20 states last two seconds
+_MAX_STATES = 20  # the first state has the kinematics; 20 states last two seconds
 _PACKAGE_HEADER = struct.Struct(">iB")
 _SUB_HEADER = struct.Struct(">IB")
 _ROBOT_STATE = 16
@@ -57,7 +57,7 @@ _MODELS_WITH_E_SUFFIX = ("UR3", "UR5", "UR10", "UR16")
 
 
 class _Query(enum.StrEnum):
-    """Everything that is ever sent to a dashboard: questions only."""
+    """All texts that are ever sent to a dashboard: questions only."""
 
     VERSION = "PolyscopeVersion"
     MODEL = "get robot model"
@@ -117,7 +117,7 @@ class UrKinematics:
 
 @dataclass(frozen=True)
 class UrPrimary:
-    """Data from the primary interface; None: not received.
+    """Data from the primary interface; a field is None if not received.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class UrPrimary:
     tcp : tuple of float or None
         Tool centre point in the flange frame: position [m], rotation vector [rad].
     real_robot : bool or None
-        Whether motions move the real arm; not in simulation mode.
+        Whether motions move the real arm; False in simulation mode.
     note : str
         Why no kinematics were read; empty if they were.
     """
@@ -192,13 +192,13 @@ class UrProbe:
 
     @property
     def full_model(self) -> str | None:
-        """The model with the "e" of the e-Series, whose D-H differs from the CB3 arm of the same name."""
+        """The model including the "e" of the e-Series, whose D-H differs from the CB3 arm of the same name."""
         if self.series != "CB3" and self.model in _MODELS_WITH_E_SUFFIX:
             return f"{self.model}e"
         return self.model
 
     def report(self) -> DeviceReport:
-        """Identity, modes, joint temperatures and the D-H rows that the controller computes with."""
+        """Return identity, modes, joint temperatures and the D-H rows that the controller uses."""
         kinematics = self.kinematics
         modes = [mode for mode in (self.robot_mode, self.safety_mode) if mode is not None]
         return DeviceReport(
@@ -238,7 +238,7 @@ def probe_ur(
     patience = Patience(timeout_s, look=look)
     address = resolve(host, patience)
     with ExitStack() as stack:
-        # all at once, so that a dead port takes no time from the others
+        # in parallel, so that a dead port takes no time from the others
         dashboard, primary, script, rtde = (
             stack.enter_context(Connection(host, address, port))
             for port in (dashboard_port, primary_port, script_port, rtde_port)
@@ -275,9 +275,10 @@ def probe_ur(
 
 
 def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Patience) -> LinkLost:
-    """The loss of the dashboard; it names other ports that accept a connection, as then only the server is off.
+    """Return the error for a lost dashboard. If other ports accept a connection, name them: only the server is off.
 
-    PolyScope X has none: its version, the first message of the primary port (the first of ``others``), tells.
+    PolyScope X has no dashboard. It is recognized by its version, the first message of the primary port
+    (``others[0]``).
     """
     soon = Patience(0.5, patience)
     major = _major_version(others[0], soon)
@@ -297,7 +298,7 @@ def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Pa
 
 
 def _major_version(primary: Connection, patience: Patience) -> int | None:
-    """The first number of the software's version from the primary port; None if it does not come."""
+    """Return the major software version from the primary port; None if it does not arrive."""
     received = bytearray()
     try:
         if primary.refusal(patience):
@@ -362,7 +363,7 @@ def _state(link: Connection, patience: Patience) -> tuple[UrSample | None, str]:
 
 
 def _read_primary(link: Connection, patience: Patience) -> UrPrimary:
-    """Read packages until one contains the kinematics; also return what the same and earlier ones contain."""
+    """Read packages until one contains the kinematics; return the contents of all packages up to it."""
     refusal = link.refusal(patience)
     if refusal:
         return UrPrimary(note=f"port {link.port}: no connection ({refusal})")

@@ -1,4 +1,4 @@
-"""Whether a program of this driver may run on a UR controller, and bringing its arm to rest over plain connections."""
+"""Tracking of whether a program of this driver may run on a UR controller; stop of its arm over plain connections."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from drivers.arms.ur_rtde_reader import wait_at_rest
 
 _STOP_WITHIN_S = 1.0
 _QUICK_STOP_S, _QUICK_REST_S = 0.2, 0.25
-"""After an interrupted connection, whose program has begun no motion."""
+"""Time limits after an interrupted ``connect``, whose program has begun no motion."""
 
 
 class OwnProgram:
-    """Programs that this driver has started on one controller, and with them motions."""
+    """Programs that this driver has started on one controller, which may run motions."""
 
     def __init__(self, host: str, rest_s: float) -> None:
-        """An arm is watched for at most ``rest_s`` [s] until it rests."""
+        """``rest_s`` [s] is the longest time to wait for rest."""
         self._host, self._rest_s = host, rest_s
         self._started = self._ended = 0
-        """Counted, so that a program that is started while the one before is brought to rest is not forgotten."""
+        """Counters, so that a program that starts while the previous one is brought to rest is not forgotten."""
 
     @property
     def may_run(self) -> bool:
-        """Whether one may run, and with it a motion."""
+        """Whether a program, and with it a motion, may run."""
         return self._started > self._ended
 
     def started(self) -> None:
-        """Note that one may run from now on."""
+        """Note that a program may run from now on."""
         self._started += 1
 
     def wait_at_rest(self) -> None:
-        """Watch the arm until it rests. Raises ``LinkLost``."""
+        """Monitor the arm until it rests. Raises ``LinkLost``."""
         wait_at_rest(self._host, self._rest_s)
 
     def bring_to_rest(self, *, quickly: bool = False, look: Callable[[], None] | None = None) -> None:
-        """Stop the controller's program and watch the arm until it rests; ``look`` may raise meanwhile.
+        """Stop the controller's program and monitor the arm until it rests; ``look`` is called meanwhile and may raise.
 
         Raises
         ------

@@ -1,7 +1,7 @@
-"""Every state that a UR controller sends, over an RTDE connection of its own, and pulses of a digital output.
+"""Recorder of every state that a UR controller sends, over a separate RTDE connection; pulses of a digital output.
 
-The RTDE client that moves the arm keeps only the newest of several states that come together. Here a thread keeps all:
-what does not come is missing by the controller's own clock. The connection claims nothing but the digital output.
+The RTDE client that moves the arm keeps only the newest of several states that arrive together. Here a thread keeps
+all. Lost states are counted by the controller's own clock. The connection claims only the digital output.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Values = dict[str, tuple[float, ...]]
 
 
 class UrRecorder:
-    """Records from when it is made until ``end``; the first state has come then."""
+    """Recorder from construction, which waits for the first state, until ``end``."""
 
     def __init__(
         self, name: str, host: str, period_s: float, trigger_output: int | None = None, *, port: int = RTDE_PORT
@@ -63,7 +63,7 @@ class UrRecorder:
             raise LinkLost(f"arm {name}: its joints are not recorded: {why}")
 
     def pulse(self) -> bool:
-        """Switch the digital output on for a moment; False without one. Raises ``LinkLost``."""
+        """Switch the digital output on for a moment; return False if there is none. Raises ``LinkLost``."""
         if self._pulses is None or self._output is None:
             return False
         bit = 1 << self._output
@@ -73,7 +73,7 @@ class UrRecorder:
         return True
 
     def so_far(self) -> tuple[int, int]:
-        """How many states have come, and how many did not; from any thread."""
+        """Return the numbers of received and lost states; from any thread."""
         count = len(self._states)
         first_s, latest_s = (self._states[row]["timestamp"][0] for row in (0, count - 1))
         return counts_so_far(count, first_s, latest_s, self._period_s)
@@ -109,7 +109,7 @@ class UrRecorder:
         self._link.close()
 
     def _record(self) -> None:
-        """Keep states until the connection is closed."""
+        """Store states until the connection is closed."""
         try:
             for values in self._outputs.states(lambda: Patience(_SILENT_S)):
                 if not math.isfinite(sum(values["actual_q"])):
@@ -123,5 +123,5 @@ class UrRecorder:
 
 
 def _table(states: Sequence[Values], name: str) -> NDArray[np.float64]:
-    """An output of all states (n, k); (n, 0) if it was not sent."""
+    """Return an output of all states, (n, k); (n, 0) if it was not sent."""
     return np.array([state.get(name, ()) for state in states], dtype=np.float64).reshape(len(states), -1)

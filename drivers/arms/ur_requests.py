@@ -1,4 +1,4 @@
-"""Check of what is requested of a UR arm, before anything is sent: goals, rates and their limits."""
+"""Checks of a motion request for a UR arm before anything is sent: goals, speeds, accelerations and their limits."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from drivers.arms.ur_checks import JOINTS
 
 _ROUNDING_RAD = 1e-9
 _LIMIT_SLACK = 1e-6
-"""Relative excess of a rate that counts as rounding."""
+"""Relative tolerance of a speed or acceleration limit for rounding."""
 
 
 def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Return the joint positions (6,) [rad] of arm ``name``. Raises ``LimitExceeded``."""
+    """Check a goal of arm ``name``; return its joint positions (6,) [rad]. Raises ``LimitExceeded``."""
     goal = _checked_vector(name, "position", q)
     low, high = limits.position.T
     for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
@@ -28,7 +28,7 @@ def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDAr
 
 
 def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return joint positions (n, 6) [rad]. Raises ``LimitExceeded``."""
+    """Check joint positions; return them, (n, 6) [rad]. Raises ``LimitExceeded``."""
     rows = np.asarray(q, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != JOINTS:
         raise LimitExceeded(f"arm {name}: positions have shape {rows.shape}, expected rows of {JOINTS} joints")
@@ -38,17 +38,17 @@ def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def checked_speed(name: str, speed: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Return the speeds (6,) [rad/s]. Raises ``LimitExceeded``."""
+    """Check speeds; return them, (6,) [rad/s]. Raises ``LimitExceeded``."""
     return _checked_rates(name, "speed", "rad/s", speed, limits.speed)
 
 
 def checked_acceleration(name: str, acceleration: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Return the accelerations (6,) [rad/s^2]. Raises ``LimitExceeded``."""
+    """Check accelerations; return them, (6,) [rad/s^2]. Raises ``LimitExceeded``."""
     return _checked_rates(name, "acceleration", "rad/s^2", acceleration, limits.acceleration)
 
 
 def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
-    """Return the controller's limits where they are narrower; by rounding only, as ``checks`` refuses more."""
+    """Return the intersection of the limits. They differ only by rounding: ``checks`` refuses anything more."""
     if allowed is None:
         return asked
     position = np.column_stack(

@@ -1,7 +1,7 @@
-"""Read a UR controller's state over RTDE with a plain socket: outputs only, nothing is written.
+"""Reader of a UR controller's state over RTDE with a plain socket: outputs only, nothing is written.
 
-Used when the RTDE client that moves the arm has failed or has not been started.
-Packets are ``size uint16, type uint8, payload``, big-endian; protocol version 2.
+Used when the RTDE client that moves the arm has failed or has not been started. Packets are
+``size uint16, type uint8, payload``, big-endian; protocol version 2.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "P
 
 
 SLIDER_DOWN = 0.005
-"""A speed slider below this stands at 0 % on the pendant: the arm does not move."""
+"""A speed slider below this value is at 0 % on the pendant: the arm does not move."""
 
 
 @dataclass(frozen=True)
 class UrSample:
-    """One state. ``q``, ``qd``, ``joints_c``, ``current_a``: six joints [rad, rad/s, degC, A]; None: not reported.
+    """One state. ``q``, ``qd``, ``joints_c``, ``current_a``: six joints [rad, rad/s, degC, A]; None if not reported.
 
     ``robot_mode``, ``safety_mode`` and ``program`` are named as in the manual, e.g. RUNNING, NORMAL, PLAYING.
     """
@@ -90,7 +90,7 @@ class UrSample:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no joint moves faster than the noise of the encoders."""
+        """Whether no joint moves faster than the encoder noise."""
         return self.speed < _AT_REST_RAD_S
 
     @property
@@ -110,7 +110,7 @@ class UrSample:
 
     @property
     def slider_down(self) -> bool:
-        """Whether the speed slider is at 0 %: the arm stands, whatever its program requests."""
+        """Whether the speed slider is at 0 %: the arm stands still, whatever its program requests."""
         return self.speed_fraction is not None and self.speed_fraction < SLIDER_DOWN
 
     def distance(self, q: Sequence[float]) -> float:
@@ -118,7 +118,7 @@ class UrSample:
         return max(abs(a - b) for a, b in zip(self.q, q))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields of an answer."""
+        """Return the fields as a dict, for an answer."""
         return asdict(self)
 
 
@@ -192,7 +192,7 @@ class Outputs:
     Attributes
     ----------
     names : tuple of str
-        The outputs that it sends: the ``required`` ones, and those of the ``optional`` ones that it has.
+        The outputs that it sends: all ``required`` ones and the available ``optional`` ones.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Outputs:
         optional: tuple[str, ...],
         frequency_hz: float,
     ) -> None:
-        """Subscribe and let the controller send. Raises ``LinkLost`` if it does not have what is ``required``."""
+        """Subscribe and start the stream. Raises ``LinkLost`` if a ``required`` output is missing."""
         refusal = link.refusal(patience)
         if refusal:
             raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
@@ -225,7 +225,7 @@ class Outputs:
         self._formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
 
     def claim(self, inputs: tuple[str, ...]) -> Callable[[Sequence[int]], None]:
-        """Claim inputs of one byte each; returns what writes them. Raises ``LinkLost`` if another program has them."""
+        """Claim inputs of one byte each; return the function that writes them. Raises ``LinkLost`` if taken."""
         answer = self._packets.ask(_INPUTS, ",".join(inputs).encode("ascii"))
         types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
         if not answer or not answer[0] or types != ["UINT8"] * len(inputs):
@@ -238,7 +238,7 @@ class Outputs:
         return write
 
     def states(self, patience: Callable[[], Patience]) -> Iterator[dict[str, tuple[float, ...]]]:
-        """Yield states as they come, output -> its numbers; ``patience`` gives the limit of each wait."""
+        """Yield states as they arrive, as output -> its values; ``patience`` returns the time limit of each wait."""
         expected = 1 + sum(part.size for part in self._formats)
         while True:
             payload = self._packets.next_payload(_DATA, patience())
@@ -280,7 +280,7 @@ def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
 
 
 def mode_name(names: Mapping[int, str], code: float) -> str:
-    """Return the controller's name of a mode, or ``UNKNOWN_`` and the number of an unknown one."""
+    """Return the controller's name of a mode, or ``UNKNOWN_`` and its number."""
     return names.get(int(code), f"UNKNOWN_{int(code)}")
 
 
@@ -297,7 +297,7 @@ class _Packets:
         return self.next_payload(kind, self._patience)
 
     def send(self, kind: int, payload: bytes, patience: Patience | None = None) -> None:
-        """Send one packet; without ``patience`` at once, also beside a thread that reads."""
+        """Send one packet. Without ``patience`` it never waits and may run beside a reading thread."""
         packet = _HEADER.pack(_HEADER.size + len(payload), kind) + payload
         try:
             if patience is None:

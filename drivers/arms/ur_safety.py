@@ -1,4 +1,4 @@
-"""What a person must do about the safety modes and robot modes of a UR arm. Loads no numpy: the worker says it, too."""
+"""What a person must do about the safety modes and robot modes of a UR arm. Loads no numpy: the worker uses it, too."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def safety_remedy(mode: str) -> str:
 
 
 def not_ready(robot_mode: str, safety_mode: str) -> tuple[str, str] | None:
-    """Return why an arm in these modes accepts no motion, and what to do; None if it accepts one."""
+    """Return why an arm in these modes accepts no motion, and the remedy; None if it accepts motions."""
     if safety_mode != "NORMAL":
         return _NAMES.get(safety_error(safety_mode), f"safety mode {safety_mode}"), safety_remedy(safety_mode)
     if robot_mode != "RUNNING":

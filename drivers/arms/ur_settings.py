@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _EXCERPT = 50
-"""States of an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
+"""Number of states in an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
 _SAFETY_LIMITS = (
     "not asked: planes and other limits of the safety configuration are known to a running program only; before the"
     " first motion the controller is asked about every planned stop"
@@ -84,7 +84,7 @@ class UrSettings(UrOptions):
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
 
     def excerpt(self, patience_s: float) -> list[dict[str, object]]:
-        """The next states over RTDE; fewer where the controller stops sending, and why in the last one."""
+        """Return the next states over RTDE; if the controller stops sending, fewer ones, and the reason at the end."""
         from drivers.arms.ur_links import RTDE_PORT, Connection
         from drivers.arms.ur_rtde_reader import samples
 
@@ -99,7 +99,7 @@ class UrSettings(UrOptions):
         return found
 
     def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
-        """Read the outputs of the controller over RTDE, after a look whether it is the expected one."""
+        """Read the outputs of the controller over RTDE, after a check that it is the expected one."""
         from drivers.arms.ur_led import read_led_arm
 
         return read_led_arm(self, self.expectation(arm), rest_s, patience_s)

@@ -1,7 +1,7 @@
-"""The dashboard connection over which a UR arm is stopped: kept open, and asked all the time whether it still answers.
+"""The dashboard connection over which a UR arm is stopped. It stays open and is checked all the time.
 
-Questions and stops share it. The controller answers in order, so that a stop is sent without waiting for the answer to
-an earlier question. If the line fails when it is needed, a new one is tried, for a short time.
+Questions and stops share it. The controller answers in order, so a stop can be sent without waiting for the answer to
+an earlier question. If the line fails when it is needed, a new one is tried for a short time.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ _ASK_EVERY_S = 0.1
 _SILENT_S = 0.35
 """A dashboard that leaves a question unanswered for this long is lost."""
 _ANSWER_WITHIN_S = 0.04
-"""An open dashboard that does not answer a stop within this time is not waited for: a new connection is tried."""
+"""Time to wait for an open dashboard to answer a stop; after it a new connection is tried."""
 _RETRY_WITHIN_S = 0.25
 _OPEN_WITHIN_S = 0.25
 _AGAIN_S = 0.05
 _TRIES = 2
-"""A dashboard that closed its connection and could not be opened again this often is lost."""
+"""A dashboard is lost if it closed its connection and this many attempts to open it again failed."""
 _END_WITHIN_S = 1.0
 _MOST_BYTES = 4096
 
 
 class _Line:
-    """One open connection; ``pump`` and then ``close`` are called by one thread, the rest by any."""
+    """One open connection. One thread calls ``pump`` and then ``close``; any thread may call the other methods."""
 
     def __init__(self, host: str, port: int, patience: Patience) -> None:
         """Connect and read the greeting. Raises ``LinkLost``."""
@@ -47,7 +47,7 @@ class _Line:
         self._ended = False
 
     def send(self, text: str) -> queue.SimpleQueue[str | None]:
-        """Send a line and return where its answer will be put; None there: the connection has ended."""
+        """Send a line and return the queue for its answer; the answer is None if the connection has ended."""
         answer: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         with self._sending:
             self._waiting.append(answer)
@@ -81,7 +81,7 @@ class _Line:
         return self._link.where
 
     def pump(self, patience: Patience) -> None:
-        """Wait for bytes and pass complete lines to those who asked; notice the end."""
+        """Wait for bytes and pass complete lines to those who asked; detect the end of the connection."""
         try:
             more = self._link.receive(patience)
         except OSError:
@@ -93,7 +93,7 @@ class _Line:
             line = self._received[:end].decode("utf-8", errors="replace").strip()
             del self._received[: end + 1]
             with self._sending:
-                if not self._waiting:  # nobody asked: this is no dashboard any more
+                if not self._waiting:  # a line that nobody asked for: the peer is no dashboard any more
                     more = b""
                     break
                 self._waiting.popleft().put(line)
@@ -101,7 +101,7 @@ class _Line:
             self.end()
 
     def end(self) -> None:
-        """End the connection; whoever waits for an answer gets none."""
+        """End the connection; pending questions get the answer None."""
         with self._sending:
             self._ended = True
             while self._waiting:
@@ -109,7 +109,7 @@ class _Line:
             self._link.shut_down()
 
     def close(self) -> None:
-        """End the connection and free it."""
+        """End the connection and free its socket."""
         self.end()
         self._link.close()
 
@@ -117,8 +117,8 @@ class _Line:
 class StopLine:
     """Stops the program of one controller. Any thread may call any method.
 
-    ``lost`` is called, by a thread of this object, when the controller no longer answers on it: within 0.2 s where it
-    closed the connection and refuses a new one, within 0.6 s where it is silent.
+    A thread of this object calls ``lost`` when the controller no longer answers: within 0.2 s if it closed the
+    connection and refuses a new one, within 0.6 s if it is silent.
     """
 
     def __init__(self, host: str, lost: Callable[[str], object], *, port: int = DASHBOARD_PORT) -> None:
@@ -129,7 +129,7 @@ class StopLine:
         self._keeper: threading.Thread | None = None
 
     def open(self, look: Callable[[], None] = lambda: None) -> None:
-        """Open a new connection and keep it; ``look`` is called while this waits and may raise. Raises ``LinkLost``."""
+        """Open a new connection and keep it; ``look`` is called during waits and may raise. Raises ``LinkLost``."""
         self.close()
         self._closing = threading.Event()
         self._reopened(Patience(_OPEN_WITHIN_S, look=look))
@@ -139,7 +139,7 @@ class StopLine:
         self._keeper.start()
 
     def _reopened(self, patience: Patience) -> _Line:
-        """Return a connection that has not ended, a new one if need be. Raises ``LinkLost``."""
+        """Return the open connection, or a new one if it has ended. Raises ``LinkLost``."""
         if not self._opening.acquire(timeout=_OPEN_WITHIN_S):
             raise LinkLost(f"{self._host}:{self._port}: no connection to the UR dashboard in time")
         try:
@@ -151,7 +151,7 @@ class StopLine:
             self._opening.release()
 
     def confirm(self, patience: Patience) -> None:
-        """Ask a question that changes nothing, once more on a new connection if this one was closed.
+        """Ask a question that changes nothing; if the connection was closed, ask once more on a new one.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class StopLine:
             self._reopened(patience).ask(_QUESTION, patience)
 
     def stop(self) -> None:
-        """Stop the program: one line and its answer, on a new connection if the open one fails.
+        """Stop the program with one line and wait for its answer; if the open connection fails, use a new one.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class StopLine:
             closing.wait(_AGAIN_S)
 
     def _watch(self, line: _Line, closing: threading.Event) -> None:
-        """Ask again and again, until the connection ends. Reports a silent one, and ends it.
+        """Repeat the question until the connection ends. Report and end a silent connection.
 
         Raises ``LinkLost`` if it ended before any answer.
         """

@@ -13,34 +13,34 @@ from drivers.arms.path_end import slowed
 from drivers.arms.ur_rtde_reader import UrSample
 
 SLIDER_UP = 0.995
-"""A path needs the speed slider at 100 %: a controller that scales time no longer follows the positions."""
+"""Smallest speed slider for a path, 100 %: a controller that scales time does not follow the positions."""
 LATE_S = 0.1
-"""A computer that sends the next position this late stops the arm: it stood in the middle of the path."""
+"""Delay of the next position after which the stream is aborted: the arm has stood still in the middle of the path."""
 _FOLLOWS_WITHIN_S = 0.3
-"""Every joint must be, to ``_FOLLOWS_RAD``, where it was sent in this time: the lag of ``servoj`` is shorter."""
+"""Lag limit: every joint must be within ``_FOLLOWS_RAD`` of a position sent in this time. ``servoj`` lags less."""
 _FOLLOWS_RAD = 0.02
 _AT_GOAL_RAD = 2e-4
 _ARRIVES_WITHIN_S = 1.0
-"""Time that the arm has to come up with the last position."""
+"""Time for the arm to reach the last position."""
 
 
 @dataclass
 class Stream:
-    """A stream in progress. A position that is due late shifts all later ones: none is left out, none comes early.
+    """A stream in progress. A late position delays all later ones: none is skipped, none is sent early.
 
     Attributes
     ----------
     rows : sequence of joint positions [rad]
     period_s, lookahead_s, gain : float
-        Of ``servoj``.
+        Arguments of ``servoj``.
     due_s : float
-        When the next position is to be sent, by ``time.monotonic``.
+        When the next position must be sent, by ``time.monotonic``.
     begun_s : float
         Controller time of the state from which the stream began [s].
     sent : int
         Number of positions sent; the last one is repeated until the arm is there.
     reached : float or None
-        Row of the path at which ``slow_down`` ends it; None: it was not called.
+        Row of the path at which ``slow_down`` ends it; None if it was not called.
     trace : list
         Controller time [s] and joint positions of every state since the first position was sent.
     """
@@ -58,7 +58,7 @@ class Stream:
 
     @property
     def goal(self) -> Sequence[float]:
-        """The position to be sent next."""
+        """The position to send next."""
         return self.rows[min(self.sent, len(self.rows) - 1)]
 
     def note_sent(self, now: float) -> None:
@@ -69,26 +69,26 @@ class Stream:
             self.ended_s = now
 
     def slow_down(self) -> None:
-        """End the path early, at rest."""
+        """End the path early: slow down along it to rest."""
         if self.reached is None and self.ended_s is None:
             tail, self.reached = slowed(self.rows, self.sent, self.period_s)
             self.rows = [*self.rows[: self.sent], *tail]
 
     def note_state(self, sample: UrSample) -> None:
-        """Keep a new state of the arm."""
+        """Record a new state of the arm."""
         if self.sent:
             self.trace.append((sample.time_s, sample.q))
 
     def arrived(self, sample: UrSample, now: float, rest_speed: float) -> bool:
-        """Return whether the arm is at the last position, or has had the time to get there."""
+        """Return whether the arm is at the last position, or has had enough time to get there."""
         if self.ended_s is None:
             return False
         there = sample.distance(self.rows[-1]) <= _AT_GOAL_RAD and sample.speed <= rest_speed
-        there = there and sample.time_s - self.begun_s >= (len(self.rows) - 1) * self.period_s  # no late old state
+        there = there and sample.time_s - self.begun_s >= (len(self.rows) - 1) * self.period_s  # ignore old states
         return there or now - self.ended_s > _ARRIVES_WITHIN_S
 
     def behind(self, sample: UrSample) -> str:
-        """Return why the arm does not follow, in words; empty if it does."""
+        """Return why the arm does not follow, in words; empty if it follows."""
         if not self.sent:
             return ""
         last = min(self.sent, len(self.rows)) - 1
@@ -102,7 +102,7 @@ class Stream:
         return ""
 
     def answer(self) -> dict[str, Any]:
-        """Return the trace, as time since the first state [s] and joint positions [rad]."""
+        """Return the trace: time since its first state [s] and joint positions [rad]."""
         start_s = self.trace[0][0] if self.trace else 0.0
         trace = {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}
         return trace if self.reached is None else {**trace, "reached": self.reached}

@@ -1,4 +1,4 @@
-"""One connected UR arm as its worker process sees it: requests, faults, the watchdog, motion and rest.
+"""Supervision of one connected UR arm in its worker process: requests, faults, watchdog, motion and rest.
 
 Everything here runs in the worker's main thread. ``braked`` may become true at any moment; ``drivers.arms.ur_worker``
 explains why no motion escapes it.
@@ -23,15 +23,15 @@ from drivers.arms.ur_states import SILENT_S, States
 from drivers.patience import Patience, RunningTime
 
 _FIRST_STATE_WITHIN_S = 2.0
-"""While connecting: nothing moves, and the client and its controller are busy."""
+"""Time limit for a state while connecting: nothing moves, and the client and its controller are busy."""
 _STARTS_WITHIN_S = 1.0
 _STOP_SEEN_WITHIN_S = 0.05
-"""The application sends ``brake`` before it stops the program over another connection. A program that has been seen
-stopped for this long without ``brake`` was stopped by something else."""
+"""Time to wait for a ``brake`` after the program was seen stopped. The application sends ``brake`` before it stops the
+program over another connection; without a ``brake`` in this time something else stopped it."""
 _STANDING_S = 1.0
-"""A motion reported as running while the arm rests for this long is a fault of the link."""
+"""If a motion is reported as running while the arm rests for this long, the link is at fault."""
 _STREAMS_APART_S = 0.05
-"""The end of a motion comes over another connection than positions, which may be older by this much."""
+"""Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
 _CUT_SHORT_S = 0.5
 """An arm that rests away from its goal for this long after the end of a motion will not reach it."""
 _STANDS_RAD_S = 1e-4
@@ -43,11 +43,11 @@ _RELEASE_WITHIN_S = 0.5
 _EMERGENCIES = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
 _KINDS = {"PROTECTIVE_STOP": "protective", **dict.fromkeys(_EMERGENCIES, "emergency")}
 _HARMLESS = "stalled"
-"""The fault after which a profile may allow to go on without a person."""
+"""The kind of fault after which a profile may allow to continue without a person."""
 
 
 class Application(Protocol):
-    """The application as the supervisor needs it."""
+    """Interface of the application for the supervisor."""
 
     @property
     def braked(self) -> bool:
@@ -65,7 +65,7 @@ class Application(Protocol):
 
 @dataclass
 class SettleRequest:
-    """A request to be answered when the arm has settled."""
+    """A pending request that is answered when the arm has settled."""
 
     request: int
     timeout_s: float
@@ -73,7 +73,7 @@ class SettleRequest:
 
 
 class Supervisor:
-    """Executes requests for one arm; ``monitor`` is to be called a hundred times a second or more."""
+    """Executes requests for one arm; ``monitor`` must be called at least a hundred times a second."""
 
     def __init__(self, application: Application, control: UrControl, watchdog_hz: float, rest: RestCriterion) -> None:
         self._application, self._control, self._rest = application, control, rest
@@ -85,19 +85,19 @@ class Supervisor:
         self._resting_since: UrSample | None = None
         self._fault: Refusal | None = None
         self._halted = False
-        self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
+        self._program_stopped_s: float | None = None  # since when the program has been stopped without a brake
         self._unrest = Unrest()
         self._running_time = RunningTime()
         self._states = States(control, application.exit_link_lost, self._meanwhile)
-        self._fast = False  # whether the newest state shows a joint that moves
+        self._fast = False  # whether a joint moves in the newest state
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> dict[str, Any]:
         """Return the state with the tool centre point, read while the program runs: the program could set both.
 
-        The program has just been started; its watchdog begins last. Nothing kicks it before ``monitor`` does, and a
-        computer that is busy just then would end the program.
+        The program has just been started. Start its watchdog last: only ``monitor`` kicks it, and before that a busy
+        computer would let it expire.
         """
         tcp = self._control.tcp()
         state = self.state(_FIRST_STATE_WITHIN_S)
@@ -105,7 +105,7 @@ class Supervisor:
         return {**state, "tcp": tcp}
 
     def state(self, within_s: float = SILENT_S) -> dict[str, Any]:
-        """Return the next state of the arm, which must come ``within_s`` [s]."""
+        """Return the next state of the arm, which must arrive ``within_s`` [s]."""
         state = self._states.next(within_s).as_dict()
         fault = None if self._fault is None else {"kind": self._fault.kind, "text": self._fault.text}
         return {**state, "moving": self.may_move, "fault": fault}
@@ -117,19 +117,19 @@ class Supervisor:
 
     @property
     def may_move(self) -> bool:
-        """Whether the arm moves, or has not been seen at rest since it did."""
+        """Whether the arm moves, or has not been seen at rest since its last motion."""
         return self._moves or self._unrest.may_move
 
     @property
     def live(self) -> LiveArm:
-        """How old the newest state is, and whether the arm moves."""
+        """Age of the newest state, and whether the arm moves."""
         return LiveArm(self._states.age_s, self.may_move or self._fast)
 
     def confirm(self) -> dict[str, Any]:
-        """Return the next state, which shows whether the program runs; both connections must be open then.
+        """Return the next state, which shows whether the program runs; require that both connections are open.
 
-        That the program runs proves the connection for commands: its watchdog ends it a fifth of a second after the
-        last kick that came through. A question to the program would prove it at once, but keeps kicks from being sent.
+        A running program proves the command connection: the watchdog ends the program a fifth of a second after the
+        last kick that arrived. A question to the program would prove it at once, but would delay the kicks.
         """
         state = self.state()
         self._states.check_links()
@@ -148,7 +148,7 @@ class Supervisor:
         self._require_not_braked()
         self._unrest.begin()
         accepted = self._control.move(goal, speed, acceleration)
-        if self._application.braked:  # perhaps before the motion began
+        if self._application.braked:  # the brake may have come before the motion began
             stopped = self._stopped()
             self._stop_program()
             raise stopped
@@ -162,7 +162,7 @@ class Supervisor:
         return {}
 
     def _require_movable(self) -> UrSample:
-        """Return the state of an arm that may begin a motion; refuse otherwise."""
+        """Return the state of an arm that may begin a motion; raise ``Refusal`` if it may not."""
         self._require_no_fault()
         self._require_not_braked()
         if self._moves:
@@ -183,11 +183,11 @@ class Supervisor:
         return sample
 
     def wait_settled(self, number: int, timeout_s: float) -> None:
-        """Answer request ``number`` when the arm has settled."""
+        """Register request ``number``, to be answered when the arm has settled."""
         self._settle_requests.append(SettleRequest(number, timeout_s, self._now() + timeout_s))
 
     def allowed(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return which joint positions the controller's safety configuration allows."""
+        """Return for each of the joint positions whether the controller's safety configuration allows it."""
         self._ensure_program_runs(self._require_movable())
         allowed = []
         for q in request["q"]:
@@ -200,7 +200,7 @@ class Supervisor:
         return {"allowed": allowed}
 
     def take_brake(self) -> None:
-        """Stop a motion through the control program too, and forget it: its program is being stopped."""
+        """Stop a motion also through the control program, and forget it: its program is being stopped."""
         if self._moves:
             self._control.brake()
         if self._motion is not None:
@@ -212,15 +212,15 @@ class Supervisor:
         self._resting_since = None
 
     def release(self) -> dict[str, Any]:
-        """Allow motions again after a stop, when the arm was seen at rest."""
+        """Allow motions again after a stop, once the arm was seen at rest."""
         self.take_brake()
         self._await_rest(_RELEASE_WITHIN_S)
         return {}
 
     def require_restartable(self) -> None:
-        """Wait until a braked arm rests; refuse if it has a fault, or moves."""
+        """Wait until a braked arm rests; raise ``Refusal`` if it has a fault or still moves."""
         self._require_no_fault()
-        self._unrest.begin()  # whatever moved it
+        self._unrest.begin()  # whatever moved the arm
         self._unrest.end(self._now())
         if not self._await_rest(_REST_WITHIN_S):
             raise failed(f"it still moves {_REST_WITHIN_S:g} s after it was stopped")
@@ -229,7 +229,7 @@ class Supervisor:
     def _await_rest(self, within_s: float, *, moving_at_once: bool = False) -> bool:
         """Wait until states have shown the arm at rest since it moved; return whether they have.
 
-        ``moving_at_once``: end as soon as one shows that it moves.
+        ``moving_at_once``: return False at the first state that shows motion.
         """
         patience = Patience(within_s)
         while self._unrest.may_move:
@@ -263,16 +263,16 @@ class Supervisor:
             stop_program(self._control.host, _STOP_WITHIN_S)
 
     def _now(self) -> float:
-        """Return the time that counts for motions: it stands still while this process does not run."""
+        """Return the time for motions: it does not advance while this process is not scheduled."""
         return self._running_time.at(time.monotonic())
 
     def _meanwhile(self) -> None:
-        """Do what cannot wait for the next state: take a brake."""
+        """Handle what cannot wait for the next state: a brake."""
         if self._application.braked and not self._halted:
             self.take_brake()
 
     def _require_ready(self, sample: UrSample) -> None:
-        """Raise and record what keeps the arm from moving."""
+        """Record and raise the reason why the arm cannot move."""
         problem = not_ready(sample.robot_mode, sample.safety_mode)
         if problem is not None:
             raise self._record_fault(Refusal(_KINDS.get(sample.safety_mode, "advised"), "; ".join(problem)))
@@ -343,7 +343,7 @@ class Supervisor:
         return self._program_stopped()
 
     def _program_stopped(self) -> Refusal:
-        """Record why the control program was stopped by something else than the application."""
+        """Record why the control program was stopped by something other than the application."""
         gap_s = self._kicks.expired_before(self._program_stopped_s)
         if gap_s is not None:
             text = (
@@ -377,7 +377,7 @@ class Supervisor:
             self._answer_settle_requests(sample, now, news)
 
     def _look(self) -> tuple[UrSample, bool]:
-        """Check what can stop an arm at any time; return its newest state, and whether that is new."""
+        """Check everything that can stop an arm at any time; return its newest state, and whether that is new."""
         unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
         self._states.check_links()
         sample, news = self._states.look()
@@ -392,10 +392,10 @@ class Supervisor:
         return sample, news
 
     def _check_program(self, sample: UrSample, now: float) -> None:
-        """Record that something else than the application stopped the program."""
+        """Record a fault if something other than the application stopped the program."""
         if self._fault is not None:
             return
-        # the control stream shows whether the state stream is only older
+        # the command connection shows whether the state stream is only delayed
         meant = self._halted or self._application.braked
         if sample.program == "PLAYING" or meant or self._control.program_runs:
             self._program_stopped_s = None
@@ -427,7 +427,7 @@ class Supervisor:
         self._unrest.end(now)
 
     def _update_rest(self, sample: UrSample) -> None:
-        """Track since when the arm rests."""
+        """Track since when the arm has been at rest."""
         first = self._resting_since
         if sample.speed > self._rest.speed:
             self._resting_since = None

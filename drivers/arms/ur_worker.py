@@ -53,11 +53,11 @@ from drivers.arms.ur_path_supervisor import PathSupervisor
 from drivers.priority import run_first
 
 _TICK_S = 0.008
-"""The arm is looked at with 125 Hz, the rate at which its states come."""
+"""Period of the looks at the arm: 125 Hz, the rate at which its states arrive."""
 _BEAT_EVERY_S = 0.05
 _UNHEARD_S = 0.5
 _UNHEARD_LOOKS = 20
-"""An application that says nothing for this long, and this many looks of the worker, hangs or is suspended."""
+"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker."""
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002
@@ -65,7 +65,7 @@ _NICENESS = -10
 
 
 class Worker:
-    """Serves requests one after the other; waiting for an arm to settle runs in parallel.
+    """Server of requests, one after the other; waiting for an arm to settle runs in parallel.
 
     ``received``, ``brake`` and ``exit_orphaned`` are called by the thread that reads messages.
     """
@@ -78,7 +78,7 @@ class Worker:
         self._host = ""
         self._supervisor: PathSupervisor | None = None
         self._brakes = 0  # counted by the reading thread
-        self._released = 0  # the number of brakes that are no longer in force
+        self._released = 0  # number of brakes that are no longer in force
         self._decelerating = threading.Event()
         self._beat_s = 0.0
         self._served = 0
@@ -88,7 +88,7 @@ class Worker:
     # -- the thread that reads messages --------------------------------------------------------------------------------
 
     def received(self, message: Mapping[str, Any]) -> None:
-        """Take a message. A request releases only brakes that came before it."""
+        """Handle a message. A request releases only brakes that came before it."""
         self._heard_s, self._looks_unheard = time.monotonic(), 0
         if "brake" in message:
             self.brake()
@@ -96,7 +96,7 @@ class Worker:
             self._requests.put({**message, "brakes": self._brakes})
 
     def brake(self) -> None:
-        """Stop the program now, whatever the main thread does; see the module's text for the order."""
+        """Stop the program now, whatever the main thread does; the module docstring explains the order."""
         self._decelerating.clear()
         self._brakes += 1
         self._requests.put(None)
@@ -106,8 +106,8 @@ class Worker:
                 stop_program(self._host, _BRAKE_WITHIN_S)
 
     def exit_orphaned(self) -> NoReturn:
-        """Stop the program and end, because the application has ended."""
-        self._brakes += 1  # no more kicks: the watchdog stops the program if the dashboard does not answer
+        """Stop the program and end the process, because the application has ended."""
+        self._brakes += 1  # no more kicks: the watchdog stops the program even if the dashboard does not answer
         if self._host:
             with suppress(LinkLost):
                 stop_program(self._host, 2.0 * _STOP_WITHIN_S)
@@ -144,7 +144,7 @@ class Worker:
         return ""
 
     def exit_link_lost(self, kind: str, text: str) -> NoReturn:
-        """Report, stop the arm over the dashboard, and end before the client can do harm."""
+        """Report, stop the arm over the dashboard, and end the process before the client can do harm."""
         self.answer({"doubt": kind, "text": text})
         with suppress(LinkLost):
             stop_program(self._host, _STOP_WITHIN_S)
@@ -159,7 +159,7 @@ class Worker:
         while True:
             try:
                 self._turn()
-            except (RuntimeError, ValueError) as error:  # any call of the client, where its link breaks in this moment
+            except (RuntimeError, ValueError) as error:  # the client raises these if its link breaks during a call
                 self.exit_link_lost("link", f"its RTDE client failed ({printable(str(error))})")
 
     def _turn(self) -> None:
@@ -186,7 +186,7 @@ class Worker:
         self._served = int(request["id"])
 
     def _result(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Execute a request and return its answer; None if that comes later. Raises ``Refusal``."""
+        """Execute a request and return its answer; None if the answer comes later. Raises ``Refusal``."""
         if request["do"] == "open":
             return self._open(request)
         supervisor = self._supervisor
@@ -226,10 +226,10 @@ class Worker:
         host = str(request["host"])
 
         def opening() -> None:
-            time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may wait to be read
+            time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may be unread
             if self.braked:
                 raise Refusal("stopped", "it was stopped while it was being connected")
-            self._host = host  # from here on a program of this worker may run there
+            self._host = host  # from here on a program of this worker may run on that host
             self.answer({"opening": True})
 
         control = UrControl.open(host, request["optional"], float(request["timeout_s"]), opening)
@@ -240,15 +240,15 @@ class Worker:
 
 
 def _raise_priority() -> None:
-    """Run before other programs where that is allowed, so that the watchdog is kicked in time.
+    """Raise this process's priority where allowed, so that the watchdog is kicked in time.
 
-    Not with real-time priority: the client busy-waits, which would keep a small computer from everything else.
+    Not to real-time priority: the client busy-waits and would block everything else on a small computer.
     """
     run_first(_NICENESS)
 
 
 def main() -> None:
-    """Serve on standard input and output, kept free of the RTDE client's own messages."""
+    """Serve on standard input and output; keep the RTDE client's own messages out of them."""
     _raise_priority()
     for name in ("SIGINT", "SIGTSTP", "SIGHUP"):  # sent to all processes of a terminal; the application handles them
         if hasattr(signal, name):

@@ -26,30 +26,30 @@ from drivers.patience import Patience, patient_get
 
 _BEAT_EVERY_S = 0.05
 _WORKER = "drivers.arms.ur_worker"
-"""What runs as the worker."""
+"""Module that is run as the worker."""
 _SILENT_S = 0.3
 """The arm's state is unknown if its worker sends no heartbeat for this long."""
 _SILENT_LOOKS = 4
-"""And if this process has looked this often meanwhile: one that was not scheduled has not read either."""
+"""Smallest number of looks of this process in that time: a process that was not scheduled has not read either."""
 _LOCK_WITHIN_S = 0.01
-"""Messages are short and the worker reads them at once; a longer wait means that it hangs."""
+"""Time to wait for the lock. Messages are short and read at once, so a longer wait means that the worker hangs."""
 _LOCK_AT_ONCE_S = 0.002
 _MOTIONS = ("move", "path")
 _RELEASES = ("release", "restart")
 _STOPPED: Mapping[str, Any] = {"error": "stopped", "text": "its motion was stopped before the goal"}
 
 _LAST_LINES, _LONGEST_LINE = 60, 400
-"""What is kept of the worker's standard error."""
+"""Number and length of the lines that are kept of the worker's standard error."""
 _LAST_WORDS_WITHIN_S = 0.1
 
 Doubted = Callable[[str, str], object]
-"""Receives the kind of a refusal and a sentence, from any thread; returns at once."""
+"""Callback for a doubt, with the kind of a refusal and a sentence; called from any thread, returns at once."""
 
 
 def last_words(lines: Iterable[bytes]) -> str:
-    """Return what a process that ended wrote last, after ``: ``; empty if it wrote nothing.
+    """Return the last output of a process that ended, after ``: ``; empty if it wrote nothing.
 
-    That is an exception's last line; of a dump of all threads its first line, and where the main thread was.
+    For an exception this is its last line; for a dump of all threads its first line and where the main thread was.
     """
     texts = [
         text for line in lines if (text := printable(line.decode("utf-8", errors="replace").strip(), _LONGEST_LINE))
@@ -107,17 +107,17 @@ class HeartbeatGaps:
 
 @dataclass(frozen=True)
 class _Pending:
-    """A request whose answer is waited for."""
+    """A request that waits for its answer."""
 
     request: str
     answered: queue.SimpleQueue[Mapping[str, Any] | None]
 
 
 class WorkerProcess:
-    """A worker process. Calls may come from several threads.
+    """A worker process. Several threads may call its methods.
 
-    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end; ``opens``
-    when it may start a program on the controller.
+    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end. ``opens``
+    is called when it may start a program on the controller.
     """
 
     def __init__(self, name: str, doubted: Doubted, opens: Callable[[], None]) -> None:
@@ -129,8 +129,8 @@ class WorkerProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            start_new_session=True,  # a Ctrl-C in the terminal must not reach it
-            creationflags=getattr(subprocess, "HIGH_PRIORITY_CLASS", 0),  # Windows; elsewhere it asks for it itself
+            start_new_session=True,  # a Ctrl-C in the terminal must not reach the worker
+            creationflags=getattr(subprocess, "HIGH_PRIORITY_CLASS", 0),  # Windows; elsewhere it raises its own
         )
         self._doubted, self._opens = doubted, opens
         self._lock = threading.Lock()
@@ -140,7 +140,7 @@ class WorkerProcess:
         self._ended: WorkerGone | None = None
         self._opening = False
         self._motion_asked = self._served = 0
-        self._told = False  # to brake, since a request that releases
+        self._told = False  # whether it was told to brake since the last request that releases
         self._ending = threading.Event()
         self._decelerating = threading.Event()
         self._gaps = HeartbeatGaps()
@@ -166,17 +166,17 @@ class WorkerProcess:
 
     @property
     def opening(self) -> bool:
-        """Whether it has begun to start a program on the controller."""
+        """Whether it may have started a program on the controller."""
         return self._opening
 
     @property
     def gaps(self) -> HeartbeatGaps:
-        """How regularly it kept the controller's watchdog from expiring."""
+        """How regularly it kicked the controller's watchdog."""
         return self._gaps
 
     @property
     def live(self) -> LiveArm:
-        """What the newest heartbeat said of the arm; a motion that was asked for since may have begun."""
+        """The arm as of the newest heartbeat; a motion requested since then may have begun."""
         age_s, moving, since_s = self._live
         return LiveArm(age_s + time.monotonic() - since_s, moving or self._motion_asked > self._served)
 
@@ -236,11 +236,11 @@ class WorkerProcess:
         return dict(answer["ok"])
 
     def brake(self, within_s: float = _LOCK_WITHIN_S) -> bool:
-        """Tell the worker to stop its arm and to begin no motion until ``release`` or ``restart`` is asked.
+        """Tell the worker to stop its arm and to begin no motion until a request ``release`` or ``restart``.
 
-        A worker that ``tell_at_once`` has told is not told again. Waits a few milliseconds until the motion
-        decelerates. Returns whether the message was sent, or no worker is left; it is not if another message could not
-        be sent for ``within_s``.
+        A worker that was told by ``tell_at_once`` is not told again. Wait a few milliseconds for the motion to
+        decelerate. Return True if the message was sent or no worker is left, False if another message blocked it for
+        ``within_s``.
         """
         if self.has_ended:
             return True
@@ -250,7 +250,7 @@ class WorkerProcess:
         return True
 
     def tell_at_once(self) -> None:
-        """Tell the worker the same, again if it knows, if no more than the message is needed: nothing is waited for.
+        """Send the worker the message of ``brake``, even if it was sent before, but only if that needs no waiting.
 
         It saves the start of a thread, which takes 0.1 s and more beside busy processes.
         """
@@ -258,7 +258,7 @@ class WorkerProcess:
             self._tell(_LOCK_AT_ONCE_S, at_once=True)
 
     def _tell(self, within_s: float, *, at_once: bool = False) -> bool:
-        """Send the message; return whether it was sent. ``at_once``: not to a worker that does not read."""
+        """Send the brake message; return whether it was sent. ``at_once``: skip a worker that does not read."""
         if not self._lock.acquire(timeout=within_s):
             return False
         try:
@@ -280,7 +280,7 @@ class WorkerProcess:
         self._process.kill()
 
     def abandon(self) -> None:
-        """Kill the process without waiting for its end, which is no doubt; whoever waits for an answer gets none."""
+        """Kill the process without waiting for its end, which is not a doubt; pending requests get no answer."""
         self._ending.set()
         self._process.kill()
 
@@ -291,7 +291,7 @@ class WorkerProcess:
         self._join()
 
     def end(self, timeout_s: float) -> None:
-        """Let the process stop the program and end by itself; kill it if it does not end in time."""
+        """Let the process stop the program and end by itself; kill it after the time limit."""
         self._ending.set()
         with self._lock, suppress(OSError):
             assert self._process.stdin is not None
@@ -322,7 +322,7 @@ class WorkerProcess:
             raise OSError(str(error)) from error
 
     def _takes_messages(self) -> bool:
-        """Whether a short message can be written without waiting; never on Windows, which does not tell."""
+        """Whether a short message can be written without waiting; always False on Windows, which does not tell."""
         if sys.platform == "win32" or self._process.stdin is None or self._process.stdin.closed:
             return False
         ready = select.poll()
@@ -333,7 +333,7 @@ class WorkerProcess:
         self._beat_s, self._looks = time.monotonic(), 0
 
     def _beat(self) -> None:
-        """Send heartbeats and miss those of the worker, until it ends."""
+        """Send heartbeats and check those of the worker, until it ends."""
         silent = False
         while not self._ending.wait(_BEAT_EVERY_S) and not self.has_ended:
             with self._lock, suppress(OSError):
@@ -344,7 +344,7 @@ class WorkerProcess:
                 self._doubted("driver", f"its driver process was silent for {_SILENT_S:g} s")
 
     def _listen(self) -> None:
-        """Keep the last lines of what the worker writes to its standard error."""
+        """Keep the last lines of the worker's standard error."""
         assert self._process.stderr is not None
         while line := self._process.stderr.readline(_LONGEST_LINE):
             self._last_words.append(line)

@@ -42,11 +42,11 @@ _STANDSTILL_S = 30.0
 _POLL_S = 0.005
 _MOST_FAULTS = 1000
 _WATCH_S = 0.1
-"""Plant time between two looks at the beam and the SMR during a measurement on a shared plant."""
+"""Plant time between two checks of the beam and the SMR during a measurement on a shared plant."""
 
 
 class WaitingClock:
-    """Waits until another emulator has advanced the plant; called with ``clock`` held.
+    """Callable that waits until another emulator has advanced the plant; call it with ``clock`` held.
 
     Raises ``TrackerTimeout`` if the plant's clock has not advanced for half a minute.
     """
@@ -55,7 +55,7 @@ class WaitingClock:
         self._plant, self._clock = plant, clock
 
     def __call__(self, duration_s: float) -> None:
-        """Wait until ``duration_s`` [s] of the plant have passed; ``clock`` is released meanwhile."""
+        """Wait until ``duration_s`` [s] of plant time have passed, with ``clock`` released."""
         until_s = self._plant.clock_s + duration_s
         seen_s, last = self._plant.clock_s, time.monotonic()
         while self._plant.clock_s < until_s:
@@ -89,8 +89,9 @@ class TrackerBridgeEmulator(TrackerService):
     ) -> None:
         """Configure a service for the tracker of ``plant``.
 
-        ``clock`` is the lock of a shared plant, see above. A restart takes ``reboot_s``: real time for the bridge,
-        plant time for the tracker. A slow answer is ``slow_s`` late. ``options`` are those of ``TrackerService``.
+        ``clock`` is the lock of a shared plant, see the module docstring. A restart takes ``reboot_s``: real time for
+        the bridge, plant time for the tracker. A slow answer is ``slow_s`` late. ``options`` are those of
+        ``TrackerService``.
         """
         pass_time: Callable[[float], None] | None = None if clock is None else WaitingClock(plant, clock)
         self.tracker = SimulatedTracker(
@@ -141,11 +142,11 @@ class TrackerBridgeEmulator(TrackerService):
                 self._answer(link, sequence, reply)
 
     def accepts_connections(self) -> bool:
-        """Return whether the emulated computer runs; while it restarts, connections are closed at once."""
+        """Return whether the emulated computer runs; during a restart, connections are closed at once."""
         return time.monotonic() >= self._down_until
 
     def line_received(self, link: Link, raw: bytes) -> None:
-        """Execute a line; ignore it while the emulated computer restarts."""
+        """Execute a line; ignore it during a restart of the emulated computer."""
         if self.accepts_connections():
             super().line_received(link, raw)
 

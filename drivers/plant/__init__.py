@@ -1,7 +1,7 @@
 """The simulated cell: physics that shares no code with the models fitted to it.
 
-Arms are axes in space with bodies on them, statics is solved at the deflected posture, hidden effects have their own
-equations. A calibration that fits this cell therefore does not merely reproduce its own code.
+Arms are axes in space with bodies on them, statics is solved at the deflected posture, and hidden effects have their
+own equations. A calibration that fits this cell therefore does not merely reproduce its own code.
 """
 
 from drivers.plant.clearance import Clearance

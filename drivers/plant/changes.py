@@ -1,4 +1,4 @@
-"""Changes of a true mechanism: what a collision, a repair or a slipping encoder does to an arm between two days."""
+"""Changes of a true mechanism between two days, as by a collision, a repair or a slipping encoder."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from drivers.plant.mechanism import Mechanism
 
 
 def zero_shifted(mechanism: Mechanism, joint: int, angle: float) -> Mechanism:
-    """The mechanism whose ``joint`` (from 0) is truly ``angle`` [rad] further than before at the same reading."""
+    """Return the mechanism whose ``joint`` (from 0) is truly ``angle`` [rad] further at the same reading."""
     zeros = mechanism.zeros.copy()
     zeros[joint] += angle
     return replace(mechanism, zeros=zeros)
 
 
 def lengthened(mechanism: Mechanism, joint: int, length: float) -> Mechanism:
-    """Everything that ``joint`` (from 0) moves, shifted along its axis by ``length`` [m]."""
+    """Return the mechanism with everything that ``joint`` (from 0) moves shifted along its axis by ``length`` [m]."""
     return _beyond(mechanism, joint, rigid(np.concatenate([length * mechanism.directions[joint], np.zeros(3)])))
 
 
 def link_moved(mechanism: Mechanism, joint: int, twist: Array) -> Mechanism:
-    """Everything beyond the link of ``joint`` (from 0), moved by a twist (6,) [m, rad] in the link's D-H frame."""
+    """Return the mechanism with all beyond link ``joint`` (from 0) moved by a twist (6,) in its D-H frame [m, rad]."""
     frame = mechanism.frames[joint + 1]
     return _beyond(mechanism, joint, frame @ rigid(twist) @ inverse(frame))
 
 
 def _beyond(mechanism: Mechanism, joint: int, motion: Array) -> Mechanism:
-    """The mechanism with a motion (4, 4) in B, at the zero position, of all that comes after ``joint``."""
+    """Return the mechanism with everything after ``joint`` moved by ``motion`` (4, 4) in B, at the zero position."""
     points, directions = mechanism.points.copy(), mechanism.directions.copy()
     centers, frames = mechanism.centers.copy(), mechanism.frames.copy()
     points[joint + 1 :] = carry(motion, points[joint + 1 :])

@@ -19,16 +19,16 @@ class Clearance:
     floor_time_s: float = np.nan
 
     def update_arms(self, distances: Array, times_s: Array) -> None:
-        """Take distances (..., n) between the arms at times (n,) into account."""
+        """Update with distances (..., n) between the arms at times (n,)."""
         self.arms_m, self.arms_time_s = _smaller(self.arms_m, self.arms_time_s, distances, times_s)
 
     def update_floor(self, distances: Array, times_s: Array) -> None:
-        """Take distances (..., n) from the floor at times (n,) into account."""
+        """Update with distances (..., n) from the floor at times (n,)."""
         self.floor_m, self.floor_time_s = _smaller(self.floor_m, self.floor_time_s, distances, times_s)
 
 
 def _smaller(best: float, best_time_s: float, distances: Array, times_s: Array) -> tuple[float, float]:
-    """Return the smallest of ``distances`` (..., n) and its time, if smaller than ``best``."""
+    """Return the smallest of ``distances`` (..., n) and its time if below ``best``; else ``best`` and its time."""
     each = distances.reshape(-1, len(times_s)).min(axis=0, initial=np.inf)
     k = int(np.argmin(each))
     return (float(each[k]), float(times_s[k])) if each[k] < best else (best, best_time_s)
@@ -49,7 +49,7 @@ def _dot(a: Array, b: Array) -> Array:
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Return the distances (...,) between the segments a-b and c-d with ends (..., 3).
 
-    Two segments are closest at an end of one of them, or on their common normal if it meets both between their ends.
+    Two segments are closest at an end of one of them, or on their common normal if it meets both inside.
     """
     distance = np.minimum(
         np.minimum(_point_to_segment(a, c, d), _point_to_segment(b, c, d)),

@@ -11,13 +11,13 @@ _AIR_PERIODS_S = np.array([2.6, 5.3, 11.0]) * 3600.0
 _AIR_SHARES = np.array([0.2, 0.3, 0.5])
 
 JOINT_TIME_CONSTANT_S = 2400.0
-"""Warm-up takes about two hours, three time constants (an estimate)."""
+"""Time constant of a joint's warm-up, which takes about two hours, three time constants (an estimate)."""
 JOINT_RISE_K = 20.0
-"""Steady-state rise above a joint at rest of one that rotates at 1 rad/s without pause [K]."""
+"""Steady-state temperature difference of a joint that rotates at 1 rad/s without pause and one at rest [K]."""
 
 
 class Air:
-    """Air temperature: the configured mean plus three slow sine waves with seeded phases, 0.5 K at most."""
+    """Air temperature: the configured mean plus three slow sine waves with seeded phases, at most 0.5 K."""
 
     def __init__(self, mean_c: float, rng: np.random.Generator) -> None:
         self._mean_c = mean_c

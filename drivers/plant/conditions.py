@@ -1,4 +1,4 @@
-"""Conditions of an arm that rests at given joint positions, as a simulated cell computes it."""
+"""Conditions under which the simulated cell computes an arm at rest at given joint positions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.plant.config import Array
 
 
 class Conditions(TypedDict, total=False):
-    """What is left out has a default; None is as if it was left out.
+    """Conditions of an arm at rest. Missing keys and None have the default.
 
     Attributes
     ----------

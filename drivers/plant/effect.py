@@ -1,9 +1,9 @@
-"""Base class of the hidden effects of the simulated cell, and the door for their parameters.
+"""Base class of the hidden effects of the simulated cell, and the reader of their parameters.
 
 An effect returns the deviation from the ideal arm in a situation: ``offset`` without loads, ``bend`` under the loads of
 a posture. Effects with hysteresis or lag keep a memory of motions and temperatures (``initial_memory``,
-``memory_after_motion``, ``memory_after_time``, or ``assumed_memory`` for arms without a known history).
-``response`` is what the course of a motion adds. ``apparent_position`` changes what the tracker measures. An effect
+``memory_after_motion``, ``memory_after_time``, or ``assumed_memory`` for arms without a known history). ``response`` is
+the deviation caused by the course of a motion. ``apparent_position`` changes what the tracker measures. An effect
 overrides what it needs. The cell adds up all effects and iterates ``bend`` until the loads of the deflected posture
 cause exactly that deflection.
 """
@@ -68,7 +68,7 @@ class Situation:
 
 
 class Effect:
-    """An effect without any influence: the base class of all others."""
+    """Base class of all effects, without any influence."""
 
     def initial_memory(self, q: Array) -> Array | None:
         """Return the memory of an arm that has always rested at ``q`` (1, N); None for an effect without memory."""
@@ -85,8 +85,8 @@ class Effect:
     def assumed_memory(self, situation: Situation) -> Array | None:
         """Return the memory (n, ...) that follows from the situation alone.
 
-        A joint whose last step is zero made a long motion in the direction of its approach; one without approach is in
-        the middle of any play. Situations at different times are one history.
+        A joint whose last step is zero is assumed to have made a long motion in the direction of its approach; one
+        without approach is in the middle of any play. Situations at different times are one history.
         """
         return None
 
@@ -99,8 +99,8 @@ class Effect:
         return NO_DEFLECTION
 
     def response(self, time_s: Array, q: Array, mechanism: Mechanism) -> Array | None:
-        """Return the deviation (n, N) of joints that depends on the whole course of a motion ``q`` (n, N) from rest at
-        evenly spaced times (n,); zero at rest. None: there is none."""
+        """Return the joint deviation (n, N) that depends on the whole course of a motion ``q`` (n, N) from rest at
+        evenly spaced times (n,); zero at rest. None if there is none."""
         return None
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
@@ -113,7 +113,7 @@ class Effect:
 
 
 class Parameters:
-    """Configured parameters of one effect. A wrong one raises ``ValueError`` with its place and what is expected."""
+    """Configured parameters of one effect. An invalid one raises ``ValueError`` with its place and what is expected."""
 
     def __init__(self, arm: str, effect: str, values: Mapping[str, Any], joints: int) -> None:
         self._arm, self._effect = arm, effect
@@ -132,13 +132,13 @@ class Parameters:
                 raise ValueError(f"{self._where}: parameter '{key}' is missing; its parameters are {named}")
 
     def by_law(self, default: str, *others: str) -> tuple[str, Parameters]:
-        """Return the parameter ``law``, one of these words, ``default`` where it is missing; and the other ones."""
+        """Return the parameter ``law``, one of these words, ``default`` if it is missing; and the other parameters."""
         law = self.choice("law", default, *others) if "law" in self._values else default
         rest = {key: value for key, value in self._values.items() if key != "law"}
         return law, Parameters(self._arm, self._effect, rest, self.joints)
 
     def all_or_none(self, *keys: str) -> bool:
-        """Return whether these optional keys are given; refuse a part of them."""
+        """Return whether these optional keys are given; raise ``ValueError`` if only some of them are."""
         given = [key for key in keys if key in self._values]
         if given and len(given) < len(keys):
             raise ValueError(f"{self._where}: {', '.join(keys)} belong together, but only {', '.join(given)} is given")

@@ -1,7 +1,7 @@
-"""Distances between the arms over all motions that they executed: a collision check after the fact, in few steps.
+"""Distances between the arms over all executed motions: a collision check afterwards, with few samples.
 
-The bodies are placed at coarse times. Between two of them no distance can shrink by more than the ways of both bodies
-allow; only where that could bring them near each other are the times between looked at.
+The bodies are placed at coarse times. Between two of them a distance can shrink only by the travel of both bodies.
+Where that could bring them near each other, finer times are sampled.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from drivers.plant.motion import AnyMotion
 
 _COARSE_S = 0.1
 _FINE_S = 0.005
-"""Arms travel some millimetres in this time."""
+"""Fine sampling step: arms travel some millimetres in this time."""
 _PAIRS_AT_ONCE = 100_000
-"""Pairs of bodies per batch: some ten MB of memory."""
+"""Pairs of bodies per batch, which limits memory to some ten MB."""
 
 
 class MovedArms(Protocol):
-    """A plant as far as the motions of its arms are concerned."""
+    """The part of a plant's interface that motions of its arms need."""
 
     config: PlantConfig
 
@@ -35,10 +35,10 @@ class MovedArms(Protocol):
         """Names of the arms."""
 
     def true_mechanism(self, name: str) -> Mechanism:
-        """The true mechanism of an arm."""
+        """Return the true mechanism of an arm."""
 
     def true_T_C_B(self, name: str) -> Array:
-        """The true pose of an arm's base."""
+        """Return the true pose of an arm's base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Executed:
 
 @dataclass(frozen=True, eq=False)
 class _Bodies:
-    """Capsules (k) of an arm at times (n): ends (k, n, 3) in C, radii (k,); ways (k, n - 1) between the times [m]."""
+    """Capsules (k) of an arm at times (n): ends (k, n, 3) in C, radii (k,), travel (k, n - 1) between the times [m]."""
 
     starts: Array
     ends: Array
@@ -73,12 +73,12 @@ def executed_clearance(plant: MovedArms, executed: Mapping[str, Sequence[Execute
 
 
 def _within(start_s: float, end_s: float) -> Array:
-    """Return times at most ``_FINE_S`` apart between two times, and these."""
+    """Return times at most ``_FINE_S`` apart between two times, including both."""
     return np.linspace(start_s, end_s, max(int(np.ceil((end_s - start_s) / _FINE_S)), 1) + 1)
 
 
 def _times(executed: Mapping[str, Sequence[Executed]], step_s: float) -> Array:
-    """Return the times of all changes, and between them times at most ``step_s`` apart while anything moves."""
+    """Return the times at which any motion starts or ends, and times at most ``step_s`` apart during motion."""
     spans = sorted((one.motion.start_s, one.end_s) for ways in executed.values() for one in ways)
     changes = np.unique(np.array(spans))
     if len(changes) < 2:
@@ -104,7 +104,7 @@ def _positions(executed: Sequence[Executed], home: Array, times: Array) -> Array
 def _levers(mechanism: Mechanism) -> Array:
     """Return upper bounds (k, N) on the distance of any point of a capsule from each axis, for all joint angles [m].
 
-    Successive axis points lie on one body, so that their distances are constant; the bound is the way along them.
+    Successive axis points lie on one body, so their distances are constant; the bound is the path length along them.
     """
     points, capsules = mechanism.points, mechanism.capsules
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
@@ -130,7 +130,7 @@ def _placed(plant: MovedArms, name: str, executed: Sequence[Executed], times: Ar
 def _watch(
     plant: MovedArms, executed: Mapping[str, Sequence[Executed]], times: Array, below_m: float, clearance: Clearance
 ) -> np.ndarray:
-    """Update ``clearance`` at ascending times (n,); return between which of them (n - 1,) it may be below."""
+    """Update ``clearance`` at ascending times (n,); return a mask (n - 1,) of intervals possibly below ``below_m``."""
     bodies = [_placed(plant, name, executed[name], times) for name in plant.names]
     doubtful = np.zeros(len(times) - 1, dtype=bool)
     for arm in bodies:
@@ -145,13 +145,13 @@ def _watch(
 
 
 def _least(distances: Array, ways: Array) -> Array:
-    """Return lower bounds (..., n - 1) between times at which ``distances`` (..., n) change by at most ``ways``."""
+    """Return lower bounds (..., n - 1) of ``distances`` (..., n) between times, given changes of at most ``ways``."""
     least: Array = 0.5 * (distances[..., :-1] + distances[..., 1:] - ways)
     return least
 
 
 def _between(one: _Bodies, other: _Bodies, times: Array, below_m: float, clearance: Clearance) -> np.ndarray:
-    """Update ``clearance`` with the distances of two arms; return where (n - 1,) it may be below ``below_m``."""
+    """Update ``clearance`` with the distances of two arms; return a mask (n - 1,) of where they may be too small."""
     along = other.starts[0, 0] - one.starts[0, 0]
     along = along / max(float(np.linalg.norm(along)), 1e-12)
     reach = (np.maximum(one.starts @ along, one.ends @ along) + one.radii[:, None]).max(axis=0)

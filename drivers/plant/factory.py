@@ -1,8 +1,8 @@
-"""The factory's calibration of an arm: D-H rows of its axes, as they were measured there.
+"""The factory calibration of an arm: D-H rows of its axes as measured at the factory.
 
 The factory sees the true axis lines with small errors of its own. Plain D-H rows go from common normal to common
-normal. Those of axes that are nearly parallel lie far from the arm: rows of a UR arm hold lengths d of hundreds of
-metres and opposite signs (docs.ros.org, "ur_calibration").
+normal. Common normals of nearly parallel axes lie far from the arm: rows of a UR arm have lengths d of hundreds of
+metres with opposite signs (docs.ros.org, "ur_calibration").
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers.plant.mechanism import Mechanism, with_errors
 from drivers.plant.plant import Plant
 
 _LEAST_SINE = 1e-7
-"""Axes closer to parallel than this [rad] count as parallel: their common normal is nowhere in particular."""
+"""Axes closer to parallel than this [rad] count as parallel: the position of their common normal is undefined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +29,14 @@ class FactoryCalibration:
 
     @property
     def checksum(self) -> str:
-        """The checksums as one text, as the driver of a UR arm writes them."""
+        """The checksums as one text, in the format of the UR arm's driver."""
         return "-".join(f"{value:08x}" for value in self.checksums)
 
 
 def factory_calibration(plant: Plant, name: str) -> FactoryCalibration | None:
-    """The calibration in the controller of an arm; None where controllers have the published rows.
+    """Return the calibration in the controller of an arm; None if controllers have the published rows.
 
-    The flange is taken to sit straight on the last axis.
+    The flange is assumed to sit straight on the last axis.
     """
     config = plant.config
     if config.factory is None:
@@ -48,10 +48,10 @@ def factory_calibration(plant: Plant, name: str) -> FactoryCalibration | None:
 
 
 def rows_of_axes(mechanism: Mechanism, nominal: Array) -> Array:
-    """Plain D-H rows (N, 4) of the axes of a mechanism, each next to its published row (N, 4).
+    """Return plain D-H rows (N, 4) of the axes of a mechanism, each next to its published row (N, 4).
 
-    The base frame has its z on the first axis. Its x and its origin are those that make the first row's theta and d
-    the published ones, and so for every axis without a common normal to the next one.
+    The base frame has its z on the first axis. Its x and its origin make theta and d of the first row equal to the
+    published ones; the same holds for every axis without a common normal to the next one.
     """
     directions, flange = mechanism.directions, mechanism.frames[-1]
     z, x, origin = directions[0], mechanism.frames[0][:3, 0], mechanism.points[0]
@@ -62,7 +62,7 @@ def rows_of_axes(mechanism: Mechanism, nominal: Array) -> Array:
         if i + 1 < len(directions):
             z_next = directions[i + 1]
             normal, foot, foot_next = _common_normal(z, origin, z_next, mechanism.points[i + 1], row, x)
-        else:  # no axis follows: the flange's x decides, as it is published
+        else:  # no axis follows: use the flange's x, as in the published row
             z_next, normal = z, _square(flange[:3, 0], z)
             foot = foot_next = origin + z * (z @ (flange[:3, 3] - origin))
         theta = np.arctan2(z @ np.cross(x, normal), x @ normal)
@@ -75,7 +75,7 @@ def rows_of_axes(mechanism: Mechanism, nominal: Array) -> Array:
 
 
 def _square(vector: Array, z: Array) -> Array:
-    """The unit vector at right angles to ``z`` nearest to ``vector``."""
+    """Return the unit vector perpendicular to ``z`` that is nearest to ``vector``."""
     square = vector - z * (z @ vector)
     unit: Array = square / np.linalg.norm(square)
     return unit
@@ -84,10 +84,10 @@ def _square(vector: Array, z: Array) -> Array:
 def _common_normal(
     z: Array, origin: Array, z_next: Array, point: Array, row: Array, x: Array
 ) -> tuple[Array, Array, Array]:
-    """Direction of the common normal of two axes, and where it meets each.
+    """Return the direction of the common normal of two axes, and its intersection with each.
 
-    Of its two directions, the one nearer to the x axis that the published ``row`` has after its turn; for parallel
-    axes, the normal at the published d.
+    Of the two directions, choose the one nearer to the x axis after the turn of the published ``row``. For parallel
+    axes, take the normal at the published d.
     """
     side = np.cos(row[0]) * x + np.sin(row[0]) * np.cross(z, x)
     cross, between = np.cross(z, z_next), point - origin

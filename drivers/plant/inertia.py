@@ -1,4 +1,4 @@
-"""What the acceleration of an arm's bodies does to its joints: torques of inertia, and the mass matrix.
+"""Effects of the acceleration of an arm's bodies on its joints: torques of inertia, and the mass matrix.
 
     tau_j = z_j . sum_k (c_k - o_j) x (-m_k a_k)
 
@@ -29,7 +29,7 @@ class Bodies:
 
     @classmethod
     def at(cls, mechanism: Mechanism, q: Array) -> Bodies:
-        """Those of the undeflected arm at ``q`` (n, N)."""
+        """Return the bodies of the undeflected arm at ``q`` (n, N)."""
         posture = Posture(mechanism, q, np.zeros(3))
         masses = mechanism.masses.copy()
         masses[-1] += mechanism.payload_mass
@@ -41,7 +41,7 @@ class Bodies:
         return np.asarray(_GYRATION_M**2 * np.cumsum(self.masses[::-1])[::-1])
 
     def mass_matrix(self, row: int) -> Array:
-        """Mass matrix (N, N) of one posture."""
+        """Return the mass matrix (N, N) of one posture."""
         joints = np.arange(len(self.masses))
         levers = self.centers[None, :, row] - self.points[:, None, row]
         moved = np.cross(self.axes[:, None, row], levers)  # (joint, body, 3)
@@ -50,8 +50,8 @@ class Bodies:
 
 
 def inertia_torques(mechanism: Mechanism, before: Array, q: Array, after: Array, step_s: float) -> Array:
-    """Torques of inertia (n, N) [Nm] at ``q`` (n, N), of an arm that was at ``before`` a step earlier and will be at
-    ``after`` a step later."""
+    """Return torques of inertia (n, N) [Nm] at ``q`` (n, N); ``before`` and ``after`` are the positions one step
+    earlier and one step later."""
     one, here, other = (Bodies.at(mechanism, at) for at in (before, q, after))
     acceleration = (one.centers - 2.0 * here.centers + other.centers) / step_s**2
     force = -here.masses[:, None, None] * acceleration

@@ -8,9 +8,9 @@ from drivers.plant.config import Array
 
 
 def lagging(q: Array, keep: Array) -> Array:
-    """Positions (n, N) on an even grid behind first-order lags, each at rest before the first; ``keep`` (N,) is the
-    share of the distance that is left after one step."""
-    from scipy.signal import lfilter  # it loads scipy.stats: not for cells that record no motion
+    """Return positions (n, N) on an even time grid behind first-order lags, each at rest before the first position;
+    ``keep`` (N,) is the share of the distance that remains after one step."""
+    from scipy.signal import lfilter  # it loads scipy.stats: only for cells that record motion
 
     lags = zip(q.T, keep.tolist(), strict=True)
     return np.column_stack([lfilter([1.0 - left], [1.0, -left], own, zi=left * own[:1])[0] for own, left in lags])

@@ -59,7 +59,8 @@ def across(direction: Array) -> Array:
 def quaternion(turn: Array) -> Array:
     """Return the unit quaternion (4,), scalar first and not negative, of a rotation (3, 3).
 
-    The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix: well conditioned for every rotation.
+    It is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix, which is well conditioned for
+    every rotation.
     """
     K = np.empty((4, 4))
     K[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)

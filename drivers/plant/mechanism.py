@@ -124,7 +124,7 @@ class Mechanism:
 
     @cached_property
     def _turns(self) -> Array:
-        """Matrices multiplied by sin(q), 1 - cos(q) and 1 in each joint's transform, as rows, (N, 3, 16)."""
+        """Factors of sin(q), 1 - cos(q) and 1 in each joint's transform, as rows, (N, 3, 16)."""
         cross = cross_matrix(self.directions)
         turns = np.zeros((len(cross), 3, 4, 4))
         for k, matrix in enumerate((cross, cross @ cross)):
@@ -175,8 +175,8 @@ class Mechanism:
 class Posture:
     """A mechanism at n vectors of reported joint angles with the deflection ``bend``; all in B, computed on demand.
 
-    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]; ``load`` is the load of the flange, by default the
-    mechanism's payload; ``inertia`` (n, N) are torques of inertia in motion [Nm], by default none.
+    ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]. ``load`` is the load of the flange; None: the
+    mechanism's payload. ``inertia`` (n, N) are torques of inertia in motion [Nm]; None: none.
     """
 
     mechanism: Mechanism
@@ -248,7 +248,7 @@ class Posture:
 
     @cached_property
     def load_torques(self) -> Array:
-        """The part of ``torques`` that is due to load and pull, (n, N) [Nm]."""
+        """Part of ``torques`` caused by load and pull, (n, N) [Nm]."""
         directions, points = self.axes
         weight = _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
         return weight + self._pull_torques
@@ -259,7 +259,7 @@ class Posture:
         return np.zeros(3) if self.mechanism.pull is None else self.mechanism.pull
 
     def pull_moment(self, about: Array) -> Array:
-        """Moment of the pull about points (..., n, 3) or (3,), of their shape (..., n, 3) [Nm]."""
+        """Return the moment of the pull about points (..., n, 3) or (3,), with shape (..., n, 3) [Nm]."""
         flange = carry(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
         moment: Array = np.cross(flange - about, self.pull)
         return moment
@@ -290,7 +290,7 @@ class Posture:
         return carry(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
 
     def nest(self, name: str) -> tuple[Array, Array]:
-        """Centre and viewing direction of a further SMR, (n, 3) each."""
+        """Return centre and viewing direction of a further SMR, (n, 3) each."""
         return carry(self.flange, self.mechanism.nests[name]), self.smr[1]
 
     def segments(self) -> tuple[Array, Array]:
@@ -301,7 +301,7 @@ class Posture:
 
 
 def _torques(directions: Array, moments: Array, gravity: Array) -> Array:
-    """Return the torques (n, N) of first moments (N, n, 3) about axes ``directions`` (N, n, 3) through their origin."""
+    """Return torques (n, N) about axes ``directions`` (N, n, 3) from first moments (N, n, 3) about points on them."""
     # d . (r x g) = -(d [g]) . r
     torques: Array = -((directions @ cross_matrix(gravity)) * moments).sum(axis=-1).T
     return torques

@@ -18,15 +18,15 @@ class AnyMotion(Protocol):
 
     @property
     def start_s(self) -> float:
-        """When it began."""
+        """Start of the motion."""
 
     @property
     def end_s(self) -> float:
-        """When the arm rests."""
+        """Time at which the arm comes to rest."""
 
     @property
     def q_to(self) -> Array:
-        """Joint angles (N,) at its end [rad]."""
+        """Joint angles (N,) at the end of the motion [rad]."""
 
     @property
     def mean_speed(self) -> Array:
@@ -44,13 +44,12 @@ class AnyMotion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """From ``q_from`` (N,) at ``start_s`` to ``q_to`` (N,) at ``end_s``.
+    """Motion from ``q_from`` (N,) at ``start_s`` to ``q_to`` (N,) at ``end_s``.
 
-    The share of the travel is a parabola in each phase: phase k begins at ``times[k]`` after the start with the share
-    ``share[k]``, the rate ``rate[k]`` and the constant acceleration ``pull[k]``.
-
-    A speed slider scales the motion's own time: it passes ``scale`` times as fast as the clock since ``scaled_s`` after
-    the start, when ``own_s`` of it had passed.
+    The share of the travel is a parabola in each phase. Phase k begins at ``times[k]`` after the start with the share
+    ``share[k]``, the rate ``rate[k]`` and the constant acceleration ``pull[k]``. A speed slider scales the motion's own
+    time: from ``scaled_s`` after the start on, when its own time was ``own_s``, it passes ``scale`` times as fast as
+    the clock.
     """
 
     start_s: float
@@ -74,7 +73,7 @@ class Motion:
 
     @property
     def mean_speed(self) -> Array:
-        """Mean absolute speed of each joint (N,) at the present scale."""
+        """Mean absolute speed of each joint (N,) at the current scale."""
         return np.abs(self.q_to - self.q_from) / self.duration_s * self.scale
 
     def scaled(self, time_s: float, scale: float) -> Self:
@@ -101,7 +100,7 @@ class Motion:
         """Return the joint speeds (n, N) at times (n,); zero before the start and from the end on."""
         t, phase = self._phase(time_s)
         rate = self.rate[phase] + t * self.pull[phase]
-        inside = (time_s >= self.start_s) & (time_s < self.end_s)  # a braking motion starts with its full speed
+        inside = (time_s >= self.start_s) & (time_s < self.end_s)  # at its start a braking motion has its full speed
         return np.where(inside, rate * self.scale, 0.0)[:, None] * (self.q_to - self.q_from)
 
 
@@ -133,7 +132,7 @@ def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleratio
 
 
 def braked(motion: AnyMotion, time_s: float, acceleration: Array) -> Motion | None:
-    """Return the braking motion from ``motion`` at ``time_s`` along its path, at most at ``acceleration`` (N,)."""
+    """Return the braking motion of ``motion`` from ``time_s`` on, within ``acceleration`` (N,); None if it rests."""
     now = np.array([time_s])
     q, velocity = motion.position(now)[0], motion.velocity(now)[0]
     if np.abs(velocity).max() < _ZERO_RAD:

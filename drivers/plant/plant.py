@@ -31,9 +31,9 @@ _SAMPLE_S = 0.02
 class Plant:
     """A cell with true geometry and hidden effects according to a configuration and its seed.
 
-    Time is simulated: it passes only in ``advance``, which the simulated drivers call; actions in ``schedule`` happen
-    at their time meanwhile. ``watch_clearance`` records in ``clearance`` the smallest distances of the arms' capsules
-    from each other and from the floor during motions; ``keep_motions`` keeps all motions for a check afterwards.
+    Time is simulated: it passes only in ``advance``, which the simulated drivers call. Actions in ``schedule`` happen
+    during this at their time. ``watch_clearance`` records in ``clearance`` the smallest distances of the arms' capsules
+    from each other and from the floor during motions; ``keep_motions`` stores all motions for a check afterwards.
 
     Raises ``ValueError`` for an unknown effect, or an unknown or invalid parameter.
     """
@@ -48,10 +48,10 @@ class Plant:
         self._T_M_C = inverse(config.tracker.T_C_M)
         self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
         self._air_now = (np.nan, np.nan)
-        """A time [s] and the air temperature at it [degC]."""
+        """Cache: a time [s] and the air temperature at that time [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
         self._torque_noise = np.random.default_rng([config.seed, 0x70])
-        # one random stream per arm and purpose: draws of one do not change another
+        # one random stream per arm and purpose: draws from one do not change another
         self._arms = {
             arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
@@ -72,11 +72,11 @@ class Plant:
         return tuple(self._arms)
 
     def true_T_C_B(self, name: str) -> Array:
-        """True base pose of an arm in the cell, (4, 4), at rest and undeflected."""
+        """Return the true base pose of an arm in the cell, (4, 4), at rest and undeflected."""
         return self._arm(name).T_C_B.copy()
 
     def true_mechanism(self, name: str) -> Mechanism:
-        """True mechanism of an arm, undeflected."""
+        """Return the true mechanism of an arm, undeflected."""
         return self._arm(name).mechanism
 
     def change_mechanism(self, name: str, change: Callable[[Mechanism], Mechanism]) -> None:
@@ -85,7 +85,7 @@ class Plant:
         arm.mechanism, arm.resting = change(arm.mechanism), None
 
     def true_T_M_B(self, name: str) -> Array:
-        """True base pose of an arm in the tracker frame, (4, 4)."""
+        """Return the true base pose of an arm in the tracker frame, (4, 4)."""
         return self._arm(name).T_M_B.copy()
 
     def _T_B_others(self, arm: TrueArm) -> dict[str, Array]:
@@ -129,7 +129,7 @@ class Plant:
         return p_M, normal_M
 
     def _apparent_probe(self, arm: TrueArm, situation: Situation, posture: Posture) -> Array | None:
-        """Return the apparent orientation of a 6-D probe in M, (n, 3, 3)."""
+        """Return the apparent orientation of a 6-D probe in M, (n, 3, 3); None if the arm has none."""
         if arm.mechanism.probe is None:
             return None
         R_M_S = arm.T_M_B[:3, :3] @ posture.flange[:, :3, :3] @ arm.mechanism.probe
@@ -140,7 +140,7 @@ class Plant:
     def _other_postures(
         self, arm: TrueArm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
     ) -> dict[str, Posture]:
-        """Return the other arms at joint angles ``given`` (n, N) with ``loads`` (n,), by default as they are now."""
+        """Return the other arms at joint angles ``given`` (n, N) with ``loads`` (n,); by default as they are now."""
         loads = {} if loads is None else loads
         return {
             name: Posture(
@@ -177,7 +177,7 @@ class Plant:
         return R_M_S
 
     def _at_rest(self, name: str, q: Array, given: Conditions) -> tuple[TrueArm, Situation, Posture]:
-        """Return an arm at rest at ``q`` (n, N)."""
+        """Return an arm at rest at ``q`` (n, N), its situation and its posture in equilibrium."""
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
         n, joints = len(q), arm.config.joints
@@ -211,8 +211,8 @@ class Plant:
     def _in_phase(
         self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, others: Mapping[str, Array], *, moving: bool
     ) -> tuple[Situation, list[Array | None]]:
-        """Return the situation of an arm at ``q`` (n, N) at times (n,) [s] of a phase without reversal, and what its
-        effects remember then; ``others`` (n, N) are joint positions of other arms, which else are as they are now."""
+        """Return the situation of an arm at ``q`` (n, N) at times (n,) [s] of a phase without reversal, and the
+        memories of its effects; ``others`` (n, N) are joint positions of other arms, by default the current ones."""
         step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
         memories = list(phase.memories)
         if moving:
@@ -251,35 +251,36 @@ class Plant:
         return temperature_c
 
     def joint_temperatures_c(self, name: str) -> Array:
-        """Joint temperatures of an arm now, (N,) [degC]."""
+        """Return the current joint temperatures of an arm, (N,) [degC]."""
         return self.air_temperature_c + self._arm(name).rise
 
     def _q(self, arm: TrueArm) -> Array:
         return arm.q if arm.motion is None else arm.motion.position(np.array([self._clock_s]))[0]
 
     def q(self, name: str) -> Array:
-        """Joint positions that the controller of an arm reports now, (N,) [rad], measured at the drives."""
+        """Return the joint positions that the controller of an arm reports now, (N,) [rad], measured at the drives."""
         return self._q(self._arm(name)).copy()
 
     def moving(self, name: str) -> bool:
-        """Whether an arm moves."""
+        """Return whether an arm moves."""
         return self._arm(name).motion is not None
 
     def speeds(self, name: str) -> Array:
-        """Joint speeds of an arm now, (N,) [rad/s]."""
+        """Return the current joint speeds of an arm, (N,) [rad/s]."""
         arm = self._arm(name)
         return np.zeros(arm.config.joints) if arm.motion is None else arm.motion.velocity(np.array([self._clock_s]))[0]
 
     def scale_speed(self, name: str, scale: float) -> None:
-        """Let the running motion of an arm go on along its path at ``scale`` times its own speed; 0: it stands."""
+        """Continue the running motion of an arm along its path at ``scale`` times its own speed; 0 stops it."""
         arm = self._arm(name)
         if arm.motion is not None:
             arm.motion = arm.motion.scaled(self._clock_s, scale)
 
     def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Torques [Nm] or currents [A] (N,) that an arm's drives report at rest, holding it up; the other one is None.
+        """Return torques [Nm] or currents [A] (N,) that an arm's drives report at rest, holding it up; one of both is
+        None.
 
-        Both are None while it moves, and where drives measure none.
+        Both are None while it moves, and if drives do not measure them.
         """
         arm, sensing = self._arm(name), self.config.torques
         if sensing is None or arm.motion is not None:
@@ -292,12 +293,12 @@ class Plant:
         return None, torque / sensing.constant_nm_per_a
 
     def rest_s(self, name: str) -> float:
-        """When the arm comes or came to rest [s]."""
+        """Return when the arm comes or came to rest [s]."""
         arm = self._arm(name)
         return arm.rest_since_s if arm.motion is None else arm.motion.end_s
 
     def payload(self, name: str) -> tuple[float, Array]:
-        """Mass [kg] and centre (3,) [m] of the arm's load in the flange frame."""
+        """Return mass [kg] and centre (3,) [m] of the arm's load in the flange frame."""
         mechanism = self._arm(name).mechanism
         return mechanism.payload_mass, mechanism.payload_center.copy()
 
@@ -307,7 +308,7 @@ class Plant:
         self.change_mechanism(name, lambda one: replace(one, payload_mass=float(mass), payload_center=center))
 
     def set_pull(self, name: str, force: Array | None) -> None:
-        """Pull at an arm's flange from now on, with ``force`` (3,) [N] in its base; None: no more."""
+        """Pull at an arm's flange from now on with ``force`` (3,) [N] in its base frame; None ends the pull."""
         arm = self._arm(name)
         arm.resting = None
         pull = None if force is None else np.array(force, dtype=float)
@@ -326,7 +327,7 @@ class Plant:
             arm.stop_error = self.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
 
     def stop(self, name: str, deceleration: Array | None = None) -> None:
-        """Brake an arm along its path, at most at ``deceleration`` (N,), by default the greatest; harmless at rest."""
+        """Brake an arm along its path, at most at ``deceleration`` (N,), by default the largest; harmless at rest."""
         arm = self._arm(name)
         if arm.motion is None:
             return
@@ -336,16 +337,16 @@ class Plant:
         arm.motion = shortened
 
     def servo(self, name: str, goal: Array, rate: float) -> None:
-        """Let an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
+        """Make an arm follow ``goal`` (N,) [rad] from now on, with the lag ``rate`` [1/s] of ``ServoMotion``.
 
-        Called in each control cycle of a stream. Raises ``ValueError`` in another motion.
+        Called in each control cycle of a stream. Raises ``ValueError`` during another motion.
         """
         arm = self._arm(name)
         if (ended := follow(arm, goal, self._clock_s, rate, self.config.repeatability)) and self._executed is not None:
             self._executed[name].append(Executed(ended, self._clock_s))
 
     def braking_s(self, name: str) -> float:
-        """Time that an arm would need to come to rest if ``stop`` were called now [s]."""
+        """Return the time that an arm would need to come to rest if ``stop`` were called now [s]."""
         arm = self._arm(name)
         shortened = None if arm.motion is None else braked(arm.motion, self._clock_s, arm.config.acceleration)
         return 0.0 if shortened is None else shortened.duration_s
@@ -364,7 +365,7 @@ class Plant:
         arm.motion, arm.streamed = None, None
 
     def advance(self, duration_s: float) -> None:
-        """Advance the clock; actions of ``schedule`` happen at their time. An error that one raises passes through."""
+        """Advance the clock; actions of ``schedule`` happen at their time, and their exceptions pass through."""
         end_s = self._clock_s + duration_s
         if self.schedule.next_s > end_s:
             self._pass(duration_s)
@@ -376,11 +377,11 @@ class Plant:
 
     @property
     def undisturbed_s(self) -> float:
-        """Time until the next action of ``schedule`` [s]; infinite without one."""
+        """Time until the next action of ``schedule`` [s]; infinite if there is none."""
         return max(self.schedule.next_s - self._clock_s, 0.0)
 
     def _pass(self, duration_s: float) -> None:
-        """Let time pass in which nothing happens but the motions under way."""
+        """Advance the clock through a time without scheduled actions: only running motions continue."""
         end_s = self._clock_s + duration_s
         if self.clearance is not None:
             ends = [arm.motion.end_s for arm in self._arms.values() if arm.motion is not None]
@@ -408,7 +409,7 @@ class Plant:
     # -- tracker -----------------------------------------------------------------------------------------------------
 
     def _current(self, arm: TrueArm) -> Seen:
-        """Return what a tracker could see of an arm now."""
+        """Return the current SMRs and probe of an arm, as a tracker could see them."""
         if arm.resting is None:
             seen = self._apparent_now(arm)
             if arm.effects or arm.motion is not None:
@@ -427,7 +428,7 @@ class Plant:
         return Seen({name: (p_M[0], n_M[0]) for name, (p_M, n_M) in smrs.items()}, None if R_M_S is None else R_M_S[0])
 
     def move_tracker(self, T_C_M: Array) -> None:
-        """Set the tracker up at another pose (4, 4) in the cell, now."""
+        """Move the tracker to another pose (4, 4) in the cell, now."""
         self.config = replace(self.config, tracker=replace(self.config.tracker, T_C_M=T_C_M))
         self._T_M_C = inverse(T_C_M)
         for arm in self._arms.values():
@@ -462,7 +463,7 @@ class Plant:
     # -- collisions --------------------------------------------------------------------------------------------------
 
     def executed_clearance(self, below_m: float) -> Clearance:
-        """Return the smallest distances during all motions that have ended; exact where they are below ``below_m``.
+        """Return the smallest distances during all finished motions; exact if below ``below_m``.
 
         Raises ``ValueError`` without ``keep_motions``.
         """
@@ -471,6 +472,6 @@ class Plant:
         return executed_clearance(self, self._executed, below_m)
 
     def _watch(self, times_s: Array) -> None:
-        """Update ``clearance`` at some times of the current motions."""
+        """Update ``clearance`` at given times of the current motions."""
         if self.clearance is not None:
             watch(self.clearance, list(self._arms.values()), times_s, self.config.floor)

@@ -11,16 +11,16 @@ from drivers.plant.config import Array
 _PERIODS = 2.0 ** np.arange(0.0, 3.5, 0.5)
 """Periods of a random path, in units of its shortest one: half an octave apart."""
 _FIELD_WAVES = 48
-"""Plane waves of a random field: enough that no single one shows."""
+"""Number of plane waves of a random field: enough that no single one is visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class RandomPaths:
     """k paths in time that start at zero and wander like a random walk without its jumps.
 
-    Sine waves with random phases whose amplitude grows with the period (the spectrum of a random walk falls with the
-    square of the frequency), from ``period`` [s] to eight times that; each has unit variance before its start is
-    subtracted.
+    Each is a sum of sine waves with random phases and periods from ``period`` [s] to eight times that. The amplitude
+    grows with the period, as the spectrum of a random walk falls with the square of the frequency. Each path has unit
+    variance before its start is subtracted.
     """
 
     periods: Array  # (waves,) [s]
@@ -44,7 +44,7 @@ class RandomPaths:
 
 @dataclass(frozen=True, eq=False)
 class RandomWaves:
-    """k sums of harmonics of one angle with random phases; ``shares`` (h,) are the harmonics' amplitudes."""
+    """k sums of harmonics of one angle with random phases; ``shares`` (h,) are the amplitudes of the harmonics."""
 
     harmonics: Array  # (h,)
     shares: Array  # (h,)

@@ -1,4 +1,4 @@
-"""Where the SMR of an arm was a moment ago, in motion: for a tracker that sends packets of points."""
+"""Recent positions of the SMR of a moving arm, for a tracker that sends packets of points."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from drivers.plant.trail import Phase, joints_at
 from drivers.plant.true_arm import TrueArm
 
 _BACK_S = 0.024
-"""Step of the differences that give accelerations: what comes is not known, so that they are this much late; whole
-cycles of all controllers, whose ripple it leaves out."""
+"""Step of the differences that give accelerations. The future is not known, so accelerations are delayed by this much.
+It is a multiple of all controllers' cycles, whose ripple is thus excluded."""
 
 
 def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[Array, Array]:
-    """Apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
+    """Return apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
 
-    The arm may have moved meanwhile; nothing older than a second or so is known.
+    The arm may have moved since; history older than about a second is not available.
     """
     arm = plant._arm(name)
     q, known = joints_at(arm, time_s, plant._clock_s)
@@ -53,10 +53,9 @@ def smr_in(
     inertia: Array | None = None,
     response: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal, other
-    arms at ``others`` (n, N);
-    ``inertia`` (n, N) are torques of its acceleration [Nm], ``response`` (n, N) is what the course of its motion adds
-    to the joints [rad]."""
+    """Return apparent positions and viewing directions (n, 3) of an arm's SMR at ``q`` (n, N) in a phase without
+    reversal, with other arms at ``others`` (n, N). ``inertia`` (n, N) are torques of its acceleration [Nm];
+    ``response`` (n, N) is the joint deviation caused by the course of the motion [rad]."""
     situation, memories = plant._in_phase(arm, phase, q, time_s, others, moving=moving)
     situation = replace(situation, inertia=inertia)
     posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None] + response)

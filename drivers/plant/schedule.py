@@ -9,7 +9,7 @@ from itertools import count
 
 
 class Schedule:
-    """Actions in the order of their times; those of one time in the order in which they were entered."""
+    """Queue of actions, ordered by their times; at equal times, by the order in which they were added."""
 
     def __init__(self) -> None:
         self._actions: list[tuple[float, int, Callable[[], None]]] = []
@@ -18,16 +18,16 @@ class Schedule:
 
     @property
     def next_s(self) -> float:
-        """Time of the next action [s]; infinite without one."""
+        """Time of the next action [s]; infinite if there is none."""
         return self._next_s
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
-        """Enter an action. A time that has passed means as soon as time passes."""
+        """Add an action. If its time is past, it runs as soon as time advances."""
         heapq.heappush(self._actions, (time_s, next(self._numbers), action))
         self._next_s = self._actions[0][0]
 
     def run_next(self) -> None:
-        """Remove the next action and call it; it may enter others."""
+        """Remove the next action and call it; it may add others."""
         _, _, action = heapq.heappop(self._actions)
         self._next_s = self._actions[0][0] if self._actions else math.inf
         action()

@@ -1,7 +1,7 @@
-"""An arm that follows a stream of joint positions (``servoj``): each joint lags behind them like a damped spring.
+"""An arm that follows a stream of joint positions (``servoj``): each joint lags behind like a damped spring.
 
 Manufacturers do not publish the filter behind ``servoj``. The assumption here: every joint follows the latest position
-as a critically damped second-order system, ``q'' = w^2 (goal - q) - 2 w q'``, whose delay at constant speed, ``2 / w``,
+as a critically damped second-order system, ``q'' = w^2 (goal - q) - 2 w q'``. Its delay at constant speed, ``2 / w``,
 is the look-ahead time at gain 300 and falls with the root of the gain.
 """
 
@@ -22,11 +22,11 @@ GAIN = 300.0
 """Defaults of a stream: the shortest look-ahead time that UR controllers accept, and their usual gain."""
 _AT_GOAL_RAD = 1e-7
 _LONGEST_S = 1e3
-"""In time constants: after this a joint rests wherever it began."""
+"""Longest motion, in time constants: after this a joint rests wherever it began."""
 
 
 def servo_rate(lookahead_s: float, gain: float) -> float:
-    """The rate ``w`` [1/s] of the lag. Raises ``ValueError`` for values that no UR controller accepts."""
+    """Return the rate ``w`` [1/s] of the lag. Raises ``ValueError`` for values that no UR controller accepts."""
     if not (0.03 <= lookahead_s <= 0.2 and 100.0 <= gain <= 2000.0):
         raise ValueError(f"servoj: look-ahead {lookahead_s!r} s (0.03 to 0.2) or gain {gain!r} (100 to 2000)")
     return float(2.0 / (lookahead_s * np.sqrt(300.0 / gain)))
@@ -34,7 +34,7 @@ def servo_rate(lookahead_s: float, gain: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ServoMotion:
-    """The way of an arm to a goal that was set at ``start_s`` [s], while its joints moved already.
+    """Motion of an arm to a goal that was set at ``start_s`` [s], when its joints may have been moving.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class ServoMotion:
 
     @classmethod
     def towards(cls, goal: Array, start_s: float, q: Array, speed: Array, rate: float) -> Self:
-        """The way to ``goal`` (N,) [rad] from joints at ``q`` (N,) with ``speed`` (N,)."""
+        """Create the motion to ``goal`` (N,) [rad] from joints at ``q`` (N,) with ``speed`` (N,)."""
         size = float(np.max(np.abs(q - goal) + np.abs(speed) / rate, initial=_AT_GOAL_RAD))
-        # (1 + x) exp(-x) bounds the rest of the way after x time constants
+        # (1 + x) exp(-x) bounds the remaining travel after x time constants
         x = np.log(size / _AT_GOAL_RAD) + 1.0
         x += np.log1p(x)
         return cls(start_s, q, speed, goal, rate, start_s + float(min(x, _LONGEST_S)) / rate)
 
     @property
     def mean_speed(self) -> Array:
-        """Mean absolute speed of each joint (N,) on the way [rad/s]."""
+        """Mean absolute speed of each joint (N,) during the motion [rad/s]."""
         return np.asarray(np.abs(self.q_to - self.q_from) / max(self.end_s - self.start_s, 1e-9))
 
     def scaled(self, time_s: float, scale: float) -> Self:
@@ -93,10 +93,10 @@ class ServoMotion:
 
 
 def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability: float) -> AnyMotion | None:
-    """Let an arm at rest, or in a stream already, follow ``goal`` (N,) [rad] from ``time_s`` [s] on.
+    """Make an arm that is at rest, or already in a stream, follow ``goal`` (N,) [rad] from ``time_s`` [s] on.
 
-    Returns the motion that ended. ``repeatability`` [rad] draws the position error of a new stream. Raises
-    ``ValueError`` in a motion of another kind.
+    Return the motion that ended. ``repeatability`` [rad] is the standard deviation of the position error drawn for a
+    new stream. Raises ``ValueError`` during a motion of another kind.
     """
     if arm.motion is not None and arm.streamed is None:
         raise ValueError(f"arm {arm.config.name} is still moving")
@@ -115,7 +115,7 @@ def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability:
 
 
 def _note_reversals(arm: TrueArm, q: Array) -> None:
-    """Update the memories of joints that turned round in a stream; the others go on with their motion."""
+    """Update the memories of joints that reversed in a stream; the other joints continue their motion."""
     assert arm.streamed is not None
     before = arm.streamed
     step = before - arm.q

@@ -1,7 +1,7 @@
 """An arm that is led by hand with the ball of its tool in a fixed socket: the postures that it can take there.
 
-The ball's centre stays where the socket is, but for how it seats anew each time. The joints are what the encoders then
-read: solved from the true arm, deflections included, by least-norm Newton steps with differences as derivatives.
+The ball's centre stays in the socket, except for a random seating error at each touch. The joints are what the encoders
+read: they are solved from the true arm, deflections included, by least-norm Newton steps with numerical derivatives.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from drivers.plant.config import Array
 from drivers.plant.plant import Plant
 
 _STEP_RAD = 1e-5
-"""Step of the differences: truncation and rounding are below 1e-9 m."""
+"""Step of the numerical derivatives: truncation and rounding errors are below 1e-9 m."""
 _ITERATIONS = 60
 _SETTLED_M = 1e-8
 _LARGEST_RAD = 0.3
-"""Longest step of a joint: beyond it the arm is not linear at all."""
+"""Largest Newton step of a joint: beyond it the arm is far from linear."""
 
 
 def touches(
     plant: Plant, arm: str, point_M: Array, starts: Array, *, seating_m: float, rng: np.random.Generator
 ) -> Array:
-    """Joint readings (k, N) [rad] of an arm whose ball rests in a socket, one for each posture that can be reached.
+    """Return joint readings (k, N) [rad] of an arm whose ball rests in a socket, one for each reachable posture.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ def touches(
     starts : array, shape (n, N)
         Postures [rad] from which the arm is led to the socket; k <= n of them reach it within the joint limits.
     seating_m : float
-        Standard deviation of a coordinate by which the ball seats anew [m].
+        Standard deviation of each coordinate of the ball's seating error [m].
     """
     limits = next(one.limits for one in plant.config.arms if one.name == arm)
     q = np.array(starts, dtype=np.float64)
     wanted = point_M + seating_m * rng.standard_normal((len(q), 3))
     steps = _STEP_RAD * np.eye(q.shape[1])[:, None]
-    steps = np.stack([steps, -steps])  # of all postures in one call: it costs hardly more than that of one
+    steps = np.stack([steps, -steps])  # all postures in one call, which costs hardly more than one
     for _ in range(_ITERATIONS):
         off = wanted - _ball(plant, arm, q)
         if float(np.abs(off).max()) < _SETTLED_M:
@@ -51,5 +51,5 @@ def touches(
 
 
 def _ball(plant: Plant, arm: str, q: Array) -> Array:
-    """True ball centres (n, 3) [m] in M, of a hand-led arm whose gears are in the middle of their play."""
+    """Return true ball centres (n, 3) [m] in M of a hand-led arm, whose gears are in the middle of their play."""
     return plant.smr_positions(arm, q, approach=np.zeros_like(q))

@@ -22,7 +22,7 @@ _UR10_REACH_M = 1.39
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """Random draws for one effect, and what their sizes depend on: arm, duration of the run [s], torques, reach."""
+    """Random draws for one effect, and the quantities that scale it: arm, duration of the run [s], torques, reach."""
 
     rng: np.random.Generator
     arm: ArmConfig
@@ -57,11 +57,11 @@ class Draw:
         return int(self.rng.integers(2**31))
 
     def angle(self) -> float:
-        """Draw a phase [rad]."""
+        """Draw a random phase [rad]."""
         return self.uniform(0.0, 2.0 * np.pi)
 
     def angles(self, count: int) -> list[float]:
-        """Draw phases [rad]."""
+        """Draw ``count`` random phases [rad]."""
         return [self.angle() for _ in range(count)]
 
     def random_vector(self, low: float, high: float) -> list[float]:
@@ -227,7 +227,7 @@ def _joint_drift(draw: Draw) -> dict[str, Any]:
 
 
 def _course(draw: Draw) -> tuple[str, float, float]:
-    """Draw a law and its time; also return the share of the drift that is reached at the end of the run."""
+    """Draw a law and its time constant; also return the share of the drift that is reached at the end of the run."""
     law = str(draw.rng.choice(["linear", "exponential", "creep"]))
     if law == "linear":
         return law, draw.duration_s, 1.0
@@ -304,7 +304,7 @@ def _tracker_distance_offset(draw: Draw) -> dict[str, Any]:
 
 
 def _target_incidence(draw: Draw) -> dict[str, Any]:
-    # thickness such that the error has this size at the largest incidence that the reflector accepts
+    # choose the thickness so that the error has this size at the largest incidence that the reflector accepts
     index, cosine = 1.51, np.cos(draw.arm.smr_acceptance)
     path = np.sqrt(index**2 - 1.0 + cosine**2) - cosine - (index - 1.0)
     thickness = draw.log_uniform(30e-6, 70e-6) / max(float(path), 0.01)
@@ -433,10 +433,10 @@ REALISTIC: tuple[str, ...] = tuple(_CATALOGUED)
 """Effects that robots, trackers and pedestals are known to have."""
 
 OUTSIDE: tuple[str, ...] = tuple(_UNCATALOGUED)
-"""Effects outside that catalogue."""
+"""Effects outside the catalogue."""
 
 ONLY_MOVING: tuple[str, ...] = tuple(_ONLY_MOVING)
-"""Effects that move nothing at rest."""
+"""Effects that act only during motion."""
 
 
 def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Random parameters of hidden effects whose laws differ in shape from those that ``suggest`` draws.
 
-A discovery that knows an effect by one law meets it here by another: the same cause, some 5 to 30 % of its displacement
-off. Sizes are those of ``suggest``.
+A discovery that knows an effect by one law meets the same cause here with another law: displacements differ by about 5
+to 30 %. Sizes are those of ``suggest``.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ def _target_incidence(draw: Draw, plain: _Parameters) -> _Parameters:
 
 
 def _workspace_field(draw: Draw, plain: _Parameters) -> _Parameters:
-    # shorter than what some hundred stops resolve
+    # shorter than about a hundred stops can resolve
     return {**plain, "rms": draw.uniform(120e-6, 200e-6), "length": draw.uniform(0.25, 0.35)}
 
 
@@ -288,9 +288,9 @@ _OTHER: dict[str, Callable[[Draw, _Parameters], _Parameters]] = {
 def suggest_other_law(
     slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0
 ) -> dict[str, Any]:
-    """Draw parameters of one effect of ``REALISTIC`` by a law of another shape; as ``suggest`` in all else.
+    """Draw parameters of one effect of ``REALISTIC`` by a law of another shape; otherwise as ``suggest``.
 
-    Outside the catalogue there is a field in space of short length; couplings and crosstalk are those of ``suggest``.
+    Outside the catalogue, the field in space has a short length; couplings and crosstalk are those of ``suggest``.
 
     Raises ``ValueError`` for a slug that has no such law or a duration that is not positive.
     """

@@ -1,10 +1,10 @@
-"""A sweep of one arm on record: joints that lag behind their commands, gears with memory, two clocks.
+"""Recording of a sweep of one arm: joints that lag behind their commands, gears with memory, two clocks.
 
-The controller's joints follow the commands as in ``servo``: each a critically damped second-order system. Its encoders
-sit before the gears. Behind the gears every effect of the plant acts along the path: one with hysteresis sees a motion
-from each reversal of a joint to the next; late drives and swinging joints follow from the whole course. Controller and
-tracker stamp their samples with clocks of their own; the controller loses samples when its client is slow, the tracker
-loses the beam now and then.
+The controller's joints follow the commands as in ``servo``, each as a critically damped second-order system. Its
+encoders sit before the gears. Behind the gears every effect of the plant acts along the path. An effect with hysteresis
+sees a motion from each reversal of a joint to the next; drive lag and vibration depend on the whole motion. Controller
+and tracker have separate clocks for their timestamps. The controller loses samples if its client is slow; the tracker
+sometimes loses the beam.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from drivers.plant.trail import phase_of
 from drivers.plant.true_arm import TrueArm
 
 _STEP_S = 1e-3
-"""Step of the joints' motion [s]."""
+"""Time step of the joints' motion [s]."""
 _BEND_S = 5e-3
-"""Step of the differences that give accelerations [s]."""
+"""Time step of the differences that give accelerations [s]."""
 _REST_S = 0.5
-"""Rest on record before and after the motion [s]."""
+"""Recorded rest before and after the motion [s]."""
 _AT_ONCE = 4096
-"""Points whose equilibrium is found together."""
+"""Points per batch of the equilibrium."""
 DYNAMIC_M = 5e-6
 """Standard deviation that following a moving SMR adds to the distance [m]: half of the AT960's +-10 um for a dynamic
-lock. Other errors of a single point are those of an averaged one, as the maximum permissible error holds for both."""
+lock. Other errors of a single point equal those of an averaged one, as the maximum permissible error holds for both."""
 
 
 @dataclass(frozen=True)
 class Recorder:
-    """How the devices record.
+    """Recording properties of the devices.
 
     Attributes
     ----------
     joint_hz, point_hz : float
         Rates of the controller and of the tracker [1/s].
     lost_samples : float
-        Share of the controller's samples that its client does not get.
+        Share of the controller's samples that its client does not receive.
     jitter_s : float
-        Standard deviation of the instant at which joints are sampled, about its stamp [s].
+        Standard deviation of the instant at which joints are sampled, about its timestamp [s].
     lost_beams_per_min : float
         Breaks of the beam; each lasts up to ``longest_loss_s`` [s].
     offset_s, rate_ppm : float
@@ -70,17 +70,17 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class SweepRecord:
-    """What both devices recorded.
+    """Data recorded by both devices.
 
     Attributes
     ----------
     joint_time_s, q, qd : arrays, shapes (n,), (n, N), (n, N)
-        Stamps of the controller, joint positions [rad] and speeds [rad/s] before the gears.
+        Timestamps of the controller, joint positions [rad] and speeds [rad/s] before the gears.
     point_time_s, p_M, sigma_m : arrays, shapes (m,), (m, 3), (m,)
-        Stamps of the tracker, points [m], their standard uncertainty by the specification [m]; points are NaN where the
-        beam was lost.
+        Timestamps of the tracker, points [m], their standard uncertainty by the specification [m]; points are NaN where
+        the beam was lost.
     beside_q : mapping
-        Joint positions (n, K) [rad] of each arm that moved beside, at ``joint_time_s``.
+        Joint positions (n, K) [rad] of each other arm that moved, at ``joint_time_s``.
     """
 
     joint_time_s: Array
@@ -100,10 +100,10 @@ def record_sweep(
     cycle_s: float,
     beside: Mapping[str, Array] = MappingProxyType({}),
 ) -> SweepRecord:
-    """Let an arm at rest follow ``commanded`` (n, N) [rad], a position each ``cycle_s`` [s], and record it.
+    """Make an arm at rest follow ``commanded`` (n, N) [rad], one position every ``cycle_s`` [s], and record it.
 
-    The plant's time passes; arms ``beside`` (n, K) follow theirs meanwhile, the others rest. Raises ``ValueError`` if
-    an arm moves, or is not where its commands begin.
+    The plant's time passes. Arms ``beside`` (n, K) follow their own positions meanwhile, the others rest. Raises
+    ``ValueError`` if an arm moves, or is not at the first position.
     """
     if any(plant.moving(other) for other in plant.names):
         raise ValueError("a sweep is recorded while no other motion is under way")
@@ -144,22 +144,22 @@ def record_sweep(
 
 
 def _at(times: Array, time_s: Array, table: Array) -> Array:
-    """Columns of a ``table`` (n, N) given at ``time_s`` (n,), at other times (m,)."""
+    """Interpolate the columns of a ``table`` (n, N) given at ``time_s`` (n,) at other times (m,)."""
     return np.column_stack([np.interp(times, time_s, column) for column in table.T])
 
 
 def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array, Array]:
-    """Times (n,) and positions before the gears (n, N) of joints that follow commands, with a rest at both ends."""
+    """Return times (n,) and positions before the gears (n, N) of joints that follow commands, resting at both ends."""
     time_s = np.arange(0.0, len(commanded) * cycle_s + 2.0 * _REST_S, _STEP_S)
     at = np.arange(len(commanded), dtype=np.float64) * cycle_s + _REST_S
     goal = _at(time_s, at, commanded)
     keep = np.full(len(start), np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
-    # at rest before it begins: two equal lags one after the other are critically damped
+    # at rest before the start; two equal lags in series are critically damped
     return time_s, lagging(lagging(goal - start, keep), keep) + start
 
 
 def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Stamps, positions and speeds that the controller's client got."""
+    """Return the timestamps, positions and speeds that the controller's client received."""
     stamps = np.arange(0.0, time_s[-1], 1.0 / recorder.joint_hz)
     stamps = stamps[rng.random(len(stamps)) >= recorder.lost_samples]
     instants = np.clip(stamps + recorder.jitter_s * rng.standard_normal(len(stamps)), 0.0, time_s[-1])
@@ -168,7 +168,7 @@ def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generat
 
 
 def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarray:
-    """Points (m,) at which the beam was lost."""
+    """Draw a mask (m,) of the points at which the beam was lost."""
     lost = np.zeros(len(seen), dtype=bool)
     for _ in range(rng.poisson(recorder.lost_beams_per_min * float(np.ptp(seen)) / 60.0)):
         begin = rng.uniform(seen[0], seen[-1])
@@ -177,9 +177,9 @@ def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarr
 
 
 def _turns(q: Array) -> np.ndarray:
-    """Rows at which some joint turns round: the arm moves without any reversal between two of them."""
+    """Return the rows at which a joint reverses; between two of them no joint does."""
     way = np.sign(np.diff(q, axis=0))
-    # a joint at rest has turned round only when it moves the other way
+    # after a rest, a joint has reversed only if it then moves the other way
     moved = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way))[:, None], 0), axis=0)
     way = np.take_along_axis(way, moved, axis=0)
     return np.flatnonzero((way[1:] * way[:-1] < 0.0).any(axis=1)) + 1
@@ -194,8 +194,8 @@ def _points(
     began_s: float,
     others: Mapping[str, Array],
 ) -> Array:
-    """True apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints; ``others``
-    (m, K) are joint positions of arms that move beside."""
+    """Return the true apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints;
+    ``others`` (m, K) are joint positions of other arms that move."""
     q_seen = _at(seen, time_s, q)
     inertia, added = _of_course(arm, time_s, q, seen)
     turns = [0, *_turns(q).tolist(), len(q) - 1]
@@ -216,7 +216,7 @@ def _points(
 
 
 def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Array, Array]:
-    """Torques of inertia [Nm], and what effects of the whole course add to the joints [rad], each (m, N)."""
+    """Return torques of inertia [Nm] and joint deviations caused by the course of the motion [rad], each (m, N)."""
 
     now, responses = _at(seen, time_s, q), [effect.response(time_s, q, arm.mechanism) for effect in arm.effects]
     added = np.sum([np.zeros_like(now), *(_at(seen, time_s, one) for one in responses if one is not None)], axis=0)
@@ -227,7 +227,7 @@ def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Arra
 
 
 def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
-    """Update memories of the joints that turned round at ``turned`` (N,); the others go on with their motion."""
+    """Update memories of the joints that reversed at ``turned`` (N,); the other joints continue their motion."""
     step = turned - arm.q
     reverses = (after - turned) * step < 0.0
     at = np.where(reverses, turned, arm.q)
@@ -240,13 +240,13 @@ def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
 
 
 def _remember(arm: TrueArm, q: Array) -> None:
-    """What an arm remembers that went along ``q`` (n, N) up to its last turn."""
+    """Update the memories of an arm that moved along ``q`` (n, N), up to its last reversal."""
     for turn in _turns(q).tolist():
         _note_turn(arm, q[0], q[turn], q[turn + 1])
 
 
 def _end(plant: Plant, moving: Mapping[TrueArm, Array], seconds: float) -> None:
-    """Leave arms at rest at the end of their ways (n, N), and let the time of them pass."""
+    """Put arms at rest at the end of their paths (n, N), and advance the clock by ``seconds``."""
     warmer = dict[TrueArm, Array]()
     for arm, q in moving.items():
         step = q[-1] - arm.q
@@ -264,7 +264,7 @@ def _end(plant: Plant, moving: Mapping[TrueArm, Array], seconds: float) -> None:
 
 
 def recorder_of(plant: Plant) -> Recorder:
-    """The devices of a simulated cell: clocks that differ by its seed."""
+    """Return the devices of a simulated cell, with clocks that differ by its seed."""
     rng = np.random.default_rng([plant.config.seed, 4])
     return Recorder(
         offset_s=float(rng.uniform(-500.0, 500.0)), rate_ppm=float(rng.normal(0.0, 20.0)), seed=plant.config.seed

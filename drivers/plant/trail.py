@@ -1,7 +1,7 @@
-"""What an arm did a moment ago: a tracker that sends packets measures points that have passed.
+"""Recent history of an arm, as a tracker that sends packets measures points of the recent past.
 
-A phase is a time in which neither the motion nor the memories of the arm changed. In a stream of positions one lasts a
-control cycle; the memories change where a joint turns round.
+A phase is a time in which neither the motion nor the memories of the arm change. In a stream of positions it lasts one
+control cycle; the memories change when a joint reverses.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from drivers.plant.config import Array
 from drivers.plant.motion import AnyMotion
 
 LONGEST = 512
-"""Phases that are kept: a second of a stream of 500 Hz."""
+"""Number of phases that are stored: a second of a stream of 500 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """Until ``until_s`` [s] the arm made ``motion``, or rested; the rest as in ``TrueArm``."""
+    """Time until ``until_s`` [s] in which an arm made ``motion`` or rested (None); other fields as in ``TrueArm``."""
 
     until_s: float
     motion: AnyMotion | None
@@ -34,12 +34,12 @@ class Phase:
     rest_since_s: float
 
     def positions(self, time_s: Array) -> Array:
-        """Joint positions (n, N) at times (n,) [rad]."""
+        """Return joint positions (n, N) at times (n,) [rad]."""
         return np.repeat(self.q[None], len(time_s), axis=0) if self.motion is None else self.motion.position(time_s)
 
 
 class Trailing(Protocol):
-    """The state of an arm, as far as a phase needs it."""
+    """The part of an arm's state that a phase needs."""
 
     motion: AnyMotion | None
     q: Array
@@ -51,19 +51,19 @@ class Trailing(Protocol):
 
 
 def phase_of(arm: Trailing, until_s: float) -> Phase:
-    """The phase of an arm that lasts until ``until_s`` [s]."""
+    """Return the current phase of an arm, ending at ``until_s`` [s]."""
     return Phase(until_s, arm.motion, arm.q, arm.memories, arm.approach, arm.last_step, arm.rest_since_s)
 
 
 def note_phase(arm: Trailing, until_s: float) -> None:
-    """Keep the phase that ends at ``until_s`` [s]; called before motion or memories change."""
+    """Store the phase that ends at ``until_s`` [s]; call it before motion or memories change."""
     arm.trail.append(phase_of(arm, until_s))
 
 
 def joints_at(arm: Trailing, time_s: Array, now_s: float) -> tuple[Array, list[tuple[Phase, np.ndarray]]]:
-    """Joint positions (n, N) [rad] at recent times (n,), and rows by what the arm remembered then."""
+    """Return joint positions (n, N) [rad] at recent times (n,), and the phases with the rows of their times."""
     first_s = float(np.min(time_s, initial=now_s))
-    lasted = takewhile(lambda phase: phase.until_s >= first_s, reversed(arm.trail))  # of a second, some milliseconds
+    lasted = takewhile(lambda phase: phase.until_s >= first_s, reversed(arm.trail))  # some milliseconds out of a second
     phases = [phase_of(arm, now_s), *lasted][::-1]
     number = np.searchsorted([phase.until_s for phase in phases[:-1]], time_s, side="left")
     q = np.empty((len(time_s), len(arm.q)))

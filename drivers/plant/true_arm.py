@@ -46,8 +46,8 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a tracker could see of an arm: position and viewing direction (3,) of each SMR in M by name ("": the one
-    that is no further nest), and the orientation (3, 3) of a 6-D probe."""
+    """View of an arm for a tracker: position and viewing direction (3,) of each SMR in M by name ("": the main one),
+    and the orientation (3, 3) of a 6-D probe."""
 
     smrs: Mapping[str, tuple[Array, Array]]
     R_M_S: Array | None
@@ -72,10 +72,10 @@ class TrueArm:
     rise: Array  # (N,) joint temperature above the air
     rest_since_s: float = 0.0
     motion: AnyMotion | None = None
-    streamed: Array | None = None  # (N,) where a stream of positions last set its goal; None without a stream
-    load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
-    resting: Seen | None = None  # of an arm at rest without effects
-    trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # what it did a moment ago
+    streamed: Array | None = None  # (N,) last goal of a stream of positions; None without a stream
+    load_deflection: Deflection = NO_DEFLECTION  # last solution, start value of the next one
+    resting: Seen | None = None  # cache for an arm at rest without effects
+    trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # recent history
 
 
 def largest_change(before: Deflection, after: Deflection) -> float:
@@ -89,7 +89,7 @@ def largest_change(before: Deflection, after: Deflection) -> float:
 
 
 def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: float) -> None:
-    """Update ``clearance`` with all capsules at some times (n,) of the current motions."""
+    """Update ``clearance`` with all capsules at given times (n,) of the current motions."""
     bodies = []
     for arm in arms:
         q = np.broadcast_to(arm.q, (len(times_s), arm.config.joints))
@@ -109,7 +109,7 @@ def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: 
 
 
 def draw_true_arm(arm: ArmConfig, config: PlantConfig, T_M_C: Array, seed: np.random.SeedSequence) -> TrueArm:
-    """The true arm of ``arm`` at rest in its home position, with errors drawn from ``seed``."""
+    """Create the true arm of ``arm`` at rest in its home position, with errors drawn from ``seed``."""
     geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
     errors = config.errors
     effects = hidden.build(arm.name, arm.joints, arm.effects)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class AirReading:
-    """State of the air at one moment; None: not measured.
+    """State of the air at one moment; None if not measured.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ class SerialStationSettings(AirSensorSettings):
         return self
 
     def open(self, plant: Plant | None) -> AirSensor:
-        """Return the driver, not connected yet."""
+        """Create the driver, not connected yet."""
         from drivers.sensors.serial_station import PRESETS, LineFormat, SerialStation
 
         layout = PRESETS[self.format] if self.format else LineFormat(self.pattern or "")

@@ -1,7 +1,7 @@
 """Driver of a weather station that sends lines over any pyserial URL (serial port, serial server, socket).
 
-A thread reads while the station is connected, so that every line gets the time of its arrival; it reopens a lost link.
-``read`` returns the newest reading with its age, or raises an error with the cause.
+A thread reads while the station is connected, so every line gets its arrival time; it reopens a lost link. ``read``
+returns the newest reading with its age, or raises an error with the cause.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import serial
 from drivers.sensors.protocol import AirReading, SensorLinkLost, StaleReading
 
 FIELDS = ("temperature", "pressure", "humidity", "object_temperature")
-"""Allowed names of the groups in a pattern, each also with the suffix ``_unit``."""
+"""Allowed group names in a pattern, each also with the suffix ``_unit``."""
 LONGEST_LINE = 512
 
 _READ_TIMEOUT_S = 0.1
@@ -104,7 +104,7 @@ class LineFormat:
 _VALUE = r"[-+]?[ ]*\d+\.?\d*"
 PRESETS: Mapping[str, LineFormat] = MappingProxyType(
     {
-        # "P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", the quantities in any order, after the prompt; other output (P1=, dew
+        # "P= 1013.2 hPa T= 31.1 'C RH= 38.3 %RH", the quantities in any order, after the prompt. Other output (P1=, dew
         # point) is skipped. A star in place of a number does not match.
         "vaisala-ptu300": LineFormat(
             pattern=(
@@ -314,12 +314,12 @@ class SerialStation:
         try:
             port.close()
         except OSError:
-            return  # it was closed already
+            return  # it was already closed
 
     def _read_lines(self, port: serial.SerialBase, stop: threading.Event) -> None:
         """Process lines until ``stop`` is set or the link breaks."""
         pending = b""
-        synchronised = False  # input before the first line end may be the rest of a line and is ignored
+        synchronised = False  # input before the first line end may be an incomplete line and is ignored
         due_s = time.monotonic()
         while not stop.is_set():
             if self._layout.poll and time.monotonic() >= due_s:

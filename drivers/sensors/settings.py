@@ -1,4 +1,4 @@
-"""What every kind of weather station brings: its settings, how it is opened and how it is probed."""
+"""Interface of every kind of weather station: settings, how it is opened and how it is probed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class AirSensorSettings(Section):
 
     kind: str
     repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and keeps the device from nobody."""
+    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
     needs_plant: ClassVar[bool] = False
     """Whether the station belongs to the simulated cell."""
 
     @abstractmethod
     def open(self, plant: Plant | None) -> AirSensor:
-        """Return the driver, not connected yet; ``plant`` is the simulated cell, if any. Raises ``SettingError``."""
+        """Create the driver, not connected yet; ``plant`` is the simulated cell, if any. Raises ``SettingError``."""
 
     @abstractmethod
     def probe(self) -> Sequence[Finding]:

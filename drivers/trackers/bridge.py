@@ -1,7 +1,8 @@
 """Client of the tracker bridge, over any pyserial URL (serial port, serial server, TCP). BRIDGE.md has the protocol.
 
 After any fault of the link (a damaged line, silence, a broken connection) the client synchronises again and repeats the
-command under the same id. The bridge then returns the result it has: no measurement is lost, none is made twice.
+command under the same id. The bridge then returns the result that it has stored: no measurement is lost, none is made
+twice.
 """
 
 from __future__ import annotations
@@ -43,26 +44,26 @@ _T = TypeVar("_T")
 
 _FIRST_RETRY_S = 0.02
 _RETRY_S = 0.2
-"""Between two attempts: short at first, as most faults are over at once; then twice as long each time, up to this."""
+"""Longest pause between two attempts. The first is short, as most faults are over at once; each next one doubles."""
 _MAX_STALE_LINES = 500
 _MAX_DRAINED_BYTES = 1_000_000
 _LONGEST_COMMAND_S = 600.0
 _SILENT_SHARE = 0.9
-"""Silence counts when this share of the time was spent looking for a line: a program that was not scheduled has not."""
+"""Silence counts only if this process looked for a line for this share of the time: it may not have been scheduled."""
 _CONFIRMING_TRIES = 3
-"""A damaged line, or a connection that ended: a new one, and the question again."""
+"""Attempts of ``confirm``: after a damaged line or an ended connection it reconnects and asks again."""
 _HALTABLE = ("prepare", "measure", "two-face", "track")
-"""Commands that ``halt`` ends."""
+"""Commands that ``halt`` can end."""
 _FROM_TRACKER = ("identify", "prepare", "unmet", "inclination", "confirm", "measure", "two-face", "track", "end-track")
-"""Commands that the tracker itself answers, not the bridge."""
+"""Commands that the tracker itself answers, and not the bridge."""
 
 
 class _Silent(LinkFault):
-    """No line came in time, though this process looked for one."""
+    """No line arrived in time, although this process looked for one."""
 
 
 class _Busy(Exception):
-    """The tracker is at work on an earlier command."""
+    """The tracker is still executing an earlier command."""
 
 
 class UnknownCommand(ValueError):
@@ -74,7 +75,7 @@ class _NotPrepared(Exception):
 
 
 class BridgeTracker:
-    """A tracker behind a bridge. Calls come one at a time, ``halt`` and ``data_age_s`` at any time."""
+    """A tracker behind a bridge. Calls come one at a time; ``halt`` and ``data_age_s`` may be called at any time."""
 
     def __init__(
         self,
@@ -88,9 +89,9 @@ class BridgeTracker:
     ) -> None:
         """Configure a client of the bridge at ``url`` (``socket://host:port``, ``rfc2217://host:port``, ``COM3``, ...).
 
-        ``timeout_s`` is the longest silence of the bridge; while it works it sends a line each 0.2 s. ``preparation``
-        is applied at every connect; without one, call ``prepare``. ``patience_s`` limits the total time of a command,
-        by default to what the bridge itself allows. Nothing is opened yet.
+        ``timeout_s`` is the longest silence of the bridge, which sends a line every 0.2 s while it executes a command.
+        ``preparation`` is applied at every connect; without one, call ``prepare``. ``patience_s`` limits the total time
+        of a command; None: the limit of the bridge itself. Nothing is opened yet.
         """
         self._url = url
         self._token = token
@@ -107,7 +108,7 @@ class BridgeTracker:
         self._confirms = True
         """Whether the bridge knows the command ``confirm``."""
         self._sign_s = -math.inf
-        """When the tracker last gave a sign of life [s], on the monotonic clock."""
+        """Time of the tracker's last sign of life on the monotonic clock [s]."""
         self._longest_s = 60.0
         self._writing = threading.Lock()
         self._halting = threading.Event()
@@ -147,13 +148,13 @@ class BridgeTracker:
         self._settings = settings
 
     def unmet(self) -> list[str]:
-        """Return every precondition that keeps the tracker from measuring, as sentences."""
+        """Return every unmet precondition of measuring, as sentences."""
         return self._read(wire.read_unmet, self._command("unmet"))
 
     def confirm(self, within_s: float) -> None:
-        """Make sure that the tracker behind the bridge answers now. Raises as the protocol says.
+        """Check that the tracker behind the bridge answers now. Raises as the protocol says.
 
-        The bridge does not answer for it; one that does not know this command is asked what measuring lacks.
+        The bridge does not answer for the tracker. An old bridge without this command is asked ``unmet`` instead.
         """
         self._require_open()
         until_s = time.monotonic() + within_s
@@ -184,9 +185,10 @@ class BridgeTracker:
             self._exchange("unmet", {}, until_s)
 
     def data_age_s(self) -> float:
-        """Return how long ago the tracker gave a sign of life [s]: it answered, or the bridge says how old its last is.
+        """Return the time since the tracker's last sign of life [s]; inf before the first.
 
-        What the bridge answers by itself is none. inf before the first.
+        A sign of life is an answer of the tracker, or the age of one that the bridge reports; not an answer of the
+        bridge itself.
         """
         return time.monotonic() - self._sign_s
 
@@ -207,7 +209,7 @@ class BridgeTracker:
     def halt(self) -> None:
         """End the running command, which then raises ``Halted``; harmless when none runs. From any thread."""
         self._halting.set()
-        with contextlib.suppress(LinkFault):  # the waiting command notices the fault, and halts after it
+        with contextlib.suppress(LinkFault):  # the waiting command detects the fault and halts after it
             self._write(wire.encode(self._next_sequence(), "halt"))
 
     def disconnect(self) -> None:
@@ -268,7 +270,7 @@ class BridgeTracker:
             raise TrackerError(f"tracker bridge {self._url}: the bridge's answer is invalid: {error}") from error
 
     def _recover(self, until_s: float) -> None:
-        """Synchronise the link, or open it again. Raises ``LinkFault``."""
+        """Synchronise the link, or reopen it. Raises ``LinkFault``."""
         if self._port is None:
             self._establish(until_s)
             return
@@ -283,7 +285,7 @@ class BridgeTracker:
             raise
 
     def _prepare_again(self, problem: Exception, until_s: float) -> None:
-        """Prepare the tracker as before, because the bridge restarted or another client held it."""
+        """Prepare the tracker again, because the bridge restarted or another client held it."""
         if self._settings is None:
             raise NotReady(f"tracker bridge {self._url}: {problem}") from problem
         try:
@@ -379,7 +381,7 @@ class BridgeTracker:
         raise LinkFault("only answers to other commands came")
 
     def _sign_of_life(self, fields: Fields) -> None:
-        """Note a sign of life: ``age`` seconds old where the bridge says so, else of now."""
+        """Note a sign of life: ``age`` seconds old if the bridge reports an age, else now."""
         age_s = 0.0
         with contextlib.suppress(BadField):
             age_s = wire.read_optional(fields, "age", 0.0) or 0.0
@@ -429,9 +431,9 @@ class BridgeTracker:
                 raise LinkFault(f"the link broke: {error}") from error
 
     def _raw_line(self, until_s: float) -> bytes:
-        """Return the next line with its line end. Raises ``LinkFault`` if none comes in time or it is too long.
+        """Return the next line with its line end. Raises ``LinkFault`` if none arrives in time or it is too long.
 
-        Silence counts only while this program was scheduled, and after what has come was read.
+        Silence counts only while this process was scheduled, and only after all pending input was read.
         """
         began_s = time.monotonic()
         looked_s, looking_s = began_s, 0.0

@@ -24,36 +24,36 @@ from drivers.trackers.bridge_wire import LONGEST_LINE
 LOG = logging.getLogger(__name__)
 
 NEVER_S = -1e9
-"""A monotonic time earlier than any reading of the clock."""
+"""A time before any reading of the monotonic clock."""
 JOIN_S = 5.0
-"""How long closing waits for a thread. A thread that hangs in a driver must not keep the program alive."""
+"""How long ``close`` waits for a thread. A thread that hangs in a driver must not keep the program alive."""
 _READ_BYTES = 8192
 _MAX_QUEUED_BYTES = 65536
-"""Replies that a peer may leave unread: 32 lines of the greatest length."""
+"""Limit of unread replies per peer: 32 lines of the greatest length."""
 _LOG_INTERVAL_S = 1.0
 _REOPEN_SERIAL_S = 2.0
 _SERIAL_OPENS_WITHIN_S = 2.0
-"""A serial port that takes longer is opened meanwhile; what a client sends before is lost."""
+"""How long ``start`` waits for a serial port to open. After that it opens in the background; earlier input is lost."""
 
 SessionState = Literal["new", "challenged", "holding"]
 
 
 @dataclass(eq=False)
 class Link:
-    """One connection: its socket, its buffers, and the state of the session on it.
+    """One connection: its socket, its buffers, and the state of its session.
 
     Attributes
     ----------
     permanent : bool
         Whether this is the serial port, which cannot be hung up.
     received, queued : bytearray
-        Start of an unfinished line; bytes that the peer has not taken yet.
+        Start of an unfinished line; bytes that the peer has not read yet.
     skipping : bool
         Whether input is discarded up to the next line end, because a line was too long.
     line_start_s, last_line_s : float
-        When the unfinished line began; when the last valid line came.
+        When the unfinished line began; when the last valid line arrived.
     closing : bool
-        Whether output was shut down, and the link ends when the peer hangs up or time is over.
+        Whether output was shut down; the link ends when the peer hangs up or the time limit is over.
     """
 
     socket: socket.socket
@@ -74,10 +74,10 @@ class Link:
 
 
 class LinkHandler(Protocol):
-    """Receives what happens on the links. All calls come from the thread that calls ``LinkServer.poll``."""
+    """Callbacks for events on the links. All calls come from the thread that calls ``LinkServer.poll``."""
 
     def accepts_connections(self) -> bool:
-        """Return whether new connections are accepted now; others are closed at once."""
+        """Return whether new connections are accepted now; if not, they are closed at once."""
 
     def line_received(self, link: Link, raw: bytes) -> None:
         """Handle one line without its line end; it may be damaged."""
@@ -86,17 +86,17 @@ class LinkHandler(Protocol):
         """Handle input that cannot become a line."""
 
     def session_ended(self, link: Link, reason: str) -> None:
-        """Release what the session on this link holds."""
+        """Release everything that the session on this link holds."""
 
 
 class RateLimitedLog:
-    """Logs at most one warning a second of each kind, so that a hostile peer cannot fill the disk."""
+    """Log of at most one warning a second of each kind, so that a hostile peer cannot fill the disk."""
 
     def __init__(self) -> None:
         self._logged: dict[str, tuple[float, int]] = {}
 
     def warning(self, message: str, *details: object) -> None:
-        """Log a warning, or count it as left out; ``message`` is a format for ``details`` and identifies the kind."""
+        """Log a warning or count it as omitted; ``message`` is a format for ``details`` and identifies the kind."""
         now = time.monotonic()
         last_s, left_out = self._logged.get(message, (NEVER_S, 0))
         if now - last_s < _LOG_INTERVAL_S:
@@ -151,7 +151,7 @@ class LinkServer:
         return port
 
     def close(self) -> None:
-        """Hang up all links and free all ports."""
+        """Hang up all links and close all ports."""
         self._closed = True
         if self._serial is not None:
             self._serial.close()
@@ -163,19 +163,19 @@ class LinkServer:
         self._listener = self._wake_send = self._wake_receive = None
 
     def wake(self) -> None:
-        """Let a waiting ``poll`` return; from any thread."""
+        """Make a waiting ``poll`` return; from any thread."""
         wake = self._wake_send
         if wake is not None:
             with contextlib.suppress(OSError):  # full: poll wakes anyway; closed: no thread waits
                 wake.send(b"\0")
 
     def call_soon(self, action: Callable[[], None]) -> None:
-        """Have ``action`` called in the thread of ``poll``; from any thread."""
+        """Run ``action`` in the thread of ``poll``; from any thread."""
         self._actions.append(action)
         self.wake()
 
     def poll(self, timeout_s: float = 0.0) -> None:
-        """Handle all pending input once; wait at most ``timeout_s`` for it."""
+        """Handle all pending input once; wait for it at most ``timeout_s``."""
         assert self._selector is not None, "open it first"
         for key, _ in self._selector.select(timeout_s):
             if key.fileobj is self._wake_receive:
@@ -189,7 +189,7 @@ class LinkServer:
             self._actions.popleft()()
 
     def enforce_limits(self) -> None:
-        """Send what is queued; end lines and links that have exceeded their time."""
+        """Send queued output; end lines and links that have exceeded their time limit."""
         now = time.monotonic()
         for link in list(self.links):
             if link.queued and not link.closing:
@@ -205,7 +205,7 @@ class LinkServer:
                 self.drop(link, f"no session was opened within {self._hello_s:g} s", at_once=True)
 
     def send(self, link: Link, line: bytes) -> None:
-        """Queue a line. A peer that leaves too much unread loses its link."""
+        """Queue a line. The link of a peer that leaves too much unread is dropped."""
         link.queued += line
         if len(link.queued) > _MAX_QUEUED_BYTES:
             link.queued.clear()
@@ -325,7 +325,7 @@ def _listen(host: str, port: int) -> socket.socket:
 
 
 class _SerialPump:
-    """Copies bytes between a serial port and one end of a socket pair; reopens the port after it was lost."""
+    """Copies bytes between a serial port and one end of a socket pair; reopens a lost port."""
 
     def __init__(self, url: str, baud: int, end: socket.socket) -> None:
         self._url, self._baud, self._end = url, baud, end
@@ -334,7 +334,7 @@ class _SerialPump:
         self._thread = threading.Thread(target=self._run, name="tracker bridge, serial", daemon=True)
 
     def start(self) -> None:
-        """Start, and return when the port is open or could not be opened."""
+        """Start the thread; return when the port is open or opening it has failed."""
         self._thread.start()
         self._tried.wait(_SERIAL_OPENS_WITHIN_S)
 
@@ -361,7 +361,7 @@ class _SerialPump:
             data = port.read(1)
             if data:
                 data += port.read(min(port.in_waiting, _READ_BYTES))
-                with contextlib.suppress(BlockingIOError):  # input that the server does not take in time is lost
+                with contextlib.suppress(BlockingIOError):  # input that the server does not read in time is lost
                     self._end.send(data)
             with contextlib.suppress(BlockingIOError):
                 waiting = self._end.recv(_READ_BYTES)

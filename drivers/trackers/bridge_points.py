@@ -1,7 +1,7 @@
-"""Points of a moving SMR on the bridge's wire, and the buffer of a track at the tracker's end.
+"""Points of a moving SMR in the bridge's protocol, and the buffer of a track at the tracker's end.
 
-A packet is a list of points, ``stamp,x,y,z,sigma;...``: the tracker's own stamp [s], coordinates and their standard
-uncertainty [m] (empty: not known).
+A packet is a list of points, ``stamp,x,y,z,sigma;...``: the tracker's own timestamp [s], coordinates and their standard
+uncertainty [m] (empty if not known).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from drivers.trackers.bridge_wire import BadField, Fields
 from drivers.trackers.protocol import Packet, StreamLimits, Track, Tracker, TrackerError, stream_limits_of, stream_of
 
 MOST_WAITING = 200_000
-"""Points that wait for a client at most; a client that is slower than that loses points."""
+"""Largest number of points buffered for a client; a slower client loses points."""
 _LONGEST_POINTS = 1500
-"""Characters of one line's points: the line itself is limited."""
+"""Longest text of the points in one line, whose length is limited [characters]."""
 _STAMP = re.compile(r"-?[0-9]{1,12}(?:\.[0-9]{1,12})?")
 _POINT = re.compile(r"(-?[0-9.]+),(-?[0-9.]+),(-?[0-9.]+),(-?[0-9.]+),([0-9.e-]*)")
 
@@ -69,7 +69,7 @@ def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
 
 @dataclass(frozen=True)
 class _Waiting:
-    """Points of one line; when they arrived at the bridge, and pulses since the line before."""
+    """Points of one line, their arrival time at the bridge, and the trigger pulses since the previous line."""
 
     points: tuple[str, ...]
     arrived_s: float
@@ -77,9 +77,9 @@ class _Waiting:
 
 
 class TrackBuffer:
-    """What a track has brought and the client has not confirmed yet. From any thread.
+    """Buffer of the points of a track that the client has not confirmed yet. From any thread.
 
-    Lines are numbered; a client that asks for line k has all before it.
+    Lines are numbered; a request for line k confirms all lines before it.
     """
 
     def __init__(self, id_: str, clock: Callable[[], float] = time.monotonic) -> None:
@@ -95,9 +95,9 @@ class TrackBuffer:
         self._lost: TrackerError | None = None
 
     def received(self, packet: Packet) -> None:
-        """Keep a packet of the tracker."""
+        """Buffer a packet of the tracker."""
         if len(packet.device_time_s) and packet.device_time_s[0] <= self._last_stamp_s:
-            return  # on its way when the track was ended
+            return  # it was on its way when the track was ended
         points = [
             _point(stamp, p, sigma)
             for stamp, p, sigma in zip(packet.device_time_s, packet.p_M, packet.sigma_m, strict=True)
@@ -115,18 +115,18 @@ class TrackBuffer:
                 self._pulses = []
 
     def lost(self, error: TrackerError) -> None:
-        """Note that the track has ended by itself."""
+        """Note that the track was lost: it has ended by itself."""
         with self._lock:
             self._lost = self._lost or error
 
     def ended(self, track: Track) -> None:
-        """Keep the points of a finished track that did not come as packets."""
+        """Buffer the points of a finished track that did not arrive as packets."""
         rest = track.within(track.device_time_s > self._last_stamp_s)
         pulses = track.triggers_s[self._heard_pulses :]
         self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0, pulses))
 
     def fields(self, number: int) -> dict[str, str]:
-        """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is not known any more."""
+        """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""
         with self._lock:
             while self._first < number and self._lines:
                 self._waiting -= len(self._lines.popleft().points)
@@ -147,29 +147,29 @@ class TrackBuffer:
 
 
 class ServedTracks:
-    """The track of a bridge's tracker; ``points`` is answered by the bridge, the rest by the thread that calls it."""
+    """The track of a bridge's tracker. The bridge's thread answers ``points``; the tracker's thread calls the rest."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
         self._track: TrackBuffer | None = None
 
     def of(self, fields: Fields) -> TrackBuffer:
-        """The track that a line names. Raises ``BadField`` if it is not the last one that was begun."""
+        """Return the track named by a line. Raises ``BadField`` unless it is the newest one."""
         track, id_ = self._track, wire.read_id(fields, "track")
         if track is None or track.id != id_:
             raise BadField("no such track: the bridge has restarted, or another one was begun")
         return track
 
     def points(self, fields: Fields) -> dict[str, str]:
-        """Answer ``points``: what the tracker sent waits here."""
+        """Return the answer to ``points`` from the buffer."""
         return self.of(fields).fields(int(wire.read_number(fields, "from", 0, 1e9)))
 
     def limits(self) -> dict[str, str]:
-        """Answer ``stream-limits``."""
+        """Return the answer to ``stream-limits``."""
         return limits_fields(stream_limits_of(self._tracker))
 
     def start(self, id_: str, expected_M: NDArray[np.float64], interval_s: float) -> dict[str, str]:
-        """Let the tracker follow an SMR. Raises what ``start_track`` does."""
+        """Start a track of an SMR. Raises as ``start_track``."""
         if (streaming := stream_of(self._tracker)) is None:
             raise ValueError("this tracker does not measure an SMR while it moves")
         track = TrackBuffer(id_)
@@ -178,7 +178,7 @@ class ServedTracks:
         return {}
 
     def end(self, track: TrackBuffer) -> dict[str, str]:
-        """End a track; its points wait on."""
+        """End a track; its points stay buffered."""
         if (streaming := stream_of(self._tracker)) is not None:
             track.ended(streaming.end_track())
         return {}
@@ -189,12 +189,12 @@ class ServedTracks:
 
 
 def _lost(error: TrackerError) -> dict[str, str]:
-    """How a track that has ended by itself tells why."""
+    """Return the fields that say why a track has ended by itself."""
     return {f"lost.{key}": text for key, text in wire.error_fields(error).items()}
 
 
 def _lines(points: list[str]) -> list[tuple[str, ...]]:
-    """The points in groups that fit into a line each."""
+    """Split the points into groups that fit into one line each."""
     lines: list[tuple[str, ...]] = []
     some: list[str] = []
     length = 0

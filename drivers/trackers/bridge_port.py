@@ -1,4 +1,4 @@
-"""Opening, reading and closing the port of a link to the tracker bridge, whatever pyserial makes of its URL."""
+"""Opening, reading and closing of the port of a tracker bridge, for every kind of port that pyserial makes of a URL."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class LinkFault(Exception):
 
 
 class Unreachable(LinkFault):
-    """The link could not be opened: refused, unknown, or not in time."""
+    """The link could not be opened: refused, unknown address, or not in time."""
 
 
 class PortOpener:
@@ -59,11 +59,11 @@ class PortOpener:
 
 
 def waiting(port: serial.SerialBase) -> bytes:
-    """Return bytes that have come, at most ``_READ_BYTES``; does not wait. Raises as the port's methods."""
+    """Return the pending bytes, at most ``_READ_BYTES``, without waiting. Raises as the port's methods."""
     number = min(port.in_waiting, _READ_BYTES)
     if not number:
         return b""
-    if isinstance(port, TcpPort):  # it knows only that there are some: reading them one by one would take long
+    if isinstance(port, TcpPort):  # in_waiting is only 0 or 1 here: reading byte by byte would take long
         return bytes(port._socket.recv(_READ_BYTES))
     return bytes(port.read(number))
 

@@ -31,14 +31,14 @@ LOG = logging.getLogger(__name__)
 
 _POLL_S = 0.2
 _HEARTBEAT_S = 0.2
-"""Period of ``wait`` lines while the tracker is at work; BRIDGE.md promises it."""
+"""Period of ``wait`` lines while the tracker executes a command; specified in BRIDGE.md."""
 _OLDEST_S = 1e6
-"""Stands for a tracker that has given no sign of life."""
+"""Age that is reported for a tracker without any sign of life."""
 _MAX_RESULTS = 64
-"""Results kept for clients that ask again; BRIDGE.md promises it."""
+"""Number of stored results for clients that repeat a command; specified in BRIDGE.md."""
 _STREAMING = ("stream-limits", "track", "end-track")
 _COMMANDS = ("identify", "unmet", "confirm", "prepare", "inclination", "measure", "two-face", *_STREAMING)
-"""Those that the tracker answers."""
+"""Commands that the tracker answers."""
 _MEASURING = ("measure", "two-face", "track")
 _MAX_BAD_LINES = 20
 _NOTICE_S = 0.2
@@ -47,7 +47,7 @@ _NOTICE_S = 0.2
 
 @dataclass(eq=False)
 class _ActiveCommand:
-    """The command that the tracker executes, and the link that waits for its answer (None: no client waits)."""
+    """The command that the tracker executes, and the link that waits for its answer (None if no client waits)."""
 
     id: str
     call: TrackerCall
@@ -59,7 +59,7 @@ class _ActiveCommand:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an address is reachable from this machine only."""
+    """Return whether an address is reachable only from this machine."""
     if host == "localhost":
         return True
     try:
@@ -80,12 +80,12 @@ def usable_token(token: str) -> str:
 
 
 class TrackerService:
-    """Serves a tracker. Use ``with`` (a background thread handles the links), or call ``open`` and then ``poll``.
+    """Server of one tracker. Use ``with`` (a background thread handles the links), or call ``open`` and then ``poll``.
 
     Attributes
     ----------
     host, port : str, int
-        Where it listens once it is open.
+        Address at which it listens once it is open.
     """
 
     def __init__(
@@ -170,12 +170,12 @@ class TrackerService:
         return f"socket://{self.host}:{self.port}"
 
     def open(self) -> None:
-        """Listen. Raises ``OSError`` if the address is not available; then nothing is left open."""
+        """Start listening. Raises ``OSError`` if the address is not available; then nothing stays open."""
         self.port = self._links.open(self.host, self.port, self._serial_url, self._baud)
         self._worker.start()
 
     def close(self) -> None:
-        """Disconnect all clients, release the tracker, free all ports. Waits some seconds at most for each thread."""
+        """Disconnect all clients, release the tracker, free all ports. Waits at most some seconds for each thread."""
         self._closing.set()
         self._links.wake()
         if self._thread is not None:
@@ -184,7 +184,7 @@ class TrackerService:
         self._links.close()
 
     def poll(self, timeout_s: float = 0.0) -> None:
-        """Handle all links once; wait at most ``timeout_s`` for input."""
+        """Handle all links once; wait for input at most ``timeout_s``."""
         active = self._active
         if active is not None:
             timeout_s = min(timeout_s, max(active.heartbeat_s + _HEARTBEAT_S - time.monotonic(), 0.0))
@@ -193,11 +193,11 @@ class TrackerService:
         self._links.enforce_limits()
 
     def call_soon(self, action: Callable[[], None]) -> None:
-        """Have ``action`` called in the thread that handles the links; from any thread."""
+        """Run ``action`` in the thread that handles the links; from any thread."""
         self._links.call_soon(action)
 
     def restart(self) -> None:
-        """Disconnect all clients and forget all results, as a restart of this computer would; in the links' thread."""
+        """Disconnect all clients and forget all results, like a restart of the computer. Only in the links' thread."""
         self._boot = secrets.token_hex(8)
         self._results.clear()
         self._prepared_for = ""
@@ -233,7 +233,7 @@ class TrackerService:
             self._error(link, line.sequence, "bad-field", str(error))
 
     def bad_line(self, link: Link, reason: str) -> None:
-        """Answer that input was not understood, at a limited rate; drop a client that sends nothing else."""
+        """Answer that input was not understood, at a limited rate; drop a client that sends nothing valid."""
         now = time.monotonic()
         link.bad_lines += 1
         if link.state != "holding" and not link.permanent and link.bad_lines > _MAX_BAD_LINES:
@@ -243,7 +243,7 @@ class TrackerService:
             self._error(link, 0, "garbled", f"not understood: {reason}; send 'sync' before the next command")
 
     def session_ended(self, link: Link, reason: str) -> None:
-        """Free the tracker if this link held it; its command continues, for a client that reconnects."""
+        """Release the tracker if this link held it; its command continues, for a client that reconnects."""
         if link.state == "holding":
             LOG.info("the tracker is free again: %s: %s", link.peer, reason)
         else:
@@ -342,7 +342,7 @@ class TrackerService:
             self._answer(link, line.sequence, ("ok", {"proof": ours}))
 
     def _admit(self, link: Link, sequence: int) -> bool:
-        """Give the tracker to the client of a link, unless another client holds it; return whether it has it."""
+        """Give the tracker to the client of a link, unless another client holds it; return whether it was given."""
         holder, now = self._holder, time.monotonic()
         if holder is not None and holder is not link:
             at_work = self._active is not None and self._active.link is holder
@@ -366,7 +366,7 @@ class TrackerService:
     # -- commands for the tracker --------------------------------------------------------------------------------------
 
     def _command(self, link: Link, line: Line) -> None:
-        """Start a command; if its id is known, answer with the result it had, or will have."""
+        """Start a command; if its id is known, answer with its stored or pending result."""
         verb = line.word
         measures = verb in _MEASURING
         id_ = wire.read_id(line.fields) if measures or "id" in line.fields else ""
@@ -387,7 +387,7 @@ class TrackerService:
             self._worker.submit(call)
 
     def _function(self, verb: str, fields: Fields, client: str) -> Callable[[], dict[str, str]]:
-        """Return what the worker shall call for a command. Raises ``BadField``."""
+        """Return the function that the worker must call for a command. Raises ``BadField``."""
         tracker = self._tracker
         match verb:
             case "identify":
@@ -420,7 +420,7 @@ class TrackerService:
                 return lambda: wire.point_fields(tracker.measure(expected_M, averaging_s))
 
     def _confirm(self, within_s: float) -> dict[str, str]:
-        """Let the tracker itself answer; runs in the worker's thread."""
+        """Check that the tracker itself answers; runs in the worker's thread."""
         self._tracker.confirm(within_s)
         return {}
 
@@ -432,7 +432,7 @@ class TrackerService:
         return {}
 
     def _check_active(self) -> None:
-        """Deliver the answer of a finished command; else send a heartbeat, or end a command that takes too long."""
+        """Deliver the answer of a finished command; else send a heartbeat, or halt a command that takes too long."""
         active, now = self._active, time.monotonic()
         if active is None:
             return
@@ -453,7 +453,7 @@ class TrackerService:
                 active.link = None
         elif active.link is not None and now - active.heartbeat_s >= _HEARTBEAT_S:
             active.heartbeat_s = now
-            age_s = min(max(self._tracker.data_age_s(), 0.0), _OLDEST_S)  # the bridge does not answer for the tracker
+            age_s = min(max(self._tracker.data_age_s(), 0.0), _OLDEST_S)  # that of the tracker itself
             fields = {"elapsed": f"{now - active.began_s:.1f}", "age": f"{age_s:.3f}"}
             self._answer(active.link, active.sequence, ("wait", fields))
 

@@ -81,7 +81,7 @@ class BridgeSettings(TrackerSettings):
         return read_token(self.token_file, self.token_env)
 
     def open(self, tracker: TrackerContext) -> Tracker:
-        """Return the driver, not connected yet; it prepares the tracker at every connect. Raises ``SettingError``."""
+        """Create the driver, not connected yet; it prepares the tracker at every connect. Raises ``SettingError``."""
         from drivers.trackers.bridge_tracks import StreamingBridgeTracker
         from drivers.trackers.protocol import Preparation
 

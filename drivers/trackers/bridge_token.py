@@ -10,7 +10,7 @@ from drivers.settings import SettingError
 from drivers.trackers.bridge_server import usable_token
 
 _MOST_BYTES = 4096
-"""Far more than a token has; bounds the read if the path names a large file."""
+"""Far longer than a token; limits the read if the path names a large file."""
 
 
 def read_token(token_file: str | None, token_env: str | None) -> str | None:

@@ -1,6 +1,6 @@
-"""Client of a bridge whose tracker measures an SMR while it moves: it fetches the points that wait there.
+"""Client of a bridge whose tracker measures an SMR while it moves: it fetches the points buffered at the bridge.
 
-The bridge keeps points until the client says that it has them, so that a link that breaks for a moment loses none.
+The bridge buffers points until the client confirms them, so a link that breaks for a moment loses none.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from drivers.trackers.protocol import (
 )
 
 _SILENT_S = 1.0
-"""A track that brings no point for this long, and ten points' time, is dead."""
+"""A track is dead if no point arrives for this long and for ten point intervals."""
 _AT_ONCE_S = 0.15
-"""Longest time that points are fetched for while something else may have to be asked."""
+"""Longest time of fetching points in one go, as other commands may be waiting."""
 _REST_WITHIN_S = 60.0
-"""Time for fetching what waits when a track has ended, over a slow line."""
+"""Time limit for fetching the remaining points of a finished track, over a slow line."""
 
 
 @dataclass
 class _Running:
-    """A track as the client sees it."""
+    """The client's state of a track."""
 
     id: str
     interval_s: float
@@ -50,24 +50,24 @@ class _Running:
 
     @property
     def wanted(self) -> dict[str, str]:
-        """The fields of the question for its next points."""
+        """Fields of the request for the next points."""
         return {"track": self.id, "from": str(self.next)}
 
 
 class StreamingBridgeTracker(BridgeTracker):
-    """A tracker behind a bridge, see ``BridgeTracker``; whether it streams, the bridge says."""
+    """A tracker behind a bridge, see ``BridgeTracker``; the bridge reports whether it can stream."""
 
     _limits: StreamLimits | None = None
     _asked = False
     _track: _Running | None = None
 
     def connect(self) -> None:
-        """Open the link and a session; what the tracker can stream is asked again when it is needed."""
+        """Open the link and a session; the stream limits are asked again when they are needed."""
         self._asked, self._track = False, None
         super().connect()
 
     def stream_limits(self) -> StreamLimits | None:
-        """Return what the tracker behind the bridge can stream; None also where the bridge is older than streams."""
+        """Return what the tracker behind the bridge can stream; None also if the bridge does not know streams."""
         if not self._asked:
             self._limits = None
             with contextlib.suppress(UnknownCommand):
@@ -82,7 +82,7 @@ class StreamingBridgeTracker(BridgeTracker):
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None] = no_packet,
     ) -> None:
-        """Let the tracker lock the SMR and follow it; ``confirm`` fetches its points."""
+        """Make the tracker lock and follow the SMR; ``confirm`` fetches its points."""
         limits = self.stream_limits()
         if limits is None:
             raise TrackerError(f"tracker bridge {self._url}: its tracker does not measure an SMR while it moves")
@@ -94,7 +94,7 @@ class StreamingBridgeTracker(BridgeTracker):
         self._track = _Running(id_, interval_s, lost, received)
 
     def _ask(self, within_s: float, until_s: float) -> None:
-        """While a track is on, its points are the tracker's sign of life."""
+        """During a track fetch its points: they are the tracker's sign of life."""
         track = self._track
         if track is None or not track.on:
             super()._ask(within_s, until_s)
@@ -106,7 +106,7 @@ class StreamingBridgeTracker(BridgeTracker):
             raise TrackerLinkLost(f"tracker bridge {self._url}: no point of the moving SMR came for {silent_s:.1f} s")
 
     def end_track(self) -> Track:
-        """End measuring, fetch what waits and return all points."""
+        """End the track, fetch the buffered points and return all points."""
         track, self._track = self._track, None
         if track is None:
             return Track.of([])
@@ -122,13 +122,13 @@ class StreamingBridgeTracker(BridgeTracker):
         return Track.of(track.packets)
 
     def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
-        """Fetch what waits, at least one answer, until ``enough_s``."""
+        """Fetch buffered points, at least one answer, until ``enough_s``."""
         while True:
             if not self._take(track, self._exchange("points", track.wanted, until_s)) or time.monotonic() > enough_s:
                 return
 
     def _take(self, track: _Running, answer: Fields) -> bool:
-        """Keep the points of an answer and tell the listeners; whether there may be more."""
+        """Store the points of an answer and call the listeners; return whether there may be more."""
         now_s = time.monotonic()
         packet, waiting = self._read(lambda fields: read_packet(fields, now_s), answer)
         track.next = int(
@@ -147,7 +147,7 @@ class StreamingBridgeTracker(BridgeTracker):
 
 @contextlib.contextmanager
 def _known(track: _Running) -> Iterator[None]:
-    """A bridge that refuses a track does not know it: it has restarted. Raises ``TrackerLinkLost`` then."""
+    """Raise ``TrackerLinkLost`` if the bridge does not know the track: it has restarted."""
     try:
         yield
     except ValueError as error:
@@ -156,4 +156,4 @@ def _known(track: _Running) -> Iterator[None]:
 
 
 def _nobody(error: TrackerError) -> None:
-    """A track that is over has nobody to tell."""
+    """Ignore the error of a track that is over."""

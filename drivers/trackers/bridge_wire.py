@@ -56,7 +56,7 @@ _IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{8,64}")
 _AXES = ("x", "y", "z")
 _QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 _UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
-"""By how much the length of a quaternion may differ from one; beyond the second, it is made one."""
+"""Tolerances of a quaternion's length: beyond the first it is invalid; beyond the second it is normalised."""
 _UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 ERRORS: Mapping[str, type[TrackerError]] = {
@@ -136,7 +136,7 @@ def _unescaped(value: str) -> str:
 
 
 def text(message: str, max_bytes: int = LONGEST_TEXT) -> str:
-    """Return a message for a person, shortened so that it takes at most ``max_bytes`` of a line."""
+    """Return a message for a person, shortened to at most ``max_bytes`` of a line."""
     if len(_escaped(message)) <= max_bytes:
         return message
     cut = message[:max_bytes]
@@ -146,7 +146,7 @@ def text(message: str, max_bytes: int = LONGEST_TEXT) -> str:
 
 
 def number(value: float) -> str:
-    """Format a finite number so that it is read back bit for bit. Raises ``BadField`` otherwise."""
+    """Format a finite number so that reading returns the identical value. Raises ``BadField`` if it is not finite."""
     value = float(value)
     if not math.isfinite(value):
         raise BadField(f"{value!r} is not a finite number")
@@ -178,7 +178,7 @@ def read_id(fields: Fields, key: str = "id") -> str:
 
 
 def new_id() -> str:
-    """Return an identifier that was never used before."""
+    """Return a new random identifier."""
     return secrets.token_hex(8)
 
 
@@ -194,10 +194,10 @@ def proofs_equal(one: str, other: str) -> bool:
 
 
 def error_fields(error: BaseException) -> dict[str, str]:
-    """Return the fields of an ``error`` line for an exception: the kind of its class or of the nearest base class."""
+    """Return the fields of an ``error`` line for an exception; its kind is that of the nearest known base class."""
     if isinstance(error, ValueError):
         return {"kind": "bad-field", "text": text(str(error))}
-    kinds = {known: kind for kind, known in reversed(list(ERRORS.items()))}  # of several kinds for one class, the first
+    kinds = {known: kind for kind, known in reversed(list(ERRORS.items()))}  # if a class has several kinds, the first
     kind = next((kinds[known] for known in type(error).__mro__ if known in kinds), "failed")
     return {"kind": kind, "text": text(str(error))}
 
@@ -346,7 +346,7 @@ def read_inclination(fields: Fields) -> Inclination | None:
 
 
 def unmet_fields(unmet: list[str]) -> dict[str, str]:
-    """Return the answer to ``unmet``: the number of preconditions and the first five as text."""
+    """Return the answer to ``unmet``: the number of preconditions and the texts of the first five."""
     return {"count": str(len(unmet))} | {f"u{k}": text(item) for k, item in enumerate(unmet[:5], start=1)}
 
 

@@ -1,4 +1,4 @@
-"""The thread that alone calls the tracker behind a bridge: one command at a time, reconnecting after a lost link."""
+"""The only thread that calls the tracker behind a bridge: one command at a time, reconnecting after a lost link."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ class TrackerWorker:
         self._calls.put(call)
 
     def prepare(self, settings: Preparation) -> None:
-        """Prepare the tracker, and again after every reconnect; for functions of calls only."""
+        """Prepare the tracker now and after every reconnect; only functions of calls may use this."""
         self._tracker.prepare(settings)
         self._settings = settings
 
     def close(self) -> None:
-        """Halt the tracker, disconnect it and end the thread. A tracker that hangs is left after some seconds."""
+        """Halt the tracker, disconnect it and end the thread. A tracker that hangs is abandoned after some seconds."""
         self._closing.set()
         self._tracker.halt()
         self._calls.put(None)
@@ -90,7 +90,7 @@ class TrackerWorker:
                 self._tracker.disconnect()
 
     def _reply(self, call: TrackerCall) -> Reply:
-        """Run a call. An exception that no tracker may raise is a defect of its driver: logged, and answered."""
+        """Run a call and return its answer. An unexpected exception is a defect of the tracker's driver: log it."""
         try:
             fields = self._execute(call)
             wire.encode(0, "ok", fields)  # fields too long for a line are a defect too
@@ -105,7 +105,7 @@ class TrackerWorker:
     def _execute(self, call: TrackerCall) -> dict[str, str]:
         """Call the tracker; after a lost link reconnect, prepare it as before and call again.
 
-        Whoever wants the tracker confirmed is told of a lost link at once; the next command reconnects.
+        Only ``confirm`` reports a lost link at once; the next command reconnects.
         """
         until_s = time.monotonic() + self._recover_s
         while True:

@@ -13,7 +13,7 @@ from drivers.plant.lines import carry, rigid
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Errors of the tracker itself. The defaults are a tracker with the noise of its specification alone.
+    """Errors of the tracker itself. The defaults describe a tracker with only the noise of its specification.
 
     Attributes
     ----------
@@ -33,9 +33,9 @@ class Imperfections:
     clock_offset_s, clock_rate : float
         Its own clock against the plant's: ``offset + (1 + rate) t``.
     packet_jitter_s : float
-        Packets of a stream arrive late by up to this much [s].
+        Largest delay of the packets of a stream [s].
     lost_beams_per_min, longest_loss_s : float
-        How often the beam to a moving SMR breaks, and how long it cannot be locked again, at most [s].
+        How often the beam to a moving SMR breaks, and the longest time until it can be locked again [s].
     saturated : float
         Share of packets of a stream whose points are lost because the receiver is too slow.
     """
@@ -58,11 +58,11 @@ class Imperfections:
     saturated: float = 0.0
 
     def own_time_s(self, time_s: Array) -> Array:
-        """Its own clock (n,) at times (n,) of the plant [s]."""
+        """Return the tracker's own clock (n,) at times (n,) of the plant [s]."""
         return self.clock_offset_s + (1.0 + self.clock_rate) * time_s
 
     def pointed(self, p_M: Array, face: int, cold: float) -> Array:
-        """The point (3,) [m] as the head points at it in a face; ``cold`` is the share of the warm-up that is left."""
+        """Return the point (3,) [m] at which the head points in a face; ``cold`` is the share of the warm-up left."""
         if any(self.warm_up_rad) and cold > 0.0:
             p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *self.warm_up_rad]) * cold), p_M)
         if self.collimation_rad or self.index_rad:
@@ -77,7 +77,7 @@ class Imperfections:
 
 
 PERFECT = Imperfections()
-"""A tracker with the noise of its specification alone."""
+"""A tracker with only the noise of its specification."""
 
 
 def refractivity(temperature_c: float, pressure_hpa: float, humidity_percent: float) -> float:

@@ -4,11 +4,11 @@ Written from Leica's documents and from what other programs do. Neither LMF nor 
 run against a stand-in with LMF's names and rules. What those sources leave open is a setting, is read from the objects
 themselves (units, kinds of enumerations), or is refused.
 
-Threads. One thread of the driver calls LMF, and every wait for it has a time limit: a call that hangs costs that
-thread, not the program. LMF delivers its events one by one on a thread of its own, and a command that causes one waits
-until its handlers have returned: ours only store the message. pythonnet keeps Python's lock while a *property* is read
-or written, unlike with a method; a handler that LMF waits for meanwhile could never run. Hence no handler is subscribed
-while settings are written.
+Threads: one thread of the driver calls LMF, and every wait for it has a time limit, so a call that hangs blocks only
+that thread. LMF delivers its events one by one on a thread of its own. A command that causes an event waits until its
+handlers have returned; ours only store the message. While a *property* is read or written (unlike a method call),
+pythonnet keeps Python's lock, so a handler that LMF waits for could never run. Hence no handler is subscribed while
+settings are written.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ Vector = NDArray[np.float64]
 _T = TypeVar("_T")
 
 MEASURING_S: Mapping[str, float] = MappingProxyType({"fast": 2.0, "standard": 12.0, "precise": 12.0})
-"""Time limits of a stationary measurement on the AT9x0 that Leica recommends, by accuracy [s]."""
+"""Time limits of a stationary measurement on the AT9x0 by accuracy, as Leica recommends [s]."""
 OTHER_PROFILE_S = 7.0
-"""Added to the averaging time of a measurement whose duration the caller sets, for starting and ending it."""
+"""Time for starting and ending a measurement, added to an averaging time that the caller sets."""
 CONNECTING_S = 60.0
 INITIALISING_S = 60.0
-"""Leica allows 30 s; its simulator is slow on purpose."""
+"""Time limit of the initialisation. Leica allows 30 s; its simulator is slow on purpose."""
 LEVELLING_S = 180.0
 
 _NO_PREPARATION = Preparation()
@@ -80,7 +80,7 @@ class LmfTracker:
         load: Callable[[str], Lmf] = load_lmf,
         law: ErrorLaw = _USUAL_ACCURACY,
     ) -> None:
-        """Nothing is opened yet. ``preparation`` is applied at every connect, as LMF forgets its settings.
+        """Open nothing yet. ``preparation`` is applied at every connect, as LMF forgets its settings.
 
         ``law`` is the accuracy of the tracker.
         """
@@ -97,7 +97,7 @@ class LmfTracker:
         self._subscribed = False
         self._reflector = ""
         self._averaging_set_s: float | None = None
-        # bound once: an event must be given the same object when the handler is removed
+        # bound once: a handler must be removed as the same object
         self._handlers = (
             ("Disconnected", self._on_disconnected),
             ("ErrorArrived", self._on_message),
@@ -201,11 +201,11 @@ class LmfTracker:
         return ["its air sensor is not connected"] if lacks else []
 
     def visible_trackers(self) -> str:
-        """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
+        """Return the trackers that LMF finds in this computer's networks, as a sentence for a person."""
         return visible_trackers(self._use.library, self._load)
 
     def confirm(self, within_s: float) -> None:
-        """Make sure that LMF answers, and has not reported the connection closed. Raises as the protocol says."""
+        """Check that LMF answers and has not reported the connection closed. Raises as the protocol says."""
         if self._calls is not None:
             self._calls.require_idle()
         try:
@@ -214,9 +214,10 @@ class LmfTracker:
             raise TrackerLinkLost(f"tracker: LMF did not answer within {within_s:g} s") from error
 
     def data_age_s(self) -> float:
-        """Return how long ago LMF returned from a call [s], 0 while it is at work within the time Leica gives a call.
+        """Return the time since LMF returned from a call [s]; 0 while a call runs within the time that Leica allows.
 
-        It says nothing meanwhile, and watches the connection itself; inf after it has reported that closed.
+        During a call LMF reports nothing and monitors the connection itself. inf after it has reported the connection
+        closed.
         """
         calls = self._calls
         return math.inf if calls is None or self._disconnected else calls.age_s()
@@ -224,12 +225,12 @@ class LmfTracker:
     # -- settings ------------------------------------------------------------------------------------------------------
 
     def prepare(self, settings: Preparation) -> None:
-        """Initialise and level where needed (the head moves), and apply ``settings``, now and at every connect.
+        """Initialise and level if needed (the head moves), and apply ``settings`` now and at every connect.
 
         Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that the tracker does not have.
         """
         self._clear_halt()
-        # LMF's number for "not initialised" is not public: any precondition while the laser is ready may be that
+        # LMF's number for "not initialised" is not public: any precondition may mean it if the laser is ready
         known = self._call(
             "reading the tracker's state", lambda its: bool(laser_and_stand(its)) or not self._preconditions(its)
         )
@@ -263,7 +264,7 @@ class LmfTracker:
 
     @contextlib.contextmanager
     def _no_handlers(self, tracker: Any) -> Iterator[None]:
-        """Keep the handlers unsubscribed while settings are written; see the module's docstring."""
+        """Unsubscribe the handlers while settings are written; the module docstring says why."""
         subscribed = self._subscribed
         self._subscribe(tracker, wanted=False)
         try:
@@ -283,7 +284,7 @@ class LmfTracker:
     # -- readiness -----------------------------------------------------------------------------------------------------
 
     def unmet(self) -> list[str]:
-        """Return what prevents measuring. A target that is not locked yet does not count: measuring points first."""
+        """Return what prevents measuring. An SMR that is not locked does not count: measuring points at it first."""
         return self._call("reading the tracker's state", self._unmet)
 
     def _unmet(self, tracker: Any) -> list[str]:
@@ -299,7 +300,7 @@ class LmfTracker:
         return unmet
 
     def inclination(self) -> Inclination | None:
-        """Return the monitored level; None if there is none or ``gravity`` is off."""
+        """Return the reading of the monitored level; None if there is no level or ``gravity`` is off."""
         return self._call("reading the level", self._inclination)
 
     def _inclination(self, tracker: Any) -> Inclination | None:
@@ -339,7 +340,7 @@ class LmfTracker:
         return TwoFace(first, second)
 
     def halt(self) -> None:
-        """Make the running measurement raise ``Halted``. LMF finishes its call; the next one waits for that."""
+        """Make the running measurement raise ``Halted``. LMF completes its call; the next call waits for that."""
         calls = self._calls
         if calls is not None:
             calls.halt()
@@ -360,7 +361,7 @@ class LmfTracker:
         found = tracker.PositionTo(True, False, *(float(value) for value in expected))
         if found is None or tracker.Targets.Selected is None:
             raise TargetLost(f"tracker: no SMR found near ({', '.join(f'{v:.3f}' for v in expected)}) m")
-        probe = self._use.probes and not unwrap(found.IsSelectable)  # LMF knows probes; only reflectors are selected
+        probe = self._use.probes and not unwrap(found.IsSelectable)  # LMF finds probes; reflectors are selected
         if self._reflector and str(found.Name) != self._reflector and not probe:
             raise WrongTarget(f"tracker: it locked a '{found.Name}' where a '{self._reflector}' was expected")
 
@@ -421,7 +422,7 @@ class LmfTracker:
         )
 
     def _new_messages(self) -> list[str]:
-        """Return the messages that came since the last point, and keep them for ``notices``."""
+        """Return the messages received since the last point, and keep them for ``notices``."""
         messages = [self._unreported.popleft() for _ in range(len(self._unreported))]
         self._messages.extend(messages)
         return messages
@@ -435,7 +436,7 @@ class LmfTracker:
     def _call(
         self, what: str, function: Callable[[Any], _T], limit_s: float | None = None, *, haltable: bool = False
     ) -> _T:
-        """Run ``function(tracker)`` on the thread that calls LMF; raise LMF's exceptions as ``TrackerError``."""
+        """Run ``function(tracker)`` on the thread that calls LMF; convert LMF's exceptions to ``TrackerError``."""
         calls, tracker = self._calls, self._tracker
         if calls is None or tracker is None:
             raise TrackerLinkLost(f"tracker {self._use.address}: not connected")

@@ -1,4 +1,4 @@
-"""A thread for calls that may hang, with a time limit on every wait for one."""
+"""A thread for calls that may hang; every wait for a call has a time limit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LOOK_S = 0.05
 
 @dataclass(eq=False)
 class _Call(Generic[_T]):
-    """One call and, once it is done, what it returned or raised."""
+    """One call and, when it is done, its return value or exception."""
 
     what: str
     function: Callable[[], _T]
@@ -48,7 +48,7 @@ class CallThread:
         threading.Thread(target=self._work, name="LMF", daemon=True).start()
 
     def call(self, what: str, function: Callable[[], _T], limit_s: float, *, haltable: bool = False) -> _T:
-        """Run ``function``; return what it returns, raise what it raises.
+        """Run ``function``; return its value or raise its exception.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class CallThread:
         return cast(_T, call.result)
 
     def _wait_for(self, done: Callable[[], bool], limit_s: float) -> bool:
-        """Wait for a change, with ``_changed`` held; time in which this program was not scheduled does not count."""
+        """Wait until ``done()``, holding ``_changed``; time in which this process was not scheduled does not count."""
         waited_s = 0.0
         while not done() and waited_s < limit_s:
             began_s = time.monotonic()
@@ -89,7 +89,7 @@ class CallThread:
         return done()
 
     def require_idle(self) -> None:
-        """Raise ``TrackerTimeout`` while a call that was given up is at work, ``TrackerLinkLost`` after its time."""
+        """Raise ``TrackerTimeout`` while an abandoned call runs, ``TrackerLinkLost`` after its time limit."""
         call = self._current
         if call is None or call.done:
             return
@@ -98,7 +98,7 @@ class CallThread:
         raise TrackerLinkLost(f"tracker: LMF has not returned from {call.what}; check that the tracker is on")
 
     def age_s(self) -> float:
-        """Return how long ago the last call returned without an error [s]; 0 while one is at work within its time.
+        """Return the time since the last call returned without an error [s]; 0 while a call is within its time limit.
 
         Never blocks.
         """

@@ -42,7 +42,7 @@ def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = l
 
 
 def visible_trackers(library: str, load: Callable[[str], Lmf] = load_lmf) -> str:
-    """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
+    """Return the trackers that LMF finds in this computer's networks, as a sentence for a person."""
     try:
         found = find_trackers(library, load)
     except TrackerError as error:

@@ -1,4 +1,4 @@
-"""Loading Leica's library LMF, and reading its value objects, which stand for numbers."""
+"""Loading of Leica's library LMF, and conversion of its value objects to numbers."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def load_lmf(library: str) -> Lmf:
 
 
 def set_handler(owner: Any, name: str, handler: Callable[..., None], *, wanted: bool) -> None:
-    """Add a handler to an event of LMF, or remove it: the same object that was added."""
+    """Add a handler to an event of LMF, or remove it; removing needs the object that was added."""
     event = getattr(owner, name)
     if wanted:
         event += handler
@@ -67,7 +67,7 @@ def set_handler(owner: Any, name: str, handler: Callable[..., None], *, wanted: 
 
 
 def unwrap(value: Any) -> Any:
-    """Return the value in a value object, or a plain value unchanged; Leica's documents disagree on some members."""
+    """Return the content of a value object, or a plain value unchanged; Leica's documents disagree on some members."""
     return value.Value if hasattr(value, "Value") else value
 
 
@@ -80,7 +80,7 @@ def si_factor(value: Any, kind: str) -> float:
 
 
 def to_si(value: Any, kind: str) -> float:
-    """Return a value object's number in SI."""
+    """Return a value object's number in SI units."""
     return float(value.Value) * si_factor(value, kind)
 
 
@@ -93,13 +93,13 @@ def precision_m(coordinate: Any) -> float:
 
 
 def error_number(error: object) -> int | None:
-    """Return LMF's number of an error, or None."""
+    """Return LMF's number of an error; None if it has none."""
     number = getattr(error, "Number", None)
     return None if number is None else int(unwrap(number))
 
 
 def describe(message: object) -> str:
-    """Return an exception, error, warning or precondition of LMF as one line: its four fields, or its text."""
+    """Format an exception, error, warning or precondition of LMF as one line: its four fields, or its text."""
     number = error_number(message)
     if number is None:
         return one_line(message)
@@ -108,5 +108,5 @@ def describe(message: object) -> str:
 
 
 def one_line(error: object) -> str:
-    """Return an error's text as one line of limited length."""
+    """Format an error's text as one line of limited length."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,4 +1,4 @@
-"""What a profile may say of a tracker of the kind ``lmf``: all that its driver reads of the settings."""
+"""Profile options of a tracker of the kind ``lmf``: all settings that its driver reads."""
 
 from __future__ import annotations
 

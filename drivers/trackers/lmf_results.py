@@ -1,4 +1,4 @@
-"""Reading a stationary measurement of LMF, and its accuracy, which LMF does not report."""
+"""Conversion of LMF's stationary measurement, and its accuracy, which LMF does not report."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from drivers.trackers.lmf_objects import Lmf, precision_m, to_si, unwrap
 from drivers.trackers.protocol import Face, TrackerError
 
 _AIR_RANGES = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
-"""Plausible air [degC, hPa, %], in the units that ``lmf_setup`` selects."""
+"""Ranges of plausible air [degC, hPa, %], in the units that ``lmf_setup`` selects."""
 _QUATERNION = ("Value0", "Value1", "Value2", "Value3")
 """A probe's rotation, scalar first."""
 _UNIT_LENGTH = 1e-3
-"""By how much a quaternion's length may differ from one."""
+"""Tolerance of a quaternion's length."""
 _TICKS_1970 = 621_355_968_000_000_000
-""".NET's time stamp of the first second of 1970, in ticks of 100 ns since the year 1."""
+""".NET's timestamp of the start of 1970, in ticks of 100 ns since the year 1."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class ErrorLaw:
     """Maximum permissible errors ``constant + proportional * distance`` [m, m/m], across the beam and along it.
 
     Half of a maximum permissible error is taken as one standard deviation: the maker calls half of it typical.
-    ``rotation`` is that of a probe about each axis [rad]; Leica states 0.01 degrees for a T-Mac.
+    ``rotation`` is the maximum permissible error of a probe about each axis [rad]; Leica states 0.01 degrees for a
+    T-Mac.
     """
 
     transverse: tuple[float, float] = (15e-6, 6e-6)
@@ -49,7 +50,7 @@ class ErrorLaw:
 
 
 def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the point (3,) and the precision of each coordinate (3,) [m]. Raises ``TrackerError`` if not valid."""
+    """Return the point (3,) and the precision of each coordinate (3,) [m]. Raises ``TrackerError`` if invalid."""
     kind = unwrap(position.CoordinateType)
     if str(kind) != "Cartesian" and int(kind) != int(lmf.enumeration("ECoordinateType").Cartesian):
         raise TrackerError(f"tracker: the point comes in {kind} coordinates; another program changed that")
@@ -66,7 +67,7 @@ def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float
 def read_rotation(lmf: Lmf, result: Any) -> NDArray[np.float64] | None:
     """Return the orientation of a probe in M, a unit quaternion (4,), scalar first; None for a reflector.
 
-    Raises ``TrackerError`` where it comes in another form than a quaternion, or is none.
+    Raises ``TrackerError`` if it is not a unit quaternion.
     """
     rotation = getattr(result, "Rotation", None)
     if rotation is None:
@@ -79,13 +80,13 @@ def read_rotation(lmf: Lmf, result: Any) -> NDArray[np.float64] | None:
         raise TrackerError(f"tracker: the probe's rotation has no {', '.join(missing)} in this LMF, only {has}")
     quaternion = np.array([float(unwrap(getattr(rotation, name))) for name in _QUATERNION])
     length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1.0) < _UNIT_LENGTH:  # nor where it is not a number
+    if not abs(length - 1.0) < _UNIT_LENGTH:  # true also for NaN
         raise TrackerError(f"tracker: the probe's rotation is a quaternion of length {length:.4g}, not one")
     return quaternion / length
 
 
 def read_air(result: Any) -> tuple[dict[str, float | None], list[str]]:
-    """Return the air that the refraction was corrected with, and warnings about implausible values and LMF's flags."""
+    """Return the air of the refraction correction, and warnings about implausible values and LMF's flags."""
     air: dict[str, float | None] = {}
     warnings = []
     for name, (low, high) in _AIR_RANGES.items():
@@ -100,6 +101,6 @@ def read_air(result: Any) -> tuple[dict[str, float | None], list[str]]:
 
 
 def tracker_time_s(result: Any) -> float | None:
-    """Return the tracker's own time of a result since 1970 [s]; None if it has none."""
+    """Return the timestamp of a result on the tracker's clock, since 1970 [s]; None if it has none."""
     ticks = int(result.TimeStamp.Ticks)
     return (ticks - _TICKS_1970) * 1e-7 if ticks else None

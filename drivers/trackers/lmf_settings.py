@@ -16,7 +16,7 @@ class LmfSettings(LmfOptions):
     """The options of LMF and its tracker, and how it is opened and probed."""
 
     def preparation(self) -> Preparation:
-        """Return the set-up of the tracker: connecting applies it, but leaves the head uninitialised."""
+        """Return the set-up of the tracker; connecting applies it, but leaves the head uninitialised."""
         from drivers.trackers.protocol import Preparation
 
         if self.air is None:
@@ -25,7 +25,7 @@ class LmfSettings(LmfOptions):
         return Preparation(self.reflector, self.accuracy, air.temperature, air.pressure_hpa, air.humidity_percent)
 
     def open(self, tracker: TrackerContext) -> Tracker:
-        """Return the driver, not connected yet."""
+        """Create the driver, not connected yet."""
         from drivers.trackers.lmf_results import ErrorLaw
         from drivers.trackers.lmf_stream import LmfStreamTracker
 
@@ -33,7 +33,7 @@ class LmfSettings(LmfOptions):
         return LmfStreamTracker(self, self.preparation(), law=law)
 
     def probe(self, tracker: TrackerContext, patience_s: float) -> list[Finding]:
-        """Connect and query the tracker. This applies settings; LMF's own time limits hold, up to a minute."""
+        """Connect and query the tracker. This applies settings; LMF's own time limits apply, up to a minute."""
         from drivers.trackers import lmf
         from drivers.trackers.protocol import TrackerError, TrackerLinkLost
 

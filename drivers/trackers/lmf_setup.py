@@ -1,6 +1,6 @@
-"""Writing settings into LMF's object tree. Every value is read back, because LMF ignores some writes silently.
+"""Writing of settings into LMF's object tree. Every value is read back, because LMF ignores some writes silently.
 
-``tracker`` is LMF's tracker object. No event handler may be subscribed meanwhile (see ``lmf``).
+``tracker`` is LMF's tracker object. No event handler may be subscribed during a write (see ``lmf``).
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ _MANUAL_AIR = ("ManualTemperature", "ManualPressure", "ManualHumidity")
 def apply_settings(lmf: Lmf, tracker: Any, use: LmfOptions, preparation: Preparation) -> str:
     """Write all settings that LMF forgets at a connect, and the few it keeps; return the selected reflector's name.
 
-    Raises ``TrackerError`` for a setting that LMF does not take, ``ValueError`` for one that the tracker does not have.
+    Raises ``TrackerError`` for a setting that LMF does not accept, ``ValueError`` for one that the tracker does not
+    have.
     """
     for path, kind, name in (
         (("Settings", "CoordinateType"), "ECoordinateType", "Cartesian"),
@@ -78,7 +79,7 @@ def set_enumeration(lmf: Lmf, root: Any, path: tuple[str, ...], kind: str, name:
         return
     try:
         setattr(owner, attribute, wanted)
-    except TypeError:  # some value objects take the number
+    except TypeError:  # some value objects accept only the number
         setattr(owner, attribute, int(wanted))
     if int(holder()[2]) != int(wanted):
         raise TrackerError(f"tracker: {'.'.join(path)} does not take {name}; it stays at {holder()[2]}")
@@ -98,7 +99,7 @@ def set_value(owner: Any, name: str, wanted: object) -> None:
 
 
 def set_quantity(value: Any, kind: str, wanted_si: float) -> None:
-    """Set a value object from SI, in the unit that it reports."""
+    """Set a value object to a value in SI units, converted to the unit that the object reports."""
     value.Value = wanted_si / si_factor(value, kind)
 
 
@@ -145,7 +146,7 @@ def _set_air(lmf: Lmf, station: Any, preparation: Preparation) -> None:
 
 
 def laser_and_stand(tracker: Any) -> list[str]:
-    """Return what laser and stand lack for measuring, as sentences."""
+    """Return what the laser and the stand lack for measuring, as sentences."""
     unmet = []
     laser = tracker.Laser
     if laser is not None and not unwrap(laser.IsOn):

@@ -1,8 +1,8 @@
-"""A Leica tracker through LMF that follows a moving SMR: LMF's continuous time measurement.
+"""A Leica tracker through LMF that follows a moving SMR with LMF's continuous time measurement.
 
-LMF delivers packets, at most 50 a second, on a thread of its own and waits until the handler has returned: it stores
-the packet and the time, nothing else. Another thread of the driver reads the points from it. The stamps are those of
-the tracker's controller. A beam that breaks shows in ``Targets.Selected``, as LMF publishes no error number for it.
+LMF delivers packets, at most 50 a second, on a thread of its own and waits until the handler has returned. The handler
+only stores the packet and the time; another thread of the driver reads the points from it. Timestamps are those of the
+tracker's controller. A broken beam shows in ``Targets.Selected``, as LMF publishes no error number for it.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from drivers.trackers.protocol import (
 )
 
 LIMITS = StreamLimits(1e-3, 1.0)
-"""An AT960 measures 1000 points a second at most."""
+"""Intervals between two points: an AT960 measures at most 1000 points a second."""
 _PROFILE = "ContinuousTimeProfile"
 _ENDS_WITHIN_S = 5.0
 _LOST = "beam"
 
 
 class LmfStreamTracker(LmfTracker):
-    """One Leica tracker through LMF, see ``LmfTracker``; where LMF has continuous measurements, it streams."""
+    """One Leica tracker through LMF, see ``LmfTracker``; it streams if LMF has continuous measurements."""
 
     _follows: _Following | None = None
 
     def stream_limits(self) -> StreamLimits | None:
-        """Return those of an AT960; None where this tracker has no continuous measurement."""
+        """Return the limits of an AT960; None if this tracker has no continuous measurement."""
         profile = self._call("reading the profiles", lambda its: _continuous(its) is not None)
         return LIMITS if profile else None
 
@@ -71,12 +71,12 @@ class LmfStreamTracker(LmfTracker):
         try:
             self._call("starting to follow", partial(self._begin, following=following, interval_s=interval_s))
         except BaseException:
-            with contextlib.suppress(TrackerError):  # the reason why it did not begin is the one to report
+            with contextlib.suppress(TrackerError):  # report why it did not begin, not why it did not end
                 self.end_track()
             raise
 
     def end_track(self) -> Track:
-        """Stop measuring, go back to stationary measurements and return all points."""
+        """Stop measuring, return to stationary measurements and return all points."""
         following, self._follows = self._follows, None
         if following is None:
             return Track.of([])
@@ -87,22 +87,22 @@ class LmfStreamTracker(LmfTracker):
         return Track.of(packets)
 
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
-        """Measure at rest; a track ends."""
+        """Measure at rest; end a track."""
         self._leave()
         return super().measure(expected_M, averaging_s)
 
     def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
-        """Measure at rest in both faces; a track ends."""
+        """Measure at rest in both faces; end a track."""
         self._leave()
         return super().measure_two_face(expected_M, averaging_s)
 
     def prepare(self, settings: Preparation) -> None:
-        """Prepare; a track ends."""
+        """Prepare the tracker; end a track."""
         self._leave()
         super().prepare(settings)
 
     def disconnect(self) -> None:
-        """Release the tracker; a track ends."""
+        """Release the tracker; end a track."""
         with contextlib.suppress(TrackerError):
             self._leave()
         super().disconnect()
@@ -128,14 +128,14 @@ class LmfStreamTracker(LmfTracker):
         self._apply(tracker, self._preparation)  # stops the measurement and selects the stationary one
 
     def _leave(self) -> None:
-        """End a track that nobody has ended."""
+        """End a track that is still running."""
         if self._follows is not None:
             self.end_track()
 
     # -- on the thread that reads packets ------------------------------------------------------------------------------
 
     def _packet(self, points: Any, arrived_s: float) -> Packet:
-        """Read a packet of LMF. Raises ``TrackerError``."""
+        """Convert a packet of LMF. Raises ``TrackerError``."""
         stamps, places = [], []
         with self._translating_errors("reading points"):
             for one in points:
@@ -151,7 +151,7 @@ class LmfStreamTracker(LmfTracker):
 
 
 class _Following:
-    """What LMF sends while it follows: handlers that only store it, and a thread that reads it."""
+    """Receiver of LMF's events during a track: handlers that only store them, and a thread that reads them."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class _Following:
         self._queue: queue.SimpleQueue[tuple[Any, float] | None] = queue.SimpleQueue()
         self._packets: list[Packet] = []
         self._over = self._subscribed = False
-        # bound once: an event must be given the same object when the handler is removed
+        # bound once: a handler must be removed as the same object
         self._arrived_handler, self._selected_handler = self._arrived, self._selected
         self._thread = threading.Thread(target=self._work, name="LMF points", daemon=True)
         self._thread.start()
@@ -180,17 +180,17 @@ class _Following:
             set_handler(owner, name, handler, wanted=wanted)
 
     def end(self) -> list[Packet]:
-        """Read what has come and return all packets."""
+        """Read all stored events and return all packets."""
         self._queue.put(None)
         self._thread.join(_ENDS_WITHIN_S)
         return self._packets
 
     def _arrived(self, *arguments: Any) -> None:
-        """Keep what LMF sends: sender, points, error."""
+        """Store an event of LMF: sender, points, error."""
         self._queue.put((arguments[1:], time.monotonic()))
 
     def _selected(self, *arguments: Any) -> None:
-        """Keep that the beam broke: the target is null then."""
+        """Store that the beam broke: the target is null then."""
         if arguments and arguments[-1] is None:
             self._queue.put((_LOST, time.monotonic()))
 
@@ -200,7 +200,7 @@ class _Following:
                 self._take(*item)
 
     def _take(self, what: Any, arrived_s: float) -> None:
-        """Read a packet, or tell that the track has ended."""
+        """Read a packet, or report that the track has ended."""
         try:
             if what == _LOST:
                 raise TargetLost("tracker: the beam to the SMR broke while it was followed")
@@ -218,5 +218,5 @@ class _Following:
 
 
 def _continuous(tracker: Any) -> Any:
-    """LMF's profile of a continuous measurement; None if this tracker has none."""
+    """Return LMF's profile of a continuous measurement; None if this tracker has none."""
     return next((one for one in unwrap(tracker.Measurement.Profiles) if type(one).__name__ == _PROFILE), None)

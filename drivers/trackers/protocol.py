@@ -27,7 +27,7 @@ class TrackerIdentity:
     software: str
 
     def report(self) -> DeviceReport:
-        """The identity as what a probe found."""
+        """Return the identity as the result of a probe."""
         return DeviceReport(model=self.model, serial=self.serial, software=self.software)
 
 
@@ -117,20 +117,20 @@ class Point:
 
     @property
     def orientation(self) -> tuple[NDArray[np.float64], float] | None:
-        """Quaternion and its standard uncertainty, 0 if not reported; None where no orientation was measured."""
+        """Quaternion and its standard uncertainty (0 if not reported); None if no orientation was measured."""
         return None if self.quaternion_M is None else (self.quaternion_M, self.sigma_rad or 0.0)
 
 
 @dataclass(frozen=True)
 class TwoFace:
-    """The same SMR in both faces. Their difference shows systematic errors that averaging does not reduce."""
+    """Measurements of the same SMR in both faces. They differ by systematic errors that averaging does not reduce."""
 
     first: Point
     second: Point
 
     @property
     def across_m(self) -> float:
-        """Full difference of the two faces perpendicular to the beam [m]; half of it is ISO 10360-10's convention."""
+        """Full difference of the two faces perpendicular to the beam [m]; ISO 10360-10 uses half of it."""
         difference, beam = self._split()
         return float(np.linalg.norm(difference - (difference @ beam) * beam))
 
@@ -165,7 +165,7 @@ class Inclination:
 
     @property
     def moved(self) -> bool:
-        """Whether the drift is beyond the threshold."""
+        """Whether the drift exceeds the threshold."""
         return self.drift_rad > self.threshold_rad
 
 
@@ -206,7 +206,7 @@ class TrackerLinkLost(TrackerError):
 
 
 class Tracker(Protocol):
-    """One tracker. Calls come one at a time, but ``halt`` and ``data_age_s`` at any time and from any thread."""
+    """One tracker. Calls come one at a time; ``halt`` and ``data_age_s`` may be called at any time from any thread."""
 
     def connect(self) -> None:
         """Open the link and apply the settings given to the driver. Raises ``TrackerLinkLost``, ``TrackerRefused``."""
@@ -215,7 +215,7 @@ class Tracker(Protocol):
         """Return model, serial number and software of the tracker."""
 
     def prepare(self, settings: Preparation) -> None:
-        """Initialise where needed and apply ``settings``: right-handed Cartesian metres, stationary measurements.
+        """Initialise if needed and apply ``settings``: right-handed Cartesian metres, stationary measurements.
 
         Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that this tracker does not have.
         """
@@ -224,16 +224,16 @@ class Tracker(Protocol):
         """Return every unmet precondition of measuring, as sentences; empty if ready."""
 
     def confirm(self, within_s: float) -> None:
-        """Make sure that the tracker itself answers now; what it lacks for measuring does not matter.
+        """Check that the tracker itself answers now; unmet preconditions of measuring do not matter.
 
-        A connection that was dropped is made again once, at once. Never lasts longer than ``within_s`` [s].
+        A dropped connection is reopened once, at once. Never takes longer than ``within_s`` [s].
 
         Raises
         ------
         TrackerLinkLost
-            At once if the connection is closed and cannot be made again; or if nothing comes within ``within_s``.
+            At once if the connection is closed and cannot be reopened; or if no answer arrives within ``within_s``.
         TrackerTimeout
-            If the tracker is still at work on an earlier command that was halted or abandoned.
+            If the tracker is still executing an earlier command that was halted or abandoned.
         """
 
     def data_age_s(self) -> float:
@@ -263,18 +263,18 @@ class Tracker(Protocol):
 
 
 PACKETS_HZ = 50.0
-"""Most packets a tracker sends in a second: one carries several points, so that only their own stamps tell when."""
+"""Largest rate of packets. A packet has several points, so only their own timestamps tell when they were measured."""
 
 
 @dataclass(frozen=True)
 class StreamLimits:
-    """What a tracker can stream: shortest and longest time between two points of a moving SMR [s]."""
+    """Limits of a tracker's stream: shortest and longest time between two points of a moving SMR [s]."""
 
     shortest_s: float
     longest_s: float
 
     def check(self, interval_s: float) -> None:
-        """Raise ``ValueError`` for a time between two points that the tracker does not have."""
+        """Raise ``ValueError`` for a point interval outside the limits."""
         if not self.shortest_s * (1.0 - 1e-9) <= interval_s <= self.longest_s * (1.0 + 1e-9):
             raise ValueError(
                 f"tracker: a point each {interval_s:g} s was asked for; it measures one each {self.shortest_s:g} to"
@@ -284,20 +284,20 @@ class StreamLimits:
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """Points that came together.
+    """Points that arrived together.
 
     Attributes
     ----------
     device_time_s : array, shape (n,)
-        Their stamps by the tracker's own clock [s].
+        Their timestamps on the tracker's own clock [s].
     p_M : array, shape (n, 3)
         SMR centres [m].
     sigma_m : array, shape (n,)
-        Standard uncertainty of a coordinate of each [m]; NaN: not known.
+        Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : float
-        When they arrived, on the cell's clock [s]: late by up to some 40 ms.
+        When they arrived, on the cell's clock [s]: late by up to about 40 ms.
     triggers_s : array, shape (k,)
-        Stamps of pulses at the tracker's trigger input since the last packet [s].
+        Timestamps of pulses at the tracker's trigger input since the last packet [s].
     """
 
     device_time_s: NDArray[np.float64]
@@ -314,15 +314,15 @@ class Track:
     Attributes
     ----------
     device_time_s : array, shape (n,)
-        Stamps by the tracker's own clock [s].
+        Timestamps on the tracker's own clock [s].
     p_M : array, shape (n, 3)
         SMR centres [m].
     sigma_m : array, shape (n,)
-        Standard uncertainty of a coordinate of each [m]; NaN: not known.
+        Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : array, shape (n,)
         When the packet of each point arrived, on the cell's clock [s].
     triggers_s : array, shape (k,)
-        Stamps of pulses at the trigger input [s].
+        Timestamps of pulses at the trigger input [s].
     """
 
     device_time_s: NDArray[np.float64]
@@ -333,7 +333,7 @@ class Track:
 
     @classmethod
     def of(cls, packets: Sequence[Packet]) -> Self:
-        """All points of ``packets``, which are in order."""
+        """Join all points of ``packets``, which are in order."""
         counts = [len(packet.device_time_s) for packet in packets]
         return cls(
             np.concatenate([np.empty(0), *(packet.device_time_s for packet in packets)]),
@@ -345,36 +345,37 @@ class Track:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Times on the cell's clock (n,) [s]: the stamps, shifted by the shortest delay of a packet.
+        """Times on the cell's clock (n,) [s]: the timestamps, shifted by the shortest delay of a packet.
 
-        What the shortest delay is, and 0.1 ms a minute for each 2 ppm by which both clocks run apart, remains.
+        Two errors remain: the shortest delay itself, and 0.1 ms a minute for each 2 ppm of rate difference of the
+        clocks.
         """
         if not len(self.device_time_s):
             return self.device_time_s
         return np.asarray(self.device_time_s + (self.arrived_s - self.device_time_s).min())
 
     def within(self, rows: NDArray[np.bool_]) -> Track:
-        """The points of ``rows`` (n,), with all pulses."""
+        """Return the points of the mask ``rows`` (n,), with all pulses."""
         return Track(
             self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows], self.triggers_s
         )
 
     def missing(self, interval_s: float) -> int:
-        """How many points, one each ``interval_s``, did not come: the tracker could not send them."""
+        """Return the number of lost points, given one every ``interval_s``: the tracker could not send them."""
         steps = np.rint(np.diff(self.device_time_s) / interval_s)
         return int(np.maximum(steps - 1.0, 0.0).sum())
 
 
 def no_packet(packet: Packet) -> None:
-    """For those who look at the whole track only."""
+    """Ignore a packet; the default for callers that use the whole track only."""
 
 
 @runtime_checkable
 class StreamingTracker(Protocol):
-    """What a tracker can do besides, if its driver measures an SMR while it moves; see ``stream_of``."""
+    """Additional interface of a tracker whose driver measures an SMR while it moves; see ``stream_of``."""
 
     def stream_limits(self) -> StreamLimits | None:
-        """Return what the tracker can stream; None if it cannot. Known when connected; raises ``TrackerLinkLost``."""
+        """Return the limits of the stream; None if there is none. Raises ``TrackerLinkLost`` unless connected."""
 
     def start_track(
         self,
@@ -383,32 +384,32 @@ class StreamingTracker(Protocol):
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None] = no_packet,
     ) -> None:
-        """Lock the SMR at ``expected_M`` (3,) [m], at rest, and measure it each ``interval_s`` [s] from now on.
+        """Lock the SMR at ``expected_M`` (3,) [m], at rest, and measure it every ``interval_s`` [s] from now on.
 
-        ``received`` is called with each packet and ``lost`` when the beam breaks or the tracker dies, both from any
-        thread; they return soon. A broken track has no further points. While a track is on, ``confirm`` fetches what
-        has come and is called several times a second; another measurement ends it. Raises like ``Tracker.measure``,
-        and ``ValueError`` beyond ``stream_limits``.
+        ``received`` is called with each packet, and ``lost`` when the beam breaks or the tracker dies. Both are called
+        from any thread and must return soon. After a broken beam the track gets no further points. During a track call
+        ``confirm`` several times a second: it fetches the points. Another measurement ends the track. Raises like
+        ``Tracker.measure``, and ``ValueError`` beyond ``stream_limits``.
         """
 
     def end_track(self) -> Track:
-        """End measuring and return all points, also those before the beam broke. Raises ``TrackerLinkLost``."""
+        """End the track and return all points, also those before the beam broke. Raises ``TrackerLinkLost``."""
 
 
 def stream_limits_of(tracker: Tracker) -> StreamLimits | None:
-    """What a tracker can stream; None if it, or its driver, cannot. Raises ``TrackerLinkLost``."""
+    """Return the limits of a tracker's stream; None if it, or its driver, cannot stream. Raises ``TrackerLinkLost``."""
     return tracker.stream_limits() if isinstance(tracker, StreamingTracker) else None
 
 
 def stream_of(tracker: Tracker) -> StreamingTracker | None:
-    """The tracker, if it can measure an SMR while it moves. Raises ``TrackerLinkLost``."""
+    """Return the tracker if it can measure an SMR while it moves, else None. Raises ``TrackerLinkLost``."""
     return tracker if isinstance(tracker, StreamingTracker) and tracker.stream_limits() is not None else None
 
 
 def checked_point(
     expected_M: NDArray[np.float64], averaging_s: float, longest_s: float = math.inf
 ) -> NDArray[np.float64]:
-    """The point (3,) [m] at which to measure for ``averaging_s``. Raises ``ValueError`` for what cannot be measured."""
+    """Check and return the point (3,) [m] of a measurement of ``averaging_s``. Raises ``ValueError`` if invalid."""
     if not 0.0 < averaging_s < math.inf or averaging_s > longest_s:
         raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
     expected = np.asarray(expected_M, dtype=np.float64)
@@ -418,6 +419,6 @@ def checked_point(
 
 
 def require_ready(unmet: Sequence[str]) -> None:
-    """Raise ``NotReady`` with all preconditions that are not met, if any."""
+    """Raise ``NotReady`` with all unmet preconditions, if any."""
     if unmet:
         raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")

@@ -1,4 +1,4 @@
-"""The kinds of tracker; profile, cell and doctor use this list.
+"""All kinds of tracker; profile, cell and doctor use this list.
 
 A new kind is one module and one line here, or a plug-in.
 """

@@ -1,4 +1,4 @@
-"""What every kind of tracker brings: its settings, how it is opened and probed, what generic code may ask about it."""
+"""Interface of every kind of tracker: settings, how it is opened and probed, and what generic code may ask about it."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ class TrackerSettings(Section):
 
     kind: str
     repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and keeps the device from nobody."""
+    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
     needs_plant: ClassVar[bool] = False
     """Whether the tracker belongs to the simulated cell."""
     has_device: ClassVar[bool] = True
-    """Whether there is a tracker; otherwise the readings come from a file."""
+    """Whether there is a tracker; if not, readings come from a file."""
     can_be_served: ClassVar[bool] = True
-    """Whether this computer reaches the tracker itself, so that ``cellapp tracker-bridge`` can serve it to others."""
+    """Whether this computer reaches the tracker directly, so that ``cellapp tracker-bridge`` can serve it to others."""
 
     def preparation(self) -> Preparation | None:
-        """Return what to prepare when a job starts; None if connecting has done it."""
+        """Return what must be prepared when a job starts; None if ``connect`` prepares it."""
         return None
 
     def emulated_bridge(self) -> EmulatedBridge | None:
-        """Return where ``cellapp emulate`` can replace the tracker; None if it must not."""
+        """Return the address at which ``cellapp emulate`` can replace the tracker; None if it must not."""
         return None
 
     def token(self) -> str | None:
@@ -67,7 +67,7 @@ class TrackerSettings(Section):
 
     @abstractmethod
     def open(self, tracker: TrackerContext) -> Tracker:
-        """Return the driver, not connected yet. Raises ``SettingError``."""
+        """Create the driver, not connected yet. Raises ``SettingError``."""
 
     @abstractmethod
     def probe(self, tracker: TrackerContext, patience_s: float) -> Sequence[Finding]:

@@ -46,27 +46,27 @@ POINTING_S = 0.5
 FACE_CHANGE_S = 3.0
 INITIALISE_S = 30.0
 SETTLE_S = 0.1
-"""An SMR still shakes if its arm was at rest for less than this."""
+"""Time at rest after which an SMR no longer shakes."""
 INCLINATION_THRESHOLD_RAD = 15e-6
 REFLECTORS = ("simulated 1.5 in",)
 
 _WATCH_S = 0.02
 """Interval of checking the target while anything moves: 5 mm at 0.25 m/s."""
 _MOVED_M = 5e-6
-"""A target that moves by more than the tracker's noise is unstable."""
+"""A target that moves by more than the tracker's noise counts as unstable."""
 _STANDARD_AIR = (20.0, 1013.25, 50.0)
-"""Temperature [degC], pressure [hPa] and humidity [%] without a weather station."""
+"""Air for the refraction correction without a weather station: temperature [degC], pressure [hPa], humidity [%]."""
 
 
 class SimulatedTracker:
-    """The tracker of a ``Plant``. It locks the visible SMR that is nearest to the expected point, of whichever arm.
+    """The tracker of a ``Plant``. It locks the visible SMR that is nearest to the expected point, of any arm.
 
     An SMR is visible inside the field of view and its acceptance angle, if no body of any arm crosses the beam.
 
     Attributes
     ----------
     obstacles : list of str
-        Preconditions that are not met, in words; add one to make it refuse.
+        Unmet preconditions in words; add one to make the tracker refuse.
     measured : int
         Number of points measured.
     """
@@ -110,9 +110,9 @@ class SimulatedTracker:
         self._tilt_drift_rad = 0.0
         self._halt = threading.Event()
         self._stream: SimulatedStream | None = None
-        """Of the SMR that is followed; None if none is."""
+        """Stream of the SMR that is being followed; None if there is none."""
         self._blind_until_s = -math.inf
-        """Until when a beam that broke cannot be locked again [s]."""
+        """Time until which a broken beam cannot be locked again [s]."""
         self._dynamic = np.random.default_rng([plant.config.seed, 3])
         self._turns = np.random.default_rng([plant.config.seed, 5])
         self._connected = False
@@ -165,7 +165,7 @@ class SimulatedTracker:
         return TrackerIdentity(model="simulated tracker", serial="SIM-tracker", software="simulated")
 
     def prepare(self, settings: Preparation) -> None:
-        """Apply ``settings``; after a restart, initialise first, which takes ``INITIALISE_S``."""
+        """Apply ``settings``; after a restart initialise first, which takes ``INITIALISE_S``."""
         self._link()
         if settings.reflector and settings.reflector not in REFLECTORS:
             known = ", ".join(f"'{name}'" for name in REFLECTORS)
@@ -177,7 +177,7 @@ class SimulatedTracker:
         self._settings = settings
 
     def unmet(self) -> list[str]:
-        """Return every precondition that is not met, in words."""
+        """Return every unmet precondition in words."""
         self._link()
         unmet = list(self.obstacles)
         if not self._initialised:
@@ -212,7 +212,7 @@ class SimulatedTracker:
         require_ready(self.unmet())
         expected = checked_point(expected_M, averaging_s)
         self._halt.clear()
-        if self._stream is not None:  # another measurement ends it
+        if self._stream is not None:  # another measurement ends the stream
             self._stream.end()
             self._stream = None
         return expected
@@ -253,7 +253,7 @@ class SimulatedTracker:
         )
 
     def _orientation(self, locked: Smr) -> Vector | None:
-        """Return the measured orientation of a 6-D probe (4,)."""
+        """Return the measured orientation of a 6-D probe (4,); None for an SMR."""
         if locked.R_M_S is None:
             return None
         error = np.zeros(6)
@@ -264,7 +264,7 @@ class SimulatedTracker:
     # -- following a moving SMR ----------------------------------------------------------------------------------------
 
     def stream_limits(self) -> StreamLimits:
-        """Return those of an AT960: up to 1000 points a second."""
+        """Return the limits of an AT960: up to 1000 points a second."""
         self._link()
         return STREAM_LIMITS
 
@@ -275,7 +275,7 @@ class SimulatedTracker:
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None] = no_packet,
     ) -> None:
-        """Lock the SMR and measure it each ``interval_s``, while others let the plant's time pass."""
+        """Lock the SMR and measure it every ``interval_s``, while other calls advance the plant's time."""
         STREAM_LIMITS.check(interval_s)
         expected = self._checked_request(expected_M, interval_s)
         self._wait(POINTING_S)
@@ -302,7 +302,7 @@ class SimulatedTracker:
         self._stream.begin()
 
     def end_track(self) -> Track:
-        """End measuring and return all points."""
+        """End the track and return all points."""
         stream, self._stream = self._stream, None
         self._link()
         track = Track.of([]) if stream is None else stream.end()
@@ -310,12 +310,12 @@ class SimulatedTracker:
         return track
 
     def trigger(self) -> None:
-        """A pulse came at the trigger input now."""
+        """Register a pulse at the trigger input now."""
         if self._stream is not None:
             self._stream.trigger()
 
     def _points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
-        """Measured points (n, 3) and their standard uncertainties (n,) of true ones."""
+        """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
         air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
         read, covariance = self._plant.measure_positions(p_M)
         applied = self._applied(air)[0]
@@ -344,7 +344,7 @@ class SimulatedTracker:
         return any(self._plant.moving(name) for name in self._plant.names)
 
     def _wait(self, duration_s: float) -> None:
-        """Let time pass in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
+        """Advance time in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
         end_s = self._plant.clock_s + duration_s
         left = duration_s
         while left > 0.0:
@@ -356,7 +356,7 @@ class SimulatedTracker:
             left = 0.0 if left <= step else end_s - self._plant.clock_s
 
     def _average(self, locked: Smr, averaging_s: float) -> None:
-        """Wait for the end of the averaging, and check the target while anything moves or is changed by an event."""
+        """Wait for the end of the averaging; check the target while anything moves or an event changes it."""
         began_s = self._plant.clock_s
         left = averaging_s
         while left > 0.0:
@@ -401,7 +401,7 @@ class SimulatedTracker:
         errors, since_s = self._errors, self._plant.clock_s - self._switched_on_s
         cold = math.exp(-since_s / errors.warm_up_s)
         p_M = errors.pointed(p_M, face, cold)
-        if applied != air:  # it divides the optical path by the index of the assumed air
+        if applied != air:  # it divides the optical path by the refractive index of the assumed air
             p_M = p_M * ((1.0 + refractivity(*air)) / (1.0 + refractivity(*applied)))
         if errors.warm_up_m and cold > 0.0:
             distance = float(np.linalg.norm(p_M))

@@ -19,7 +19,7 @@ class SimulatedTrackerSettings(TrackerSettings):
     needs_plant: ClassVar[bool] = True
 
     def preparation(self) -> Preparation:
-        """Return that it is prepared as it is: after a restart this initialises it."""
+        """Return default settings: after a restart, preparing initialises the tracker."""
         from drivers.trackers.protocol import Preparation
 
         return Preparation()

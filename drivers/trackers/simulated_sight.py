@@ -1,4 +1,4 @@
-"""What the simulated tracker sees: SMRs of arms and nests, and what is between them and it."""
+"""The view of the simulated tracker: SMRs of arms and nests, and the bodies between them and the tracker."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Smr:
-    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible).
+    """An SMR: its owner in words, its arm (None for a nest), position (3,) [m] in M, why it is hidden ("" if visible).
 
     ``nest`` is the name of a further SMR on a flange; ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
     """
@@ -46,16 +46,16 @@ class Sight:
     """
 
     def __init__(self, plant: Plant, nests: Mapping[str, Vector] | None) -> None:
-        """``nests`` are SMRs in fixed places, name -> (3,) [m] in M."""
+        """``nests`` are SMRs at fixed places, name -> (3,) [m] in M."""
         self._plant = plant
         self._nests = {name: np.array(p, dtype=np.float64) for name, p in (nests or {}).items()}
         self._bodies = {arm.name: nominal(arm) for arm in plant.config.arms}
         self._placed: dict[str, tuple[bytes, tuple[Vector, Vector]]] = {}
-        """Arm -> joint positions, and the ends of its capsules there."""
+        """Cache: arm -> joint positions, and the ends of its capsules there."""
         self.covered: set[str] = set()
 
     def targets(self) -> list[Smr]:
-        """Return all SMRs of arms and nests, without regard to bodies in the beam."""
+        """Return all SMRs of arms and nests, ignoring bodies in the beam."""
         found = []
         for target in self._plant.targets():
             owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
@@ -69,7 +69,7 @@ class Sight:
         return found
 
     def _cover(self, *names: str) -> str:
-        """Why an SMR of these names is covered; empty if it is not."""
+        """Return why an SMR of these names is covered; empty if it is not."""
         return "something covers it" if any(name in self.covered for name in names) else ""
 
     def behind_bodies(self, target: Smr) -> Smr:
@@ -78,7 +78,7 @@ class Sight:
         return replace(target, hidden=why)
 
     def _beam_obstacle(self, p_M: Vector, owner: str | None) -> str:
-        """Return in words whose body is between the tracker and ``p_M``; "" if none is.
+        """Return in words whose body is between the tracker and ``p_M``; empty if there is none.
 
         Bodies fixed to the owner's flange are not checked: they hold the SMR, where the beam ends.
         """
@@ -99,7 +99,7 @@ class Sight:
         return ""
 
     def _segments(self, name: str) -> tuple[Vector, Vector]:
-        """Return the ends (k, 3) of an arm's capsules in M, which stay while the arm rests."""
+        """Return the ends (k, 3) of an arm's capsules in M, cached while the arm rests."""
         q = self._plant.q(name)
         key = q.tobytes()
         if name not in self._placed or self._placed[name][0] != key:
@@ -110,14 +110,14 @@ class Sight:
         return self._placed[name][1]
 
     def recent(self, locked: Smr, time_s: Vector) -> tuple[Vector, Vector]:
-        """Positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
+        """Return positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
         if locked.arm is not None:
             return recent_smr(self._plant, locked.arm, time_s, locked.nest)
         p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
         return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
 
     def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
-        """Why an SMR at ``p_M`` (3,) is not seen now; empty if it is."""
+        """Return why an SMR at ``p_M`` (3,) is not visible now; empty if it is."""
         names = (locked.owner.removeprefix("nest "),) if locked.arm is None else (locked.arm, locked.owner)
         if why := self._cover(*names):
             return why

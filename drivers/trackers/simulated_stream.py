@@ -1,4 +1,4 @@
-"""The stream of the simulated tracker: points of a moving SMR in packets, stamped by the tracker's own clock."""
+"""The stream of the simulated tracker: points of a moving SMR in packets, timestamped by the tracker's own clock."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Vector = NDArray[np.float64]
 
 STREAM_LIMITS = StreamLimits(1e-3, 1.0)
 _STILL_M = 1e-9
-"""An SMR that moves less between two packets is at rest."""
+"""Motion between two packets below which an SMR counts as resting."""
 TRIGGER_S = 5e-6
-"""Largest error of the stamp of a pulse at the trigger input [s]."""
+"""Largest error of the timestamp of a pulse at the trigger input [s]."""
 
 
 class Measured(Protocol):
-    """Measures true points (n, 3) [m]: points and standard uncertainties (n,)."""
+    """Function that simulates measurements of true points (n, 3) [m]: points and standard uncertainties (n,)."""
 
     def __call__(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
-        """Return what the tracker reads."""
+        """Return the measured points."""
 
 
 class SimulatedStream:
-    """Follows one SMR; the plant's schedule lets its packets go while others let time pass."""
+    """Stream of one SMR; the plant's schedule sends its packets while other calls advance the time."""
 
     def __init__(
         self,
@@ -46,8 +46,8 @@ class SimulatedStream:
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None],
     ) -> None:
-        """``owner`` names whose SMR it is; ``true_smr`` gives its positions and viewing directions (n, 3) at recent
-        times (n,), ``hidden`` why it is not seen with one of each, empty if it is."""
+        """``owner`` names the owner of the SMR. ``true_smr`` returns its positions and viewing directions (n, 3) at
+        recent times (n,). ``hidden`` returns why it is not visible at one of them; empty if it is."""
         self._plant, self._errors, self._owner = plant, errors, owner
         self._true_smr, self._hidden = true_smr, hidden
         self._measured, self._interval_s, self._rng = measured, interval_s, rng
@@ -61,7 +61,7 @@ class SimulatedStream:
         self._on = True
 
     def begin(self) -> None:
-        """Take the first point, and enter the first packet into the schedule."""
+        """Take the first point, and schedule the first packet."""
         self._send(0)
 
     def end(self) -> Track:
@@ -72,17 +72,17 @@ class SimulatedStream:
         return Track.of(self._packets)
 
     def trigger(self) -> None:
-        """Keep the stamp of a pulse."""
+        """Store the timestamp of a pulse."""
         error_s = self._rng.uniform(-TRIGGER_S, TRIGGER_S)
         self._triggers.append(float(self._errors.own_time_s(np.array(self._plant.clock_s + error_s))))
 
     def _send(self, number: int) -> None:
-        """Let one packet go, and enter the next one."""
+        """Send one packet and schedule the next."""
         if self._on and self._take(may_break=number > 0):
             self._plant.schedule.at(self._began_s + (number + 1) * self._packet_s, lambda: self._send(number + 1))
 
     def _take(self, *, may_break: bool) -> bool:
-        """Measure what is due since the last packet, and send it; False if the beam broke meanwhile."""
+        """Measure the points due since the last packet and send them; return False if the beam has broken."""
         due = math.floor((self._plant.clock_s - self._began_s) / self._interval_s + 1e-6) + 1
         time_s = self._began_s + self._interval_s * np.arange(self._taken, due, dtype=np.float64)
         self._taken = due
@@ -100,14 +100,14 @@ class SimulatedStream:
         return True
 
     def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:
-        """Why the beam is broken now; empty if it is not."""
+        """Return why the beam is broken now; empty if it is not."""
         often = self._errors.lost_beams_per_min * self._packet_s / 60.0
         return self._hidden(p_M, normal_M) or (
             "something crossed it" if may_break and self._rng.random() < often else ""
         )
 
     def _go(self, packet: Packet) -> None:
-        """Let a packet arrive, as late as the receiving computer is."""
+        """Deliver a packet, delayed by the receiving computer's random delay."""
         late_s = self._rng.uniform(0.0, self._errors.packet_jitter_s)
         self._arrived_s = max(self._arrived_s, self._plant.clock_s + late_s)
         packet = replace(packet, arrived_s=self._arrived_s)

@@ -1,4 +1,4 @@
-"""The command line: the verbs, the trials, and what every command shares.
+"""The command line: the verbs, the trials, and what all commands share.
 
 A command imports what it needs when it is called, so that help and requests to a running job do not wait for the rest.
 """
@@ -14,17 +14,17 @@ from cellapp.ground.errors import CellappError
 from cellapp.interfaces.cli.requests import ask_job, plain_request
 
 _COMPLETION = "_CELLAPP_COMPLETE"
-"""Variable by which a shell asks typer to complete a command line."""
+"""Environment variable with which a shell asks typer to complete a command line."""
 _COLLECTED_AFTER = (20_000, 10, 10)
-"""Thresholds of Python's collector: by its own (700, 10, 10) it passes over the modules again and again as they load,
-and over the widgets of the terminal application at every key."""
+"""Thresholds of Python's garbage collector. With its defaults (700, 10, 10) it scans the modules again and again while
+they load, and the widgets of the terminal application at every key."""
 
 
 def main() -> None:
-    """The program. A plain request to a running job is sent before the rest of the program is loaded: it may be a stop.
+    """Run the program. A plain request to a running job is sent before the rest of the program loads: it may be a stop.
 
-    The list of commands needs none of them, the terminal application no command line. Everything else, and whatever
-    goes wrong, is the matter of the whole command line.
+    The list of commands and the terminal application also start without the whole command line. It handles everything
+    else, and all errors.
     """
     gc.set_threshold(*_COLLECTED_AFTER)
     if sys.argv[1:] in (["-h"], ["--help"]):

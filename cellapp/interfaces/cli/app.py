@@ -1,4 +1,4 @@
-"""The verbs as commands: parse, call, print. Slow imports stand where they are used, so that commands begin quickly."""
+"""The verbs as commands: parse, call, print. Slow imports are inside functions, so that commands start quickly."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ app.add_typer(trials_app, name="trials")
 
 
 def main() -> None:
-    """The program; exit codes as in the handbook, chapter "commands"."""
+    """Run the program; exit codes as in the handbook, chapter "commands"."""
     run_program(partial(app, prog_name="cellapp"))

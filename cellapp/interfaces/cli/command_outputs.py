@@ -1,4 +1,4 @@
-"""What a command may write: derived from the declarations of its options, with ``--force`` for each that writes."""
+"""Files that a command may write, derived from the declarations of its options; ``--force`` for each that writes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class CommandOutputs:
-    """What one command was called with: ``outputs`` writes its files, ``files`` are those it names, by option.
+    """Output files of one command call: ``outputs`` writes them, ``files`` are those it names, by option.
 
-    ``later`` are paths that files are named after, which are looked at when they are written; ``stores`` are added to.
+    ``later`` are base paths from which file names are derived; they are checked at writing. ``stores`` are appended to.
     """
 
     outputs: Outputs = NEW_ONLY
@@ -35,7 +35,7 @@ class CommandOutputs:
     stores: dict[str, Path] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Look at all files before anything is done. Raises ``InputError`` for one that may not be written."""
+        """Check all files before anything is done. Raises ``InputError`` for one that may not be written."""
         for option, path in self.stores.items():
             self.outputs.check_added_to(path, option)
         named: dict[str, str] = {}
@@ -54,14 +54,14 @@ _current: ContextVar[CommandOutputs] = ContextVar("command_outputs", default=_NO
 
 
 def current_outputs() -> CommandOutputs:
-    """What the command that runs may write; nothing that is there is replaced where none runs."""
+    """Return the outputs of the running command; without one, outputs that replace no existing file."""
     return _current.get()
 
 
 class Commands(typer.Typer):
-    """A group of commands, each of which has ``--force`` where it has an option that writes.
+    """A group of commands; each that has an option that writes also has ``--force``.
 
-    All commands are registered before the first call: that builds their parameters, and further calls use them again.
+    All commands are registered before the first call, which builds their parameters; further calls reuse them.
     """
 
     @functools.cached_property
@@ -73,7 +73,7 @@ class Commands(typer.Typer):
         return self._built(*args, **settings)
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[[CommandFunction], CommandFunction]:
-        """As that of ``typer.Typer``."""
+        """Register a command, as ``typer.Typer.command`` does."""
         register = super().command(name, **settings)
 
         def registered(function: CommandFunction) -> CommandFunction:
@@ -84,7 +84,7 @@ class Commands(typer.Typer):
 
 
 def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with an option ``--force`` to replace the files that it writes; unchanged if it writes none."""
+    """Return the command with an option ``--force`` to replace files that it writes; unchanged if it writes none."""
     signature = inspect.signature(function, eval_str=True)
     written = {name: how for name, one in signature.parameters.items() if (how := _how(one.annotation)) is not None}
     if not written:
@@ -107,7 +107,7 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def written_by(function: Callable[..., Any]) -> dict[str, Writes]:
-    """The options of a command that write, and how."""
+    """Return the options of a command that write, and how they do."""
     parameters = inspect.signature(function, eval_str=True).parameters.values()
     return {_option(one): how for one in parameters if (how := _how(one.annotation)) is not None}
 
@@ -126,7 +126,7 @@ def _outputs_of(
 
 
 def _paths(value: object) -> Iterator[Path]:
-    """The paths in the value of a parameter; a text may be one, as that of a public key."""
+    """Yield the paths in the value of a parameter; a text may be one, like that of a public key."""
     if isinstance(value, Path):
         yield value
     elif isinstance(value, str) and type(value) is str and value:
@@ -152,6 +152,6 @@ def _how(annotation: object) -> Writes | None:
 
 
 def _option(parameter: inspect.Parameter) -> str:
-    """The name of an option as it is typed, which typer keeps as the default of the declaration."""
+    """Return the name of an option as it is typed; typer stores it as the default of the declaration."""
     found = next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
     return str(found.default)

@@ -1,4 +1,4 @@
-"""Commands made from the records of verbs: options from the fields of the request, output from the view."""
+"""Commands derived from the records of verbs: options from the fields of the request, output from the view."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class _FirstByDefault(TyperGroup):
-    """A group whose first word may be left out."""
+    """A group whose first command word may be omitted."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in self.commands and args[0] != "--help":
@@ -51,7 +51,7 @@ def add_verbs(app: Commands, verbs: Iterable[Verb]) -> None:
 
 
 def group_of(verb: Verb) -> Commands:
-    """The group of a verb with variants: a command for each word."""
+    """Return the group of a verb with variants: one command for each word."""
     group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=inspect.getdoc(verb.request))
     for word, variant in verb.variants.items():
         group.command(word, help=variant.help)(command_of(verb, variant.fixed))
@@ -59,7 +59,7 @@ def group_of(verb: Verb) -> Commands:
 
 
 def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> Callable[..., None]:
-    """The command of a verb, for ``Commands.command``: its signature has an option for each field of the request.
+    """Return the command of a verb, for ``Commands.command``; it has an option for each field of the request.
 
     ``fixed`` are values of fields without an option.
     """
@@ -128,7 +128,7 @@ def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) ->
 
 
 def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
-    """Ask a person; empty where nobody sits at a terminal."""
+    """Ask a person; return an empty answer if nobody sits at a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ""
     said = typed_line(job, f"{question}\n{', '.join(answers)} [{answers[0]}]:") or answers[0]
@@ -136,7 +136,7 @@ def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
 
 
 def _secret(question: str, twice: bool) -> str | None:
-    """A passphrase from the environment, else typed unseen; None where nobody sits at a terminal."""
+    """Return a passphrase from the environment, or typed without echo; None if nobody sits at a terminal."""
     given = os.environ.get(PASSPHRASE_VARIABLE)
     if given is not None or not sys.stdin.isatty():
         return given
@@ -148,7 +148,7 @@ def _secret(question: str, twice: bool) -> str | None:
 
 
 def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:
-    """The parameter of a command for a field of a request."""
+    """Return the command's parameter for a field of a request."""
     bounds = {
         key: getattr(one, "ge" if key == "min" else "le")
         for one in field.metadata
@@ -170,7 +170,7 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def _typed(annotation: Any) -> Any:
-    """The type as typer reads it: several values as a list; of what may be typed or given by a program, the former."""
+    """Return the type for typer: several values as a list; of a union with a form for programs, the typed form."""
     if get_origin(annotation) is tuple:
         return list.__class_getitem__(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):

@@ -1,4 +1,4 @@
-"""What every command shares: progress bars, cancelling, tables and JSON."""
+"""Shared parts of all commands: progress bars, cancellation, tables and JSON."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
 _BY_KEY = available("SIGINT", "SIGBREAK")
-"""A person pressed Ctrl-C; everything else that ends the job is recorded as what it was."""
+"""Signals of Ctrl-C; any other signal that ends the job is recorded under its own name."""
 _SUSPENDS = available("SIGTSTP")
 _LAST_WORDS_S = 1.0
-"""How long the end of a job waits for its messages to be printed."""
+"""How long the end of a job waits until its messages are printed."""
 
 
 @contextlib.contextmanager
 def open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
-    """An existing run, to read or with ``write`` to add to."""
+    """Open an existing run for reading, or with ``write`` for appending."""
     from cellapp.cell.run import RunFile
 
     with RunFile.open(folder, write=write) as opened:
@@ -42,10 +42,10 @@ def open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
 
 
 class Job:
-    """One command: progress bars, what signals ask of the job, tables and sentences, and the JSON.
+    """One command: progress bars, reaction to signals, tables and sentences, and the JSON.
 
     Ctrl-C and SIGTERM stop: all arms brake at once, and the job ends. The second one aborts: it ends at once. A closed
-    terminal stops. Ctrl-Z pauses after the present stop if arms are open, the second one resumes that pause.
+    terminal stops. Ctrl-Z pauses after the current stop if arms are open; the second one resumes that pause.
 
     Raises
     ------
@@ -74,15 +74,15 @@ class Job:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._signals.close()  # first: the reaction to a signal may still have something to say
+        self._signals.close()  # first: the reaction to a signal may still print something
         self._messages.put(None)
         self._writer.join(_LAST_WORDS_S)
         self._stop_bars()
 
     def listen(self, event: Progress) -> None:
-        """Draw one bar for each job on standard error, and say what a person must know.
+        """Draw one bar for each job on standard error, and print what a person must know.
 
-        Where standard error is no terminal, a long job says in a line each minute how far it is.
+        If standard error is no terminal, print the progress of a long job once a minute.
         """
         match event.detail:
             case StateChange(state, reason):
@@ -104,19 +104,19 @@ class Job:
             self._bars.update(task, note=event.note)
 
     def say(self, *lines: str) -> None:
-        """Print lines on standard output, or on standard error where standard output carries the JSON."""
+        """Print lines on standard output, or on standard error if standard output carries the JSON."""
         self._stop_bars()
         for line in lines:
             print(line, file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
 
     def warn(self, *lines: str) -> None:
-        """Print lines on standard error: what a person must see, wherever standard output goes."""
+        """Print lines that a person must see on standard error, whatever standard output is used for."""
         self._stop_bars()
         for line in lines:
             print(line, file=sys.stderr, flush=True)
 
     def show(self, tables: Sequence[Table]) -> None:
-        """Print tables, where ``say`` prints."""
+        """Print tables on the same stream as ``say``."""
         from rich.console import Console
 
         from cellapp.interfaces.render.terminal import rich_table
@@ -145,7 +145,7 @@ class Job:
             self.write_json(result.to_json(indent=1))
 
     def write_json(self, text: str) -> None:
-        """Write a JSON text where ``--json`` says, if it was given."""
+        """Write a JSON text to the destination of ``--json``, if given."""
         if self._json_file is None:
             return
         if self._json_file == "-":
@@ -160,7 +160,7 @@ class Job:
         self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
 
     def _react(self, number: int) -> None:
-        """Do what a signal asks for, in the thread that watches the signals; the brakes come before any word."""
+        """React to a signal, in the thread that watches the signals; brakes come before any message."""
         arms = self.control.has_brakes
         if number in INTERRUPTS and self.control.request in ("stop", "abort"):
             self.control.abort()
@@ -173,7 +173,7 @@ class Job:
             what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
             self._announce(f"stop: {what} and can be resumed. Once more: end at once")
         elif number in _SUSPENDS and not arms:
-            os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: what Ctrl-Z does to any program
+            os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: the default action of Ctrl-Z
         elif self.control.request == "pause":
             self.control.resume()
             self._announce("resume: the job continues")
@@ -182,7 +182,7 @@ class Job:
             self._announce("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
 
     def _interrupt(self, number: int, frame: object) -> None:
-        """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
+        """End the job at the second interrupt, wherever the main thread is. ``_react`` does everything urgent."""
         if number in INTERRUPTS:
             self._interrupts += 1
             if self._interrupts > 1 or self.control.request == "abort":  # Python may report two signals as one
@@ -191,7 +191,7 @@ class Job:
     def _announce(self, text: str) -> None:
         """Print a line on standard error, above the bars; from any thread.
 
-        A thread of its own writes it: a terminal that takes no output must not hold up the next signal.
+        A separate thread writes it: a terminal that blocks output must not delay the reaction to the next signal.
         """
         self._messages.put(text)
 
@@ -228,6 +228,6 @@ class Job:
 
 
 def require_none(complaints: Sequence[str], what: str) -> None:
-    """Raise ``CheckFailed`` if a check of ``what`` has something to complain of."""
+    """Raise ``CheckFailed`` if a check of ``what`` has complaints."""
     if complaints:
         raise CheckFailed(f"{what}: {'; '.join(complaints)}")

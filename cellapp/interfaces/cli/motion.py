@@ -1,4 +1,4 @@
-"""How a person allows real arms to move: ``--allow-motion``, or the profile's name typed at the terminal."""
+"""Permission of a person to move real arms: ``--allow-motion``, or the profile's name typed at the terminal."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Callable
 from cellapp.interfaces.cli.job import Job
 
 _LOOK_S = 0.1
-"""How often a waiting question looks whether the job is to end."""
+"""Interval at which a waiting question checks whether the job must end."""
 
 
 def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
-    """Return what shows the first motion and says whether it is allowed; None where nobody can be asked."""
+    """Return a function that shows the first motion and returns whether it is allowed; None if nobody can be asked."""
     if allowed:
 
         def show(words: str) -> bool:
@@ -34,7 +34,7 @@ def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], boo
 
 
 def typed_line(job: Job, question: str) -> str | None:
-    """The next line of standard input, without blanks around it; None at its end. Ctrl-C ends the question too."""
+    """Return the next line of standard input, stripped; None at its end. Ctrl-C also ends the question."""
     job.warn(question)
     answers: queue.Queue[str] = queue.Queue()
     threading.Thread(target=lambda: answers.put(sys.stdin.readline()), name="answer", daemon=True).start()

@@ -52,7 +52,7 @@ MarkdownFile = Annotated[
 
 
 def resources_of(jobs: int | None, scheduler: str | None, store: Path | None = None) -> Resources:
-    """Where tasks are computed and kept, by the options of a command. Raises ``InputError`` if they contradict."""
+    """Return where tasks are computed and stored, by a command's options. Raises ``InputError`` if they conflict."""
     from cellapp.ground.scale.executor import Resources
     from cellapp.ground.scale.gather import check_resources
 

@@ -1,4 +1,4 @@
-"""The whole program: an error or a signal ends it with one sentence, an exit code and, if asked for, a JSON object."""
+"""Execution of the program: an error or a signal becomes one sentence, an exit code and, on request, JSON."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ EXIT_INTERRUPTED = 4
 _ERROR_LOG = "cellapp-error.log"
 _REPORT = "to report this: 'cellapp doctor PROFILE --bundle FILE.zip' packs what the authors need, without secrets"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What a disk or device answers that takes no more."""
+"""Error numbers of a disk or device that cannot store more."""
 
 
 def run_program(app: Callable[[], object]) -> None:
     """Run the program; an error or a signal becomes one sentence on standard error and an exit code.
 
-    With ``--json -`` an error is an object on standard output too, unless the command has written its result there.
+    With ``--json -``, an error is also written to standard output as an object, unless the command has written its
+    result.
     """
     handlers = {number: signal.signal(number, _stop_before_job) for number in (*INTERRUPTS, *HANGUP)}
     try:
@@ -50,7 +51,7 @@ def end_with(error: BaseException) -> None:
 
 
 def _ended(app: Callable[[], object]) -> None:
-    """Run the program; every error ends in ``SystemExit``, whose ``__context__`` it is."""
+    """Run the program; every error ends in ``SystemExit``, with the error as its ``__context__``."""
     try:
         app()
     except (CellappError, Cancelled) as error:
@@ -70,7 +71,7 @@ def _ended(app: Callable[[], object]) -> None:
         _complain(f"standard output cannot be written ({os.strerror(error.errno or 0)}); nothing more is printed")
         _print_nowhere()
         sys.exit(InputError.exit_code)
-    except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
+    except Exception as error:  # noqa: BLE001 - last handler: a user gets a sentence, a file the traceback
         _unexpected(error)
 
 
@@ -82,21 +83,21 @@ def _unexpected(error: Exception) -> NoReturn:
 
 
 def _reader_gone() -> NoReturn:
-    """End as any program does whose reader, as ``head``, has read enough. Nothing more is written to it."""
+    """End normally, as programs do whose reader (like ``head``) has closed the pipe. Write nothing more to it."""
     _print_nowhere()
     sys.exit(0)
 
 
 def _print_nowhere() -> None:
-    """Let what is still to be printed vanish: where it would go takes nothing any more."""
+    """Discard pending output: the reader has closed the pipe."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    with contextlib.suppress(OSError, ValueError):  # a stream of a test has no number
+    with contextlib.suppress(OSError, ValueError):  # a test's stream has no file descriptor
         os.dup2(nowhere, sys.__stdout__.fileno() if sys.__stdout__ else 1)
     os.close(nowhere)
 
 
 def error_text(error: BaseException) -> str:
-    """The sentence that a person gets for an error."""
+    """Return the sentence for a person about an error."""
     if isinstance(error, Cancelled):
         return (
             f"{error}; what was committed is kept; 'cellapp collect DIR --resume' continues a collection, the same"
@@ -104,7 +105,7 @@ def error_text(error: BaseException) -> str:
         )
     if isinstance(error, CellappError):
         return str(error)
-    import typer  # late: the terminal application begins without it
+    import typer  # late: the terminal application starts without it
 
     if isinstance(error, typer.TyperException):
         return error.format_message()
@@ -118,7 +119,7 @@ def error_text(error: BaseException) -> str:
 def _errors_as_json(arguments: Sequence[str]) -> Iterator[None]:
     """Write the error that ends the program as JSON if the arguments ask for JSON on standard output.
 
-    Standard output then carries results and nothing else. So what was written to it is the command's result.
+    Standard output then carries only results, so any text written to it is the command's result.
     """
     if not wants_json(arguments):
         yield
@@ -135,12 +136,12 @@ def _errors_as_json(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def wants_json(arguments: Sequence[str]) -> bool:
-    """Whether the arguments ask for JSON on standard output."""
+    """Return whether the arguments ask for JSON on standard output."""
     return "--json=-" in arguments or ("--json", "-") in pairwise(arguments)
 
 
 class _Watched:
-    """A stream that knows whether something was written to it."""
+    """A stream that records whether something was written to it."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -157,12 +158,12 @@ class _Watched:
 def _write_error(error: BaseException, exit_code: int) -> None:
     from cellapp.ground.results import ErrorResult
 
-    with contextlib.suppress(OSError):  # the reader of our output went away
+    with contextlib.suppress(OSError):  # the reader of our output has closed it
         print(ErrorResult(exit_code=exit_code, message=error_text(error)).to_json(indent=1), flush=True)
 
 
 def _stop_before_job(number: int, frame: object) -> None:
-    """Stop while the command is still being loaded; ``Job`` handles signals from then on."""
+    """Stop while the command is still loading; later ``Job`` handles signals."""
     raise Cancelled("stopped on request")
 
 

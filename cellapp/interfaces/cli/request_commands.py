@@ -1,4 +1,4 @@
-"""``pause``, ``resume``, ``stop``, ``abort`` as commands among the others: their help, options and errors of usage."""
+"""``pause``, ``resume``, ``stop``, ``abort`` as regular commands, with help, options and usage errors."""
 
 from __future__ import annotations
 

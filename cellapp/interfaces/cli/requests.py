@@ -1,4 +1,4 @@
-"""``pause``, ``resume``, ``stop``, ``abort`` as they are asked in a shell. Imports little, see ``ground.asking``."""
+"""Fast path of ``pause``, ``resume``, ``stop``, ``abort`` from a shell. Imports little, see ``ground.asking``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _EXPANDED = frozenset("*?[~$%")
 
 
 class JobRequest(NamedTuple):
-    """What is asked, of the job in which folder, and where the answer goes as JSON; ``force``: over what is there."""
+    """A request, the folder of the job, and the JSON destination of the answer; ``force``: replace an existing file."""
 
     verb: Verb
     folder: Path
@@ -26,7 +26,7 @@ class JobRequest(NamedTuple):
 
 
 def plain_request(arguments: Sequence[str]) -> JobRequest | None:
-    """The request that the arguments of the program make; None where the whole command line has to read them."""
+    """Parse a plain request from the program's arguments; None if the whole command line must parse them."""
     if not arguments or arguments[0] not in VERBS or any(_EXPANDED & {*word} for word in arguments):
         return None
     words, json_file = list(arguments[1:]), None
@@ -43,7 +43,7 @@ def plain_request(arguments: Sequence[str]) -> JobRequest | None:
 
 
 def ask_job(request: JobRequest) -> None:
-    """Send a request to a running job, then print its answer, and as JSON where that is wanted.
+    """Send a request to a running job and print its answer, also as JSON if requested.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def ask_job(request: JobRequest) -> None:
 
 
 def _write_json(request: JobRequest, json_file: str, answer: str) -> None:
-    """Write a ``RequestResult``, without that class: a test compares the two."""
+    """Write a ``RequestResult`` without importing that class; a test compares the two."""
     found = {"schema": "cellapp-request", "version": 1, "run": str(request.folder)}
     text = json.dumps({**found, "request": request.verb, "answer": answer}, indent=1, ensure_ascii=False)
     if json_file == "-":
         print(text, flush=True)
         return
-    from cellapp.ground.outputs import Outputs  # the request is sent by now: it may be a stop
+    from cellapp.ground.outputs import Outputs  # imported after the request was sent: it may be a stop
 
     Outputs(request.force, remedy=REMEDY).write_text(Path(json_file), text + "\n", "--json")

@@ -1,4 +1,4 @@
-"""What stands above the commands: the program's own help and options, and the order of the commands."""
+"""Top level of the command line: the program's own help and options, and the order of the commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TRIALS = "Trials on simulated cells and measured series."
 
 
 class _InOrder(TyperGroup):
-    """Commands in the order of the work, be they groups or not."""
+    """A group that lists commands and subgroups together in the order of the work."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         work = [name_of(folder) for folder in FOLDERS]
@@ -31,7 +31,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def top() -> Commands:
-    """The program without its commands."""
+    """Create the program without its commands."""
     app = Commands(
         cls=_InOrder,
         help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
@@ -57,7 +57,7 @@ def _tui(
 
 
 def overview() -> Commands:
-    """The program as its help lists it: each command has its help and nothing else, so that little is loaded."""
+    """Create the program for its help page: commands have only their help text, so little is loaded."""
     app = top()
     for folder in FOLDERS:
         app.command(name_of(folder), help=help_of(folder))(lambda: None)

@@ -1,4 +1,4 @@
-"""How trials become commands: options for where they are computed and kept, tables, JSON, Markdown, exit code."""
+"""Conversion of trials to commands: options for computing and storing, tables, JSON, Markdown, exit code."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 _SHARED = {"jobs": Jobs, "scheduler": Scheduler, "store": Store, "markdown": MarkdownFile, "json_file": JsonOption}
 _LATER = {"Work": object, "Stated": object}
-"""Types that load much, and are named in the signatures of trials."""
+"""Placeholders for types in the signatures of trials that are slow to load."""
 TrialFunction = Callable[..., "Stated"]
 
 
 def trial(app: Commands, name: str, *left_out: str) -> Callable[[TrialFunction], TrialFunction]:
-    """Make a command of a function of a ``Work`` and of options of its own that returns what is stated.
+    """Create a command from a function that takes a ``Work`` and options of its own and returns a ``Stated``.
 
-    The command has the options that trials share, but for those ``left_out``.
+    The command also has the options that trials share, except those ``left_out``.
     """
     shared = {option: kind for option, kind in _SHARED.items() if option not in left_out}
 
@@ -47,12 +47,12 @@ def trial(app: Commands, name: str, *left_out: str) -> Callable[[TrialFunction],
 
 
 def state(job: Job, stated: Stated, markdown: Path | None = None) -> None:
-    """Show tables and sentences, write JSON and Markdown where they are asked for.
+    """Print tables and sentences; write JSON and Markdown if requested.
 
     Raises
     ------
     CheckFailed
-        If the trial does not hold; everything was stated then.
+        If the trial does not hold; everything has been printed then.
     InputError
         If the Markdown file cannot be written.
     """

@@ -30,7 +30,7 @@ SeriesFolder = Annotated[Path, typer.Option("--data", metavar="DIR", help="Folde
 SeriesProfiles = Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")]
 DATA, PROFILES = Path("tests/fixtures"), Path("profiles")
 ALONE = ("jobs", "scheduler", "store", "markdown")
-"""Options that a single job has not."""
+"""Options that a single job does not have."""
 
 
 @trial(trials_app, "coverage", "markdown")

@@ -1,4 +1,4 @@
-"""The page of a run, a certificate or a fleet as one HTML file. What draws them takes a second to load: it is late."""
+"""The page of a run, a certificate or a fleet as one HTML file. Its slow drawing modules are imported late."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def write_page(run: RunFile) -> Path:
 
 
 def draw_certificate(result: CertificateResult) -> str:
-    """The page of a certificate as HTML."""
+    """Return the page of a certificate as HTML."""
     from cellapp.interfaces.page.certificate_page import certificate_page as drawn
 
     return drawn(result)
 
 
 def write_result_page(result: Result, path: Path, outputs: Outputs) -> Path:
-    """Write the page of a result and return its path. Raises ``InputError`` where it has none, or cannot be written."""
+    """Write the page of a result and return its path. Raises ``InputError`` if it has none, or cannot be written."""
     from cellapp.estimation.monitoring.fleet.records import FleetResult
     from cellapp.interfaces.page.fleet_page import write_fleet_page
 

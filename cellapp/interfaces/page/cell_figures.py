@@ -1,4 +1,4 @@
-"""The cell in space as a figure: a static picture, and the same layers as data that the page's script lets turn."""
+"""The cell in space as a figure: a static picture, and the same layers as data for the page's rotatable figure."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from cellapp.robot.kinematics.transforms import Array
 _WIDTH, _MARGIN = 640.0, 24.0
 _ELEVATION = np.radians(24.0)
 _BESIDE = np.radians(65.0)
-"""The picture looks across the line from the tracker to the arms, so that its full length shows."""
+"""Viewing azimuth relative to the line from the tracker to the arms: across it, so that its full length is visible."""
 _EYE = 1.5
-"""Distance of the eye in the figure that turns, in the unit of its library: the cell fills the width."""
+"""Distance of the eye in the rotatable figure, in the unit of its library: the cell fills the width."""
 _GRID_M = 1.0
 _ROOM_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """What one entry of the legend turns on and off."""
+    """The objects that one entry of the legend switches on and off."""
 
     kind: Literal["arm", "stops", "errors", "obstacles", "tracker"]
     words: str
@@ -41,7 +41,7 @@ class _Layer:
 
 
 def scene_figure(key: str, scene: CellScene) -> Figure:
-    """The cell in space, over the whole width."""
+    """Return the figure of the cell in space, over the whole width."""
     layers = _layers(scene)
     entries = [LegendEntry(layer.look, layer.words, (number,)) for number, layer in enumerate(layers)]
     if any(layer.errors for layer in layers):
@@ -120,7 +120,7 @@ def _content(scene: CellScene, layer: _Layer) -> dict[str, Json]:
 
 
 def _columns(points: Array, decimals: int = 3) -> Json:
-    """Coordinates x, y, z of points (n, 3), three lists; the default is to the millimetre of points in metres."""
+    """Return coordinates x, y, z of points (n, 3) as three lists; default: points in metres to the millimetre."""
     columns: Json = np.round(points, decimals).T.tolist()
     return columns
 
@@ -142,7 +142,7 @@ class _View:
     scale: float
 
     def __call__(self, points: Array) -> Array:
-        """Pixels (..., 2) of points (..., 3) [m]."""
+        """Return pixels (..., 2) of points (..., 3) [m]."""
         return np.asarray(points @ self.axes.T * np.array([1.0, -1.0]) + self.offset)
 
 
@@ -159,7 +159,7 @@ def _scene_svg(scene: CellScene, layers: list[_Layer]) -> str:
 
 
 def _view(scene: CellScene, floor: Array) -> tuple[_View, float]:
-    """The projection that fits scene and floor (k, 3) [m] into the picture's width, and its height [px]."""
+    """Return the projection that fits scene and floor (k, 3) [m] into the picture's width, and its height [px]."""
     towards = _towards(scene)
     right = np.array([-towards[1], towards[0], 0.0]) / np.cos(_ELEVATION)
     axes = np.stack([right, np.cross(towards, right)])
@@ -171,7 +171,7 @@ def _view(scene: CellScene, floor: Array) -> tuple[_View, float]:
 
 
 def _towards(scene: CellScene) -> Array:
-    """The direction (3,) from the cell to the eye."""
+    """Return the direction (3,) from the cell to the eye."""
     middle = np.mean([arm.base for arm in scene.arms], axis=0)
     azimuth = np.arctan2(middle[1], middle[0]) - _BESIDE
     level = np.cos(_ELEVATION)
@@ -179,7 +179,7 @@ def _towards(scene: CellScene) -> Array:
 
 
 def _floor(scene: CellScene) -> Array:
-    """A grid at the lowest height as lines (3 k, 3) with gaps."""
+    """Return a grid at the lowest height as lines (3 k, 3) with gaps."""
     low, high = scene.points.min(axis=0) - _ROOM_M, scene.points.max(axis=0) + _ROOM_M
     lines = []
     for along, across in ((0, 1), (1, 0)):
@@ -219,7 +219,7 @@ def _pictures(scene: CellScene, layer: _Layer, view: _View) -> Iterator[str]:
 
 
 def _body_pictures(bodies: Capsules, view: _View) -> Iterator[str]:
-    """Capsules as strokes with round caps, as wide as they are."""
+    """Yield capsules as strokes with round caps, drawn to scale."""
     for start, end, radius in zip(view(bodies.start), view(bodies.end), bodies.radius.tolist(), strict=True):
         width = 2.0 * radius * view.scale
         path = polyline(np.stack([start, end]))

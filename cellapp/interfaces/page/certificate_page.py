@@ -1,4 +1,4 @@
-"""The certificate as HTML: a part of the page, and a file of its own that prints on A4."""
+"""The certificate as HTML: as a part of the page, and as a separate file that prints on A4."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class DrawnCertificate:
 
 
 def certificate_of_run(data: ReportData) -> DrawnCertificate | None:
-    """The stored certificate of a run for its page, marked where it no longer holds; None if there is none."""
+    """Return the stored certificate of a run for its page, marked if out of date; None if there is none."""
     result = data.results.certificate
     return None if result is None else _drawn(result, data.out_of_date.get(CERTIFICATE, ""))
 
 
 def certificate_page(result: CertificateResult) -> str:
-    """The certificate as an HTML page that needs no other file."""
+    """Return the certificate as a self-contained HTML page."""
     return template("certificate.html").render(certificate=_drawn(result))
 
 

@@ -1,6 +1,6 @@
-"""A chart as inline SVG for the page: readable without a script and printed; names that a person wrote are escaped.
+"""A chart as inline SVG for the page: readable without a script and in print; names from users are escaped.
 
-One path for each series: a few kilobytes and a millisecond a chart, where a plotting library takes fifty.
+One path for each series: a few kilobytes and a millisecond per chart, where a plotting library takes fifty.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ _WIDTH, _HEIGHT = 400.0, 250.0
 _TOP, _RIGHT, _BOTTOM = 8.0, 12.0, 36.0
 _FONT = 9.5
 _CHARACTER = 0.58
-"""Mean width of a digit over the font size."""
+"""Mean width of a digit relative to the font size."""
 _BAR, _BAR_STEP = 8.0, 26.0
 _MOST_TICKS = 6
-"""Of an axis."""
+"""Largest number of ticks of an axis."""
 _MANY = 1000
-"""Points from which on dots are smaller."""
+"""Number of points above which dots are smaller."""
 
 
 def chart_svg(chart: Chart) -> str:
-    """The chart as an ``svg`` element with colours of the style sheet."""
+    """Return the chart as an ``svg`` element with colours of the style sheet."""
     if chart.categories:
         return svg_element(_WIDTH, _BAR_STEP * len(chart.categories) + 4.0, _bars(chart))
     x_axis, y_axis = _scales(chart)
@@ -40,24 +40,24 @@ def chart_svg(chart: Chart) -> str:
 
 
 def svg_element(width: float, height: float, parts: Iterator[str] | list[str]) -> str:
-    """An ``svg`` element that a figure's caption and message describe, and that screen readers skip."""
+    """Return an ``svg`` element that screen readers skip: the figure's caption and message describe it."""
     head = f'<svg viewBox="0 0 {width:g} {height:g}" font-size="{_FONT}" aria-hidden="true" focusable="false"'
     return f'{head} fill="none" stroke="currentColor" stroke-width="1.4">{"".join(parts)}</svg>'
 
 
 def in_colour(colour: str, body: str, attributes: str = "") -> str:
-    """A group in one colour of the style sheet."""
+    """Return a group in one colour of the style sheet."""
     return f'<g style="color:{css_colour(colour)}"{attributes}>{body}</g>'
 
 
 def text(x: float, y: float, words: str, anchor: str = "start", attributes: str = "") -> str:
-    """A line of text in the colour of its group."""
+    """Return a line of text in the colour of its group."""
     placed = "" if anchor == "start" else f' text-anchor="{anchor}"'
     return f'<text x="{x:.1f}" y="{y:.1f}"{placed} stroke="none" fill="currentColor"{attributes}>{escape(words)}</text>'
 
 
 def polyline(pixels: Array) -> str:
-    """The path data of points (n, 2) [px] joined by lines, with gaps at NaN."""
+    """Return path data of points (n, 2) [px] joined by lines, with gaps at NaN."""
     finite = np.asarray(np.isfinite(pixels).all(axis=1))
     starts = finite & ~np.concatenate([[False], finite[:-1]])
     rows = zip(pixels[finite].tolist(), starts[finite].tolist(), strict=True)
@@ -65,7 +65,7 @@ def polyline(pixels: Array) -> str:
 
 
 def dots(pixels: Array) -> str:
-    """The path data of points (n, 2) [px] as strokes of no length, which round caps make dots."""
+    """Return path data of points (n, 2) [px] as strokes of zero length, which round caps turn into dots."""
     return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in pixels[np.isfinite(pixels).all(axis=1)].tolist())
 
 
@@ -80,7 +80,7 @@ def _scales(chart: Chart) -> tuple[Scale, Scale]:
 
 
 def _frame(chart: Chart, x_axis: Scale, y_axis: Scale) -> Iterator[str]:
-    """Grid, tick labels and axis labels."""
+    """Yield grid, tick labels and axis labels."""
     left, right, bottom, top = x_axis.begin, x_axis.end, y_axis.begin, y_axis.end
     x_ticks, y_ticks = x_axis.labels(_MOST_TICKS), y_axis.labels(_MOST_TICKS)
     lines = [f"M{pixel:.1f} {bottom:.1f}V{top:.1f}" for pixel, _ in x_ticks]
@@ -118,7 +118,7 @@ def _drawn(one: Series, look: Look, x_axis: Scale, y_axis: Scale) -> str:
 
 
 def _within(pixels: Array, y_axis: Scale) -> Array:
-    """Values far beyond a range that leaves them out stand just outside of it: they are not drawn."""
+    """Replace positions outside the plot by NaN, so that values beyond the range are not drawn."""
     outside = (pixels < y_axis.end - 1.0) | (pixels > y_axis.begin + 1.0)
     return np.where(outside, np.nan, pixels)
 
@@ -154,9 +154,9 @@ _MARKERS = {
 
 
 def _bars(chart: Chart) -> Iterator[str]:
-    """Level bars, the first on top, each below its name and before its value."""
+    """Yield horizontal bars, the first on top, each with its name above and its value behind."""
     values: NDArray[np.float64] = np.nan_to_num(chart.series[0].y)
-    if chart.y.logarithmic:  # from a tenth of the smallest value on, so that it has a length too
+    if chart.y.logarithmic:  # begin at a tenth of the smallest value, so that its bar has a length too
         positive = values[values > 0.0]
         low = 0.1 * float(positive.min(initial=1.0))
         values = np.log10(np.maximum(values, low) / low)

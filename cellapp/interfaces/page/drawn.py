@@ -1,4 +1,4 @@
-"""Sections as the page draws them: charts as figures with anchors, and parts of one kind together."""
+"""Sections as the page draws them: charts as figures with anchors, and parts grouped by kind."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cellapp.interfaces.page.cell_figures import scene_figure
 from cellapp.interfaces.page.figure import Figure, chart_figure
 
 _HALF, _GAP, _SENTENCE = 60, 2, 30
-"""Characters of a table in half of a screen, between two columns, and of a line of a sentence in a cell."""
+"""Characters: of a table in half of a screen, between two columns, and of a line of a sentence in a cell."""
 
 
 @dataclass(frozen=True)
 class DrawnParts:
-    """Parts in the order in which the page shows them; a table with whether it needs the whole width."""
+    """Parts in the order of the page; each table comes with whether it needs the whole width."""
 
     sentences: tuple[str, ...]
     facts: tuple[Facts, ...]
@@ -29,21 +29,21 @@ class DrawnParts:
 
 @dataclass(frozen=True)
 class DrawnSection:
-    """A section and what stands in it."""
+    """A section and its content."""
 
     told: Section
     parts: DrawnParts
 
 
 def drawn_sections(sections: Iterable[Section], key: str = "") -> tuple[DrawnSection, ...]:
-    """Sections with what stands in them; those without an anchor number their figures below ``key``."""
+    """Return sections with their content; those without an anchor number their figures below ``key``."""
     return tuple(
         DrawnSection(one, drawn_parts(one.parts, one.key or f"{key}-{place}")) for place, one in enumerate(sections, 1)
     )
 
 
 def drawn_parts(parts: Parts, key: str) -> DrawnParts:
-    """Parts sorted by their kind; anchors of figures are ``key`` and a number. Charts without values are left out."""
+    """Group parts by kind; anchors of figures are ``key`` and a number. Charts without values are omitted."""
     charts = [one for one in parts if isinstance(one, CellScene) or (isinstance(one, Chart) and not one.is_empty)]
     return DrawnParts(
         sentences=tuple(one for one in parts if isinstance(one, str) and one),
@@ -55,7 +55,7 @@ def drawn_parts(parts: Parts, key: str) -> DrawnParts:
 
 
 def _is_wide(table: Table) -> bool:
-    """Whether its cells take more than half of a screen."""
+    """Return whether the cells of a table need more than half of a screen."""
     rows = [table.headings, *table.text_rows()]
     longest = [max(max(map(len, word.split()), default=0) for word in column) for column in zip(*rows, strict=True)]
     texts = [min(max(map(len, column)), _SENTENCE) for column in zip(*table.text_rows(), strict=True)]

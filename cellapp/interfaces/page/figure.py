@@ -1,4 +1,4 @@
-"""A chart as a figure of the page, which draws what the terminal draws."""
+"""A chart as a figure of the page, with the same content as in the terminal."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Figure:
     """A figure: static picture, caption, message, legend, and its values for the page's script.
 
     ``note`` is its message: one or two sentences that say what the reader should see. ``data`` (JSON) lets the script
-    draw the figure anew with values under the pointer. ``key`` is its anchor on the page. ``css_class`` is ``wide`` for
-    a figure over the whole width.
+    redraw the figure with values under the pointer. ``key`` is its anchor on the page. ``css_class`` is ``wide`` for a
+    figure over the whole width.
     """
 
     svg: str
@@ -29,9 +29,9 @@ class Figure:
 
 
 def chart_figure(key: str, chart: Chart) -> Figure:
-    """The chart with its message, its legend, and its values for the script; ``key`` is its anchor on the page.
+    """Return a chart's figure: message, legend, and values for the script; ``key`` is its anchor on the page.
 
-    An empty chart has its message alone; bars have their values beside them and need no script.
+    An empty chart has only its message; bars show their values and need no script.
     """
     if chart.is_empty:
         return Figure("", chart.title, (), note=chart.message, key=key)

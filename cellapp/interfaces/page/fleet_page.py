@@ -21,11 +21,11 @@ _CLASSES: Mapping[ArmCondition, str] = {
     "unchanged": "conforms",
     "not compared": "",
 }
-"""Classes of the style sheet, which the report has for verdicts."""
+"""Classes of the style sheet; the report uses them for verdicts."""
 
 
 def write_fleet_page(result: FleetResult, path: Path, outputs: Outputs = NEW_ONLY) -> Path:
-    """Write the page and return its path; it needs no other file and no network.
+    """Write the self-contained page and return its path; it needs no network.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def write_fleet_page(result: FleetResult, path: Path, outputs: Outputs = NEW_ONL
 
 
 def fleet_page_text(result: FleetResult, written: datetime) -> str:
-    """The page as text."""
+    """Return the page as text."""
     arms = [arm_section(f"arm-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
     return template("fleet.html").render(
         folders=result.folders,

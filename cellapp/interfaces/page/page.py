@@ -20,7 +20,7 @@ from cellapp.interfaces.page.templates import template
 
 
 def write_page(run: RunFile) -> Path:
-    """Write ``report.html`` into the run's folder and return its path; where that fails an earlier page stays whole.
+    """Write ``report.html`` into the run's folder and return its path; if that fails, an earlier page stays intact.
 
     The page needs no other file and no network. The same run gives the same bytes except for the time of writing.
 
@@ -35,7 +35,7 @@ def write_page(run: RunFile) -> Path:
 
 
 def page_text(run: RunFile, written: datetime) -> str:
-    """The page as text. Raises ``InputError`` if the run is not calibrated yet."""
+    """Return the page as text. Raises ``InputError`` if the run is not calibrated yet."""
     data = read_report_data(run)
     outdated = out_of_date_lines(data)
     return template("page.html").render(

@@ -13,26 +13,26 @@ _FILE = Path("package_data", "plotly.min.js")
 _NOTICE = re.compile(r"/\*\*?(.*?)\*/", re.DOTALL)
 """The first comment of the script: its copyright and licence."""
 _NOTICE_BYTES = 1000
-"""The first comment ends before."""
+"""Bytes that contain the whole first comment."""
 _LEVEL = 6
-"""Higher levels take longer and save less than one per cent."""
+"""Compression level: higher ones take longer and save less than one per cent."""
 
 
 @cache
 def plotly_base64() -> str:
-    """``plotly.min.js``, compressed by gzip and encoded in base64; empty where the package or the file is not there.
+    """Return ``plotly.min.js``, compressed by gzip and encoded in base64; empty if the package or the file is missing.
 
-    The page is complete without it: its drawings do not move then.
+    The page is complete without it, but its drawings are then static.
     """
     path = _script_file()
     if path is None:
         return ""
-    # no time of writing: the same run gives the same page
+    # without a timestamp: the same run gives the same page
     return base64.b64encode(gzip.compress(path.read_bytes(), _LEVEL, mtime=0)).decode("ascii")
 
 
 def plotly_notice() -> str:
-    """Version, copyright and licence of ``plotly.min.js`` in its own words, for the page; empty without it."""
+    """Return version, copyright and licence of ``plotly.min.js`` in its own words, for the page; empty without it."""
     path = _script_file()
     if path is None:
         return ""

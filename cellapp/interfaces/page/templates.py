@@ -16,7 +16,7 @@ _SHA_256 = re.compile(r"[0-9a-f]{64}")
 
 
 def template(name: str) -> Template:
-    """A template of this package; texts are escaped, and a name without a value is an error."""
+    """Return a template of this package; texts are escaped, and a name without a value is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
 

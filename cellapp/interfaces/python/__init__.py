@@ -1,1 +1,1 @@
-"""A run from Python, as plain objects and data frames."""
+"""Python access to cells and runs, as plain objects and data frames."""

@@ -1,11 +1,11 @@
-"""A stored run from Python, as plain objects that do not change. Nothing here moves an arm or writes a file.
+"""Python access to a stored run as immutable plain objects. Nothing here moves an arm or writes a file.
 
     import cellapp
 
     run = cellapp.open_run("logs/my-run")
     p_M = run.predict("left", q)
 
-``dataframes`` beside this has the run's tables as pandas data frames; ``cellapp docs python`` is about both.
+The module ``dataframes`` has the run's tables as pandas data frames; ``cellapp docs python`` describes both.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _STAGES = frozenset(STAGE_NAMES)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Printed):
-    """What a run held when it was opened.
+    """Content of a run when it was opened.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class Run(Printed):
     profile : Profile
         The cell, as it was when the run began.
     measured : mapping
-        Arm -> Readings, of the arms that have some.
+        Arm -> Readings, for the arms that have readings.
     results : RunResults
-        What each verb found, None where it has not run; ``results.out_of_date`` says which no longer hold, and why.
+        Result of each verb, None if it has not run; ``results.out_of_date`` says which are out of date, and why.
     model : CellModel or None
-        The model that compensation uses; None before the calibration. Its tracker frame M is that of the tracker where
-        it stands now: where it stood during the readings, or where ``cellapp locate`` found it since.
+        The model that compensation uses; None before the calibration. Its tracker frame M is that of the tracker's
+        current station: that of the readings, or the one that ``cellapp locate`` has found since.
     models : mapping
         The models that calibration and discovery stored, as JSON.
     """
@@ -67,17 +67,17 @@ class Run(Printed):
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The stored calibration, as ``Cell.calibrate`` returns one. Raises ``InputError`` if there is none."""
+        """The stored calibration, as returned by ``Cell.calibrate``. Raises ``InputError`` if there is none."""
         if self.results.calibrate is None or CALIBRATE not in self.models:
             raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
-        result = self.results.calibrate.without_effects()  # those of a discovery stand beside them to be shown together
+        result = self.results.calibrate.without_effects()  # the effects of a discovery are only added for display
         return Calibration(self.profile, self.measured, self._stored(CALIBRATE), result)
 
     @cached_property
     def discovery(self) -> Discovery:
-        """The stored discovery, as ``Calibration.discover`` returns one.
+        """The stored discovery, as returned by ``Calibration.discover``.
 
-        Raises ``InputError`` if there is none that rests on the stored calibration.
+        Raises ``InputError`` if there is none that is based on the stored calibration.
         """
         reason = self.results.out_of_date.get(DISCOVER, "no discovery is stored")
         if self.results.discover is None or DISCOVER not in self.models or DISCOVER in self.results.out_of_date:
@@ -88,7 +88,7 @@ class Run(Printed):
         return CellModel.from_json(self.models[stage], f"{self.folder}: model of '{stage}'")
 
     def summary(self) -> str:
-        """Folder, cell, number of readings, and the results that are stored."""
+        """Return folder, cell, number of readings, and the names of the stored results."""
         counts = ", ".join(f"{name} {len(arm)}" for name, arm in self.measured.items()) or "none"
         stored = [name for name in type(self.results).model_fields if name in _STAGES and getattr(self.results, name)]
         return (
@@ -96,21 +96,22 @@ class Run(Printed):
         )
 
     def view(self) -> Parts:
-        """Errors of the stored results, and which of them do not hold any more."""
+        """Return the errors of the stored results, and which results are out of date."""
         return [*all_tables(self.results), *out_of_date_sentences(self.results)]
 
     def readings(self, arm: str) -> Readings:
-        """The readings of one arm. Raises ``InputError`` if no such arm has any."""
+        """Return the readings of one arm. Raises ``InputError`` if there is no such arm with readings."""
         return of_arm(self.measured, arm, "this run")
 
     def calibrated_model(self) -> CellModel:
-        """The model. Raises ``InputError`` if the run is not calibrated."""
+        """Return the model. Raises ``InputError`` if the run is not calibrated."""
         if self.model is None:
             raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
         return self.model
 
     def predict(self, arm: str, q: ArrayLike) -> Array:
-        """SMR positions (n, 3) in frame M [m] where the controller of an arm with N joints reads ``q`` (n, N) [rad].
+        """Predict SMR positions (n, 3) in frame M [m] of an arm with N joints at controller readings ``q`` (n, N)
+        [rad].
 
         ``calibrated_model().predict`` also takes approach directions, payloads and other conditions.
 
@@ -122,7 +123,7 @@ class Run(Printed):
         return self.calibrated_model().predict(arm, q)
 
     def residuals(self, arm: str) -> Array:
-        """Measured minus computed SMR positions (n, 3) in frame M [m] of all readings of an arm, in their order.
+        """Return measured minus computed SMR positions (n, 3) in frame M [m] of all readings of an arm, in order.
 
         Each is computed for the conditions of its reading: approach, step, payload, temperatures, the other arm.
 

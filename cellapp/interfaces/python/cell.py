@@ -1,4 +1,4 @@
-"""A cell from Python: its profile, readings that are checked against it, and the calibration of both."""
+"""Python access to a cell: its profile, readings that are checked against it, and the calibration with both."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from cellapp.interfaces.python.readings import CellReadings, ReadingsLike, check
 
 @dataclass(frozen=True, repr=False)
 class Cell(Printed):
-    """A robot cell: one or more arms and a laser tracker, as a profile describes them.
+    """A robot cell as its profile describes it: one or more arms and a laser tracker.
 
-    Nothing that is reached from here moves an arm or writes a file.
+    None of its methods moves an arm or writes a file.
     """
 
     profile: Profile
 
     @classmethod
     def load(cls, path: Path | str) -> Cell:
-        """The cell of a profile in YAML. Raises ``InputError`` with file, line and key of what is wrong."""
+        """Load the cell of a YAML profile. Raises ``InputError`` with file, line and key of what is wrong."""
         return cls(load_profile(Path(path)))
 
     @classmethod
     def from_dict(cls, profile: Mapping[str, Any], folder: Path | str = ".") -> Cell:
-        """The cell of a profile given as keys with values; paths in it are relative to ``folder``.
+        """Create the cell of a profile given as a mapping; paths in it are relative to ``folder``.
 
         Raises ``InputError`` with the key of what is wrong.
         """
@@ -48,17 +48,17 @@ class Cell(Printed):
         source
             The path of a CSV file; a data frame with its columns (``configuration``, ``arm``, ``q1`` ... [rad],
             ``x_m``, ``y_m``, ``z_m``, and optional ones); or for each arm its quantities as arrays, with the names,
-            shapes and units of ``Readings``: ``{"left": {"q": (n, N) [rad], "p_M": (n, 3) [m], "sigma_m": 5e-6}}``, of
-            which one number stands for n equal ones. Without ``configuration`` (n,) row k of every arm is stop k.
+            shapes and units of ``Readings``: ``{"left": {"q": (n, N) [rad], "p_M": (n, 3) [m], "sigma_m": 5e-6}}``. A
+            single number stands for n equal ones. Without ``configuration`` (n,), row k of every arm is stop k.
         in_order : bool
-            The rows of an arm stand in the order in which they were measured: approach and step that are not given
-            follow from the row before.
+            Whether the rows of an arm are in the order of measurement: missing approach and step are then derived from
+            the previous row.
 
         Raises
         ------
         InputError
-            Names the row and the quantity that is missing, no number, implausible (degrees, millimetres) or of another
-            shape; and arms that are not in the profile, or have no readings.
+            Names the row and the quantity that is missing, not a number, implausible (degrees, millimetres) or of
+            another shape; and arms that are not in the profile, or have no readings.
         """
         return checked_readings(self.profile, source, in_order=in_order)
 
@@ -77,7 +77,7 @@ class Cell(Printed):
         readings, in_order
             As for ``readings``. Readings without a split get one by the profile's seed.
         listener : callable
-            Is told of the progress.
+            Receives progress events.
         cancel : CancelToken, optional
 
         Raises
@@ -85,7 +85,7 @@ class Cell(Printed):
         InputError
             As ``readings`` does, and if an arm has too few of them.
         Cancelled
-            If ``cancel`` says so.
+            If ``cancel`` requests it.
         """
         checked = self.readings(readings, in_order=in_order)
         split, notes = checked.with_splits()
@@ -93,10 +93,10 @@ class Cell(Printed):
         return Calibration(self.profile, split, model, result)
 
     def summary(self) -> str:
-        """Name of the cell, its arms and their types."""
+        """Return the name of the cell, its arms and their types."""
         arms = ", ".join(f"{name} {arm.type.model}" for name, arm in self.profile.arms.items())
         return f"{self.profile.name}: {arms}"
 
     def view(self) -> Parts:
-        """Arms, tracker and plan, one quantity a row."""
+        """Return arms, tracker and plan as tables, one quantity per row."""
         return profile_tables(self.profile)

@@ -1,4 +1,4 @@
-"""Conditions at which a caller asks a model, by the names that readings have for them."""
+"""Conditions for the predictions of a model, with the same names as in readings."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def stated_conditions(
     other: ArmModel | None,
     record: TemperatureRecord | None,
 ) -> MeasurementConditions | None:
-    """Conditions at configurations ``q`` (n, N) [rad]; None where nothing is given, which leaves all unknown.
+    """Return the conditions at configurations ``q`` (n, N) [rad]; None if none are given, so that all are unknown.
 
     Parameters
     ----------
     given : mapping
         ``approach``, ``step`` [rad], ``joint_temperature_c`` (n, N); ``payload_kg``, ``dwell_s``, ``time_s``,
-        ``temperature_c`` (n,); ``other_q`` (n, K) [rad], where the other arm stands. Fewer values stand for all.
+        ``temperature_c`` (n,); ``other_q`` (n, K) [rad], the configurations of the other arm. Values are broadcast.
     other : ArmModel or None
         The other arm of a cell of two.
     record : TemperatureRecord or None
@@ -76,7 +76,7 @@ def stated_conditions(
 
 
 def _values(where: str, value: Any, shape: tuple[int, ...] | None) -> Array:
-    """Numbers of a shape, or of their own where it is None; one number stands for all."""
+    """Return numbers broadcast to ``shape``, or in their own shape if it is None."""
     try:
         array = np.asarray(value, dtype=np.float64)
         return array if shape is None else np.array(np.broadcast_to(array, shape))

@@ -1,7 +1,7 @@
 """Tables of a run as pandas data frames: readings, residuals, parameters, targets. Needs the extra ``pandas``.
 
-Columns are called as in exported CSV files, with the unit at the end of the name. ``frame.attrs["units"]`` maps each
-column that has a unit to it.
+Columns are named as in exported CSV files, with the unit at the end of the name. ``frame.attrs["units"]`` maps each
+column with a unit to that unit.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ __all__ = ["parameters", "readings", "residuals", "targets"]
 
 
 def readings(run: Run) -> pd.DataFrame:
-    """One row for each arm and stop, in the columns of ``cellapp export --csv``, by stop.
+    """Return the readings, one row per arm and stop, ordered by stop, with the columns of ``cellapp export --csv``.
 
-    Joint positions [rad], SMR position in the tracker frame of the readings [m]; what nobody recorded has no column,
-    and NaN stands where single readings, or arms with fewer joints, have no value.
+    Joint positions [rad], SMR position in the tracker frame of the readings [m]. A quantity that was never recorded has
+    no column. NaN marks values missing in single readings, or for arms with fewer joints.
     """
     return readings_frame(_measured(run))
 
 
 def residuals(run: Run) -> pd.DataFrame:
-    """Measured minus computed SMR position of each reading in the tracker frame, with the model in force [mm].
+    """Return measured minus computed SMR position of each reading in the tracker frame, with the model in force [mm].
 
     The conditions are those of the readings; ``residual_mm`` is the length of the vector.
     """
@@ -40,15 +40,15 @@ def residuals(run: Run) -> pd.DataFrame:
 
 
 def parameters(run: Run) -> pd.DataFrame:
-    """Every parameter of every arm's model in force, effects included: nominal, identified, standard error.
+    """Return every parameter of every arm's model in force, effects included: nominal, identified, standard error.
 
-    All three are in the ``unit`` of their row. The standard error is NaN where a parameter was not identified.
+    All three are in the ``unit`` of their row. The standard error is NaN for a parameter that was not identified.
     """
     return parameters_frame(run.calibrated_model())
 
 
 def targets(run: Run) -> pd.DataFrame:
-    """One row for each target and arm: the target, the command, and what measuring it showed.
+    """Return one row for each target and arm: the target, the command, and the result of measuring it.
 
     Targets are those of the last ``push --verify``, else of the last ``compensate``. Position [m] and rotation [rad]
     are in the target's ``frame``, ``q`` are the joint positions of the compensated command [rad].

@@ -1,4 +1,4 @@
-"""What calibration and discovery return: a model of the cell that answers, tabulates, draws and compensates."""
+"""Results of calibration and discovery: a model of the cell with predictions, tables, charts and compensation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 def measured_minus_computed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Residuals (n, 3) [m] of every reading of each arm, in their order and for their conditions, in frame M."""
+    """Compute residuals (n, 3) [m] in frame M of all readings of each arm, in their order and at their conditions."""
     conditions = conditions_of_arms(model.arms, readings)
     return {
         name: np.asarray(
@@ -70,7 +70,7 @@ class Fitted(Charted):
     readings : mapping
         Arm -> Readings, with the split of each.
     model : CellModel
-        It also answers what is not asked here, and saves itself: ``model.save(Path("calibration.json"))``.
+        Has further methods; it also saves itself: ``model.save(Path("calibration.json"))``.
     """
 
     profile: Profile
@@ -78,14 +78,14 @@ class Fitted(Charted):
     model: CellModel
 
     def predict(self, arm: str, q: ArrayLike, **conditions: ArrayLike) -> Array:
-        """SMR positions (n, 3) in the tracker frame [m] where the controller of an arm reads ``q`` (n, N) [rad].
+        """Predict SMR positions (n, 3) in the tracker frame [m] at controller readings ``q`` (n, N) [rad] of an arm.
 
         Parameters
         ----------
         conditions
-            What effects depend on, unknown where not given: ``approach``, ``step`` [rad], ``joint_temperature_c``
-            (n, N); ``payload_kg``, ``dwell_s``, ``time_s``, ``temperature_c`` (n,); ``other_q`` (n, K) [rad], where the
-            other arm stands. One number, or one row, stands for all.
+            Inputs of effects, unknown if not given: ``approach``, ``step`` [rad], ``joint_temperature_c`` (n, N);
+            ``payload_kg``, ``dwell_s``, ``time_s``, ``temperature_c`` (n,); ``other_q`` (n, K) [rad], the joints of the
+            other arm. One number, or one row, stands for all.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Fitted(Charted):
         return model.predict(at, conditions=stated)
 
     def uncertainty(self, arm: str, q: ArrayLike, **conditions: ArrayLike) -> Array:
-        """Standard deviation (n,) [m] of a predicted coordinate, without noise of measuring; as ``predict``."""
+        """Return the standard deviation (n,) [m] of a coordinate as ``predict`` gives it, without measurement noise."""
         model, at, stated = self._asked(arm, q, conditions)
         return model.uncertainty(at, stated)
 
@@ -120,19 +120,19 @@ class Fitted(Charted):
         return measured_minus_computed(self.model, self.readings)
 
     def residuals(self) -> pd.DataFrame:
-        """``residuals_M`` as a table with a row for each reading [mm]. Needs pandas."""
+        """Return ``residuals_M`` as a table with one row per reading [mm]. Needs pandas."""
         from cellapp.interfaces.python.frames import residuals_frame
 
         return residuals_frame(self.readings, self.residuals_M)
 
     def parameters(self) -> pd.DataFrame:
-        """Every parameter of every arm, effects included: nominal, identified, standard error. Needs pandas."""
+        """Return every parameter of every arm, effects included: nominal, identified, standard error. Needs pandas."""
         from cellapp.interfaces.python.frames import parameters_frame
 
         return parameters_frame(self.model)
 
     def compensate(self, targets: str | Path | Sequence[Any] | Mapping[str, Any] | pd.DataFrame) -> Compensation:
-        """Joint positions that bring the real arms to Cartesian targets.
+        """Compute joint positions that bring the real arms to Cartesian targets.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class Fitted(Charted):
         Raises
         ------
         InputError
-            If a target does not fit the cell, or the profile does not say where arms and tracker stand.
+            If a target does not fit the cell, or the profile does not give the poses of arms and tracker.
         """
         if isinstance(targets, str | Path):
             wanted = load_targets(Path(targets), self.profile)
@@ -165,22 +165,22 @@ class Calibration(Fitted):
         Raises
         ------
         Cancelled
-            If ``cancel`` says so.
+            If ``cancel`` requests it.
         """
         result, found = discover_effects(self.profile, self.model, self.readings, listener, cancel)
         return Discovery(self.profile, self.readings, found.model, result, self)
 
     def summary(self) -> str:
-        """Held-out error of each arm."""
+        """Return the held-out error of each arm."""
         errors = {name: arm.validate_[arm.best_stage].position_mm for name, arm in self.result.arms.items()}
         return "held out: " + ", ".join(f"{name} {one.mean:.4f} mm (n = {one.n})" for name, one in errors.items())
 
     def view(self) -> Parts:
-        """Held-out errors, notes and identified parameters, as ``cellapp show`` prints them."""
+        """Return held-out errors, notes and identified parameters, as ``cellapp show`` prints them."""
         return [*calibration_view(self.result).parts, "", *parameters_view(self.result).parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """Errors of the held-out readings: by stage, by configuration, as a histogram, and of the pair."""
+        """Return charts of the held-out errors: by stage, by configuration, as a histogram, and of the pair."""
         return {
             "stages": lambda: [stage_chart(name, arm) for name, arm in self.result.arms.items()],
             **_error_charts(self, self),
@@ -190,9 +190,9 @@ class Calibration(Fitted):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discovery(Fitted):
-    """A calibrated cell with the effects that were found; ``result`` is what ``cellapp discover`` stores.
+    """A calibrated cell with the effects that were found; ``result`` is the object that ``cellapp discover`` stores.
 
-    ``calibration`` is the one that was searched.
+    ``calibration`` is the calibration that was searched.
     """
 
     result: DiscoverResult
@@ -200,11 +200,11 @@ class Discovery(Fitted):
 
     @property
     def effects(self) -> dict[str, tuple[str, ...]]:
-        """Arm -> effects that were accepted, by their names in the handbook's chapter on effects."""
+        """Arm -> accepted effects, with the names of the handbook's chapter on effects."""
         return {name: tuple(one.effect for one in arm.accepted) for name, arm in self.result.arms.items()}
 
     def summary(self) -> str:
-        """Effects and held-out rms error of each arm, before and after."""
+        """Return the effects and the held-out rms error of each arm, before and after."""
         return "; ".join(
             f"{name}: {', '.join(dict.fromkeys(self.effects[name])) or arm.verdict},"
             f" {arm.heldout_mm.before:.4f} -> {arm.heldout_mm.after:.4f} mm"
@@ -212,11 +212,11 @@ class Discovery(Fitted):
         )
 
     def view(self) -> Parts:
-        """What was found, the values of the effects and what they mean, as ``cellapp show`` prints it."""
+        """Return the findings, the values of the effects and their meaning, as ``cellapp show`` prints them."""
         return discovery_view(self.result).parts
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """The error after each step, probabilities, what each effect looks like, errors of the held-out readings."""
+        """Return charts: error after each step, probabilities, pictures of the effects, held-out errors."""
         arms = self.result.arms
         return {
             "steps": lambda: [gap_chart(name, arm) for name, arm in arms.items()],
@@ -228,7 +228,7 @@ class Discovery(Fitted):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Printed):
-    """Commands for targets; ``result`` is what ``cellapp compensate`` stores.
+    """Commands for targets; ``result`` is the object that ``cellapp compensate`` stores.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class Compensation(Printed):
     result: CompensateResult
 
     def q(self, arm: str) -> Array:
-        """Compensated joint positions (n, N) [rad] of an arm at its n targets, in their order; NaN where refused.
+        """Return compensated joint positions (n, N) [rad] of an arm at its n targets, in their order; NaN if refused.
 
         Raises
         ------
@@ -258,22 +258,22 @@ class Compensation(Printed):
         return {arm: [one for one in self.result.targets if one.arm == arm] for arm in arms}
 
     def frame(self) -> pd.DataFrame:
-        """A row for each target and arm: target, command, predicted uncertainty, refusal. Needs pandas."""
+        """Return one row for each target and arm: target, command, predicted uncertainty, refusal. Needs pandas."""
         from cellapp.interfaces.python.frames import targets_frame
 
         return targets_frame(self.result.targets)
 
     def summary(self) -> str:
-        """How many targets can be commanded."""
+        """Return how many targets can be commanded."""
         return compensate_summary(self.result)[0]
 
     def view(self) -> Parts:
-        """Commands, uncertainties and what must be known of them, as ``cellapp show`` prints them."""
+        """Return commands, uncertainties and notes, as ``cellapp show`` prints them."""
         return compensation_view(self.result).parts
 
 
 def _error_charts(newest: Fitted, calibration: Calibration) -> dict[str, Callable[[], Sequence[Chart]]]:
-    """Errors of the held-out readings of each arm with every model up to the newest."""
+    """Return charts of the errors of each arm's held-out readings with every model up to ``newest``."""
     arms = calibration.result.arms
 
     def held_out(name: str) -> HeldOutArm:

@@ -1,7 +1,7 @@
 """Readings, residuals, parameters and targets as pandas data frames. Needs the extra ``pandas``.
 
-Columns are called as in exported CSV files, with the unit at the end of the name. ``frame.attrs["units"]`` maps each
-column that has a unit to it.
+Columns are named as in exported CSV files, with the unit at the end of the name. ``frame.attrs["units"]`` maps each
+column with a unit to that unit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _AXES = "xyz"
 
 
 def readings_frame(measured: Mapping[str, Readings]) -> pd.DataFrame:
-    """``readings`` of arms by name, of which there is at least one."""
+    """Return ``dataframes.readings`` of one or more arms by name."""
     given = [
         column
         for column in COLUMNS
@@ -44,7 +44,7 @@ def readings_frame(measured: Mapping[str, Readings]) -> pd.DataFrame:
 
 
 def residuals_frame(measured: Mapping[str, Readings], residuals_M: Mapping[str, Array]) -> pd.DataFrame:
-    """``residuals`` of arms by name, from the vectors (n, 3) [m] of each."""
+    """Return ``dataframes.residuals`` of arms by name, from the vectors (n, 3) [m] of each."""
     parts = []
     for name, arm in measured.items():
         vectors_mm = residuals_M[name] * 1e3
@@ -56,7 +56,7 @@ def residuals_frame(measured: Mapping[str, Readings], residuals_M: Mapping[str, 
 
 
 def parameters_frame(model: CellModel) -> pd.DataFrame:
-    """``parameters`` of a model."""
+    """Return ``dataframes.parameters`` of a model."""
     rows = [
         {"arm": name, **asdict(row)} for name, arm in model.arms.items() for row in parameter_rows(arm, arm.geometry)
     ]
@@ -65,7 +65,7 @@ def parameters_frame(model: CellModel) -> pd.DataFrame:
 
 
 def targets_frame(found: Sequence[MeasuredTarget | TargetCommand]) -> pd.DataFrame:
-    """``targets`` of the records of a result."""
+    """Return ``dataframes.targets`` of the records of a result."""
     frame = pd.DataFrame([_target(target) for target in found])
     return _with_units(frame, _units_of_targets(list(frame.columns)))
 

@@ -1,4 +1,4 @@
-"""What a result of the library has in common: it prints itself as text, as HTML and as charts."""
+"""Common base of the library's results: they print themselves as text, as HTML and as charts."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _LONGEST = 190
-"""Characters of ``repr``: one line of a wide screen or two of a narrow one."""
+"""Longest ``repr`` [characters]: one line of a wide screen or two of a narrow one."""
 
 
 class Printed(ABC):
-    """A result that prints itself: ``print(result)``, or by its name at the end of a cell of a notebook."""
+    """A result that prints itself, with ``print(result)`` or by its name at the end of a notebook cell."""
 
     @abstractmethod
     def view(self) -> Parts:
-        """Tables and lines that say everything, in the order of reading."""
+        """Return the full content as tables and lines, in reading order."""
 
     @abstractmethod
     def summary(self) -> str:
-        """What it is and the figures that matter most, in one line."""
+        """Return one line: what the result is, and its most important figures."""
 
     def report(self, width: int = 100) -> str:
-        """The view as plain text; tables are at most ``width`` characters wide."""
+        """Return the view as plain text; tables are at most ``width`` characters wide."""
         return plain_text(self.view(), width)
 
     def __str__(self) -> str:
@@ -46,19 +46,19 @@ class Printed(ABC):
 
 
 class Charted(Printed):
-    """A result that also draws itself, if matplotlib is installed."""
+    """A result that can also draw itself if matplotlib is installed."""
 
     @abstractmethod
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
-        """What can be drawn, by name, the most telling first; each makes its charts when it is called."""
+        """Return the available charts by name, most informative first; each value creates its charts when called."""
 
     def plot(self, what: str = "") -> Figure:
-        """Draw charts of one kind as a figure of matplotlib; without a name those of the first of ``charts()``.
+        """Draw charts of one kind as a matplotlib figure; without a name the first kind of ``charts()``.
 
         Raises
         ------
         InputError
-            If there is nothing of that name to draw.
+            If there are no charts of that name.
         ImportError
             If matplotlib is not installed; the message says how to install it.
         """

@@ -1,4 +1,4 @@
-"""Readings of a cell from whatever holds them, checked by the one door that files of readings pass, too."""
+"""Readings of a cell from files, data frames or arrays, all with the same checks as files of readings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class CellReadings(Printed, Mapping[str, Readings]):
     arms : mapping
         Arm -> Readings.
     notes : tuple of str
-        What was noticed: unknown columns, what followed from the order of the rows.
+        Remarks: unknown columns, and what was derived from the order of the rows.
     """
 
     profile: Profile
@@ -56,25 +56,25 @@ class CellReadings(Printed, Mapping[str, Readings]):
         return len(self.arms)
 
     def summary(self) -> str:
-        """Number of readings of each arm."""
+        """Return the number of readings of each arm."""
         return ", ".join(
             f"{name}: {counted(len(arm), 'reading')} of {arm.joints} joints" for name, arm in self.arms.items()
         )
 
     def view(self) -> Parts:
-        """What each arm's readings hold, and the notes."""
+        """Return the content of each arm's readings, and the notes."""
         columns = (Column("arm"), number_column("readings", "d"), number_column("joints", "d"), Column("given"))
         rows = tuple((name, len(arm), arm.joints, ", ".join(_given(arm))) for name, arm in self.arms.items())
         return [Table(f"Readings of {self.profile.name}", columns, rows), *self.notes]
 
     def frame(self) -> pd.DataFrame:
-        """One row for each arm and stop, in the columns of a CSV file of readings. Needs pandas."""
+        """Return one row for each arm and stop, with the columns of a CSV file of readings. Needs pandas."""
         from cellapp.interfaces.python.frames import readings_frame
 
         return readings_frame(self.arms)
 
     def with_splits(self) -> tuple[dict[str, Readings], tuple[str, ...]]:
-        """The readings with a split each, drawn by the profile's seed where none is given; and notes on the draw."""
+        """Return the readings with a split each, drawn by the profile's seed where missing; and notes on the draw."""
         drawn, notes = missing_splits(self.profile, self.arms)
         return {name: replace(arm, split=drawn.get(name, arm.split)) for name, arm in self.arms.items()}, notes
 
@@ -104,7 +104,7 @@ def _table(profile: Profile, source: object) -> CsvTable:
 
 
 def _arrays(arm: Any) -> Any:
-    """The quantities of one arm by name."""
+    """Return the quantities of one arm by name."""
     return {column.name: getattr(arm, column.name) for column in COLUMNS} if isinstance(arm, Readings) else arm
 
 

@@ -1,4 +1,4 @@
-"""Axes of charts, the same on the page and in the terminal: ranges, places along an axis, ticks and their texts."""
+"""Axes of charts, the same on the page and in the terminal: ranges, positions along an axis, ticks and their labels."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from cellapp.commands.view.charts import LEAST, Array, Axis, Chart
 from cellapp.interfaces.render.log_ticks import log_ticks
 
 _ROOM = 0.05
-"""Room at either end of an axis, as a share of its range."""
+"""Margin at either end of an axis, as a share of its range."""
 _LARGEST = 1.0 / LEAST
-"""Larger values are not drawn: sums and ratios of axes would overflow."""
+"""Limit of drawn values: with larger ones, sums and ratios of axes would overflow."""
 _FAR = 10.0
-"""In lengths of an axis: places farther away are moved there; a line that leaves the plot needs no more."""
+"""Largest distance of a drawn position outside the range, in axis lengths; enough for a line that leaves the plot."""
 _SAME = 1e-6
-"""Values that differ by a smaller share are one value: the difference is rounding, and no tick could show it."""
+"""Relative difference below which values are equal: it is rounding, and no tick could show it."""
 _LONGEST = 7
-"""Characters of a tick before its text changes to powers of ten."""
+"""Longest label of a tick [characters]; longer ones change to powers of ten."""
 _PARTS_OF_A_TURN = (15.0, 30.0, 45.0, 60.0, 90.0, 180.0, 360.0)
 """Steps between ticks of an angle [deg]."""
 _NEAR_ZERO = 0.5
-"""Positive values begin at zero if the smallest is below this share of the largest: lengths compare better so."""
+"""An axis begins at zero if the smallest value is positive and below this share of the largest: lengths compare
+better."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A range of an axis at ``begin`` to ``end`` [dots or px]; a logarithmic one is positive.
+    """A value range of an axis and its positions ``begin`` to ``end`` [dots or px]; a logarithmic range is positive.
 
-    ``counted``: there are only integers, and so are the ticks.
+    ``counted``: values and ticks are integers.
     """
 
     axis: Axis
@@ -42,7 +43,7 @@ class Scale:
     counted: bool = False
 
     def place(self, values: Array) -> Array:
-        """Positions of values (n,); NaN where a logarithmic axis has no place for a value."""
+        """Return positions of values (n,); NaN for values that a logarithmic axis cannot show."""
         low, high, values = self.low, self.high, drawable(values)
         if self.axis.logarithmic:
             values = np.log10(np.where(values > 0.0, values, np.nan))
@@ -50,10 +51,10 @@ class Scale:
         return self.begin + np.clip((values - low) / (high - low), -_FAR, _FAR) * (self.end - self.begin)
 
     def ticks(self, most: int) -> list[float]:
-        """At most about ``most`` round values in the range."""
+        """Return at most about ``most`` round values in the range."""
         if self.axis.logarithmic and (ticks := log_ticks(self.low, self.high, most)):
             return ticks
-        for wanted in (most, 2 * most):  # two ticks at least, so that they give a scale
+        for wanted in (most, 2 * most):  # at least two ticks, so that they give a scale
             step = _round_step((self.high - self.low) / wanted, degrees=self.axis.unit == "deg")
             step = max(step, 1.0) if self.counted else step
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
@@ -62,7 +63,7 @@ class Scale:
         return [number * step for number in range(first, last + 1)]
 
     def labels(self, most: int) -> list[tuple[float, str]]:
-        """Position and text of each tick: as many decimals as the steps between them need."""
+        """Return position and label of each tick, with as many decimals as the tick step needs."""
         ticks = self.ticks(most)
         texts = [f"{tick:g}" for tick in ticks]
         if not self.axis.logarithmic and len(ticks) > 1:
@@ -73,7 +74,7 @@ class Scale:
 
 
 def chart_scale(chart: Chart, which: Literal["x", "y"], begin: float, end: float) -> Scale:
-    """The scale of an axis of a chart, which shows all series, bands and limits, or the range that the chart names."""
+    """Return the scale of a chart's axis: it shows all series, bands and limits, or the range that the chart gives."""
     limits = np.array([limit.value for limit in chart.limits if limit.axis == which])
     if which == "x":
         return scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), limits]), begin, end)
@@ -83,7 +84,7 @@ def chart_scale(chart: Chart, which: Literal["x", "y"], begin: float, end: float
 
 
 def scale_of(axis: Axis, values: Array, begin: float, end: float, *, zero: bool = False) -> Scale:
-    """A scale that shows all finite ``values``; with ``zero`` it contains zero."""
+    """Return a scale that shows all finite ``values``; with ``zero`` it includes zero."""
     values = drawable(values)
     shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.logarithmic))]
     if len(shown) == 0:
@@ -101,13 +102,13 @@ def scale_of(axis: Axis, values: Array, begin: float, end: float, *, zero: bool 
 
 
 def drawable(values: Array) -> Array:
-    """Values with NaN for those that no axis can hold, and zero for those next to it."""
+    """Replace values too large for an axis by NaN, and values too close to zero by zero."""
     size = np.abs(values)
     return np.where(size <= _LARGEST, np.where(size < LEAST, 0.0, values), np.nan)
 
 
 def equal_scales(x: Scale, y: Scale) -> tuple[Scale, Scale]:
-    """The same length of a unit along both axes: the narrower range becomes wider."""
+    """Return scales with the same length of a unit along both axes: the narrower range becomes wider."""
     unit = max((one.high - one.low) / abs(one.end - one.begin) for one in (x, y))
     return _widened(x, unit), _widened(y, unit)
 
@@ -118,7 +119,7 @@ def _widened(scale: Scale, unit: float) -> Scale:
 
 
 def _round_step(least: float, *, degrees: bool) -> float:
-    """The smallest of 1, 2, 5, 10, ... times a power of ten that is not below ``least``; of angles a part of a turn."""
+    """Return the smallest of 1, 2, 5, 10, ... times a power of ten from ``least`` on; for angles a part of a turn."""
     if degrees and 10.0 < least <= _PARTS_OF_A_TURN[-1]:
         return next(part for part in _PARTS_OF_A_TURN if part >= least)
     power = 10.0 ** math.floor(math.log10(least))

@@ -1,4 +1,4 @@
-"""A chart as compact JSON for the page's script, which draws it anew with values under the pointer."""
+"""A chart as compact JSON for the page's script, which redraws it with values under the pointer."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cellapp.commands.view.charts import LEAST, Array, Axis, Chart, Limit, Serie
 from cellapp.interfaces.render.chart_style import is_marked, look_of, series_words
 
 _STEPS = 1e4
-"""Steps that an axis is resolved in: ten times the pixels of a wide screen."""
+"""Resolution of an axis in steps: ten times the pixels of a wide screen."""
 _DIGITS = 4
 """Significant digits on a logarithmic axis."""
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def chart_data(chart: Chart) -> str:
-    """The chart as JSON for a ``script`` element: no NaN, and no ``<`` that could end the element."""
+    """Return the chart as JSON for a ``script`` element: no NaN, and no ``<`` that could end the element."""
     content: dict[str, Json] = {
         "kind": "chart",
         "title": chart.title,
@@ -36,13 +36,13 @@ def chart_data(chart: Chart) -> str:
 
 
 def script_json(content: Mapping[str, Json]) -> str:
-    """JSON that may stand in a ``script`` element. Raises ``ValueError`` for NaN and infinity."""
+    """Return JSON that is safe in a ``script`` element. Raises ``ValueError`` for NaN and infinity."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 def rounded(values: Array, *, logarithmic: bool = False) -> list[Json]:
-    """Values (n,) with the digits that an axis around them shows; None for those that are not finite."""
+    """Round values (n,) to the digits that an axis around them shows; None for values that are not finite."""
     finite = np.isfinite(values)
     if logarithmic:
         return [_plain(float(f"{value:.{_DIGITS}g}")) if known else None for value, known in zip(values, finite)]
@@ -53,7 +53,7 @@ def rounded(values: Array, *, logarithmic: bool = False) -> list[Json]:
 
 
 def _plain(value: float) -> float | int:
-    """A whole number without its point."""
+    """Convert a whole number to an integer, which is written without a decimal point."""
     return int(value) if value.is_integer() and abs(value) < 1e15 else value
 
 

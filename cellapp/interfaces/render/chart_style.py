@@ -1,4 +1,4 @@
-"""How the page draws the series of a chart: colours of its style sheet, dashes, shapes."""
+"""Style of the series of a chart on the page: colours of its style sheet, dashes, shapes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.ground.results import STAGES
 
 Swatch = Literal["line", "dot", "dash", "round", "square", "triangle", "diamond", "cross", "bar", "limit"]
-"""What a series looks like: a line (full, dotted, dashed), points of a shape, bars, a limit."""
+"""Appearance of a series in the legend: line (full, dotted, dashed), points of a shape, bars, a limit."""
 
 ARM_COLOURS = 4
-"""Arm colours in the style sheet; styles beyond them belong to no arm."""
+"""Number of arm colours in the style sheet; higher styles belong to no arm."""
 MARKED = 40
-"""Points up to which a line shows them, unless it has a band."""
+"""Largest number of points that a line marks, unless it has a band."""
 FEW = 60
-"""Points up to which each has the shape of its mark; more are dots."""
+"""Largest number of points that are drawn with the shape of their mark; more are dots."""
 _STAGE_COLOURS = (*STAGES, "tracker-network")
 _WORDS = dict([*METHOD_WORDS.items(), *STAGE_WORDS.items()])
 _DASHES: Mapping[str, Swatch] = {"·": "dot", ":": "dash"}
@@ -39,7 +39,7 @@ _SHAPES: Mapping[str, Swatch] = {
 
 
 def css_colour(colour: str) -> str:
-    """A colour of the style sheet; that of the text for ``ink``."""
+    """Return a colour of the style sheet; for ``ink`` the text colour."""
     return "currentColor" if colour == "ink" else f"var(--{colour})"
 
 
@@ -59,7 +59,7 @@ class Look:
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """One entry of a legend: how its swatch looks (None: no swatch), a text, and the series that it turns off."""
+    """One entry of a legend: the look of its swatch (None: no swatch), a text, and the series that it switches."""
 
     look: Look | None
     text: str
@@ -67,7 +67,7 @@ class LegendEntry:
 
 
 def look_of(chart: Chart, one: Series) -> Look:
-    """How a series is drawn."""
+    """Return the style of a series."""
     colours = _STAGE_COLOURS if chart.by_stage else tuple(f"arm{number + 1}" for number in range(ARM_COLOURS))
     guide = _DASHES.get(one.mark) if one.kind != "points" else None
     colour = colours[one.style] if one.style < len(colours) else "soft" if guide else "ink"
@@ -84,17 +84,17 @@ def _shape(mark: str, *, several: bool) -> Swatch:
 
 
 def is_marked(one: Series) -> bool:
-    """Whether a line has a dot at each of its points."""
+    """Return whether a line has a dot at each of its points."""
     return one.kind == "line" and one.band is None and not one.mark and len(one.x) <= MARKED
 
 
 def series_words(chart: Chart, one: Series) -> str:
-    """The name of a series for people: that of a stage or of a method of the pair in words."""
+    """Return the name of a series for people; names of stages and of pair methods are translated to words."""
     return _WORDS.get(one.name, one.name) if chart.by_stage else one.name
 
 
 def legend_of(chart: Chart) -> tuple[LegendEntry, ...]:
-    """One entry for each series, and for each limit and band by name; none for bars, which have their names."""
+    """Return one entry for each series, and for each limit and band by name; none for bars, which are labelled."""
     if chart.categories:
         return ()
     entries = [

@@ -1,4 +1,4 @@
-"""A view as a fragment of HTML for a notebook: tables, and lines as they are written."""
+"""A view as an HTML fragment for a notebook: tables, and preformatted lines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cellapp.commands.view.table import Table
 
 
 def html_view(view: Parts) -> str:
-    """Tables and lines in their order as one ``div``; everything in them is escaped."""
+    """Return tables and lines in their order as one ``div``, with all content escaped."""
     parts = []
     for are_lines, group in groupby(printed(view), lambda part: isinstance(part, str)):
         members = list(group)

@@ -8,14 +8,14 @@ _MULTIPLES = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0
 """Multiples of each decade that are ticks, from sparse to dense."""
 _ENOUGH = 3
 _SAME = 1e-12
-"""Relative distance within which a tick is at an end of the axis."""
+"""Relative tolerance for a tick at an end of the axis."""
 
 
 def log_ticks(low: float, high: float, most: int) -> list[float]:
-    """Round values from ``low`` to ``high``, ascending, at most ``most``; empty where the range has too few of them.
+    """Return at most ``most`` round values from ``low`` to ``high``, ascending; empty if the range has too few of them.
 
-    Three or more if possible, the sparsest that are: whole decades, else 1 and 3 of each, 1, 2 and 5, and so on. Of
-    many decades every second or third one.
+    Use the sparsest series with at least three values, if there is one: whole decades, else 1 and 3 of each, 1, 2 and
+    5, and so on. Of many decades take every second or third one.
     """
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     ends = low * (1.0 - _SAME), high * (1.0 + _SAME)

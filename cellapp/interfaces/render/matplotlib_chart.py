@@ -1,4 +1,4 @@
-"""Charts drawn by matplotlib, which need not be installed: the extra ``plot`` has it."""
+"""Charts drawn with matplotlib, which is optional: the extra ``plot`` installs it."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLUMNS = 2
-"""Charts side by side in a figure."""
+"""Number of charts side by side in a figure."""
 _SIZE = (6.0, 3.8)
 """Width and height of a chart [inch]."""
 _TITLE = 60
-"""Characters of a line of the title."""
+"""Longest line of the title [characters]."""
 
 
 def draw_charts(charts: Sequence[Chart]) -> Figure:
-    """A figure with every chart on axes of its own. No window is opened: a notebook shows the figure that it is given.
+    """Draw every chart on axes of its own; return the figure. It opens no window: a notebook shows the figure.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def draw_charts(charts: Sequence[Chart]) -> Figure:
         If matplotlib is not installed; the message says how to install it.
     """
     try:
-        from matplotlib.figure import Figure  # optional, and its start takes half a second
+        from matplotlib.figure import Figure  # optional; its import takes half a second
     except ImportError as error:
         raise ImportError("plots need matplotlib; install it with: pip install 'cellapp[plot]'") from error
     columns = min(_COLUMNS, len(charts))
@@ -48,7 +48,7 @@ def draw_charts(charts: Sequence[Chart]) -> Figure:
 
 
 def draw_chart(chart: Chart, axes: Axes) -> None:
-    """Draw a chart on axes: a bar for each category, else its series, with its limits."""
+    """Draw a chart on axes: a bar for each category, or else its series, with its limits."""
     axes.set_title(textwrap.fill(chart.title, _TITLE), fontsize="medium")
     if chart.categories:
         places = np.arange(len(chart.categories))

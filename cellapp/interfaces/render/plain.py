@@ -1,4 +1,4 @@
-"""A view as plain text, drawn as in a terminal of a given width without colours."""
+"""A view as plain text, formatted as in a terminal of a given width without colours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.interfaces.render.terminal import rich_table
 
 
 def plain_text(view: Parts, width: int = 100) -> str:
-    """Tables and lines in their order; tables are at most ``width`` characters wide."""
+    """Return tables and lines in their order as text; tables are at most ``width`` characters wide."""
     text = io.StringIO()
     console = Console(file=text, width=width, color_system=None, force_terminal=False, legacy_windows=False)
     for part in printed(view):

@@ -1,7 +1,8 @@
-"""Tables for a terminal of any width: no word and no number is ever broken, and nothing is left out.
+"""Tables for a terminal of any width: no word and no number is ever broken, and nothing is omitted.
 
-A table is drawn as it is where it fits; else its columns of text are wrapped between words; else it is printed in
-parts, each with the columns that name the rows; else, where not even one column fits beside those, row by row in lines.
+A table is drawn unchanged if it fits. Otherwise its text columns are wrapped between words. If that is not enough, it
+is printed in parts, each with the columns that name the rows. If not even one column fits beside those, each row
+becomes a group of lines.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from rich.text import Text
 from cellapp.commands.view.table import Cell, Column, Table
 
 _NARROWEST = 16
-"""A column of sentences is not squeezed below this width: parts are easier to read than a column of single words."""
+"""Narrowest column of sentences: table parts are easier to read than a column of single words."""
 _TITLE = Style(italic=True)
 
 
 def rich_table(table: Table, *, cut: bool = True) -> TerminalTable:
-    """A table for Rich's console. Cells are plain text: Rich would read a unit in brackets as markup.
+    """Return a table for Rich's console. Cells are plain text: Rich would interpret a unit in brackets as markup.
 
-    Where what draws it cuts lines at its width, ``cut``, as a screen does, a word that is longer than a line goes on in
-    the next one, and no line is left blank; else it stays whole, to be copied.
+    ``cut``: the output device cuts lines at its width, as a screen does. Then a word longer than a line continues on
+    the next one, and no line is left blank. Otherwise it stays whole, so that it can be copied.
     """
     return TerminalTable(table, cut)
 
 
 @dataclass(frozen=True)
 class TerminalTable:
-    """A table that Rich draws as the width allows."""
+    """A table that Rich draws to fit the available width."""
 
     table: Table
     cut: bool
@@ -69,13 +70,13 @@ class TerminalTable:
 
 @dataclass(frozen=True)
 class _Spacing:
-    """Blanks around the cells of a drawn table: ``edge`` in all at its two ends, ``gap`` between two columns."""
+    """Blanks around the cells of a drawn table: ``edge`` in total at its two ends, ``gap`` between two columns."""
 
     edge: int
     gap: int
 
     def width(self, columns: Sequence[int]) -> int:
-        """Width of a table with columns of these widths."""
+        """Return the width of a table with columns of these widths."""
         return sum(columns) + self.edge + self.gap * (len(columns) - 1)
 
 
@@ -85,7 +86,7 @@ _TIGHT = _Spacing(edge=1, gap=2)
 
 @dataclass(frozen=True)
 class _Measured:
-    """Widths of a column: of its longest cell or heading, and the least one that breaks no word."""
+    """Widths of a column: that of its longest cell or heading, and the smallest that breaks no word."""
 
     natural: int
     least: int
@@ -93,7 +94,7 @@ class _Measured:
 
 @dataclass(frozen=True)
 class _Part:
-    """Columns of a table that are drawn side by side, by their places, with their widths."""
+    """Columns of a table that are drawn side by side, by their indices, with their widths."""
 
     places: tuple[int, ...]
     widths: tuple[int, ...]
@@ -122,7 +123,7 @@ def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]
 
 
 def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Part] | None:
-    """The table whole, or in parts that each fit; None where one column does not fit beside the names of the rows."""
+    """Return the table whole or in parts that each fit; None if not even one column fits beside the row names."""
     every = tuple(range(len(measured)))
     for spacing in (_LOOSE, _TIGHT):
         whole = _fitted(every, measured, width, spacing)
@@ -150,7 +151,7 @@ def _must_fit(places: tuple[int, ...], measured: Sequence[_Measured], width: int
 
 
 def _names(table: Table, measured: Sequence[_Measured], width: int) -> tuple[int, ...]:
-    """The first columns that tell all rows apart, if they take at most half of the width; else the first alone."""
+    """Return the first columns that tell all rows apart, if they take at most half of the width; else the first."""
     rows = table.text_rows()
     for count in range(1, len(table.columns)):
         if _TIGHT.width([column.least for column in measured[:count]]) > width // 2:
@@ -161,7 +162,7 @@ def _names(table: Table, measured: Sequence[_Measured], width: int) -> tuple[int
 
 
 def _fitted(places: tuple[int, ...], measured: Sequence[_Measured], width: int, spacing: _Spacing) -> _Part | None:
-    """The columns with widths that fit, or None. The widest give way first, the names of the rows last."""
+    """Return the columns with widths that fit, or None. The widest shrink first, the row names last."""
     widths = [measured[place].natural for place in places]
     surplus = spacing.width(widths) - width
     for own in (range(1, len(places)), range(1)):
@@ -187,7 +188,7 @@ def _drawn(table: Table, part: _Part) -> RichTable:
 
 
 def _as_lines(table: Table, width: int, overflow: OverflowMethod) -> Iterator[Text]:
-    """Each row as its name and below it a line for each of its cells; a word longer than a line stays whole."""
+    """Yield each row as its name, followed by one line per cell; a word longer than a line stays whole."""
     first, *others = table.headings
     for name, *cells in table.text_rows():
         yield from _wrapped(f"  {first}: {name}", width, overflow)
@@ -198,7 +199,7 @@ def _as_lines(table: Table, width: int, overflow: OverflowMethod) -> Iterator[Te
 
 
 def _wrapped(text: str, width: int, overflow: OverflowMethod, style: Style | str = "") -> Iterator[Text]:
-    """Lines of a text, broken between words only; those after the first are indented by two more."""
+    """Yield the lines of a text, broken only between words; lines after the first are indented by two more."""
     indent = " " * (len(text) - len(text.lstrip()))
     for line in textwrap.wrap(
         text.strip(),

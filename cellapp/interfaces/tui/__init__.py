@@ -1,6 +1,6 @@
 """The terminal application: ``cellapp`` without arguments. Importing this package does not load Textual.
 
-Screens and jobs import what they need when they are first used, so that the first screen does not wait for the rest.
+Screens and jobs import what they need at first use, so that the first screen does not wait for the rest.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from pathlib import Path
 from cellapp.ground.errors import InputError
 
 ESCAPE_WAITS_MS = 15
-"""For how long the byte of Escape may be the begin of the sequence of another key: terminals send that at once."""
+"""Time for which an Escape byte may be the start of another key's sequence; terminals send the rest at once."""
 
 _SWITCH_S = 0.001
-"""For how long a thread that computes may keep the others waiting: from a key to the brakes several take their turn."""
+"""Thread switch interval [s]. Several threads run between a key and the brakes: one that computes must yield soon."""
 
 
 def run_app(folder: Path = Path("profiles")) -> int:
-    """Run the application on the profiles of a folder until the user quits. Returns the exit code of the last job.
+    """Run the application on the profiles of a folder until the user quits. Return the exit code of the last job.
 
     0 done (or no job was started), 2 bad input, 3 hardware or unexpected error, 4 stopped and resumable.
 
@@ -34,7 +34,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
             "the terminal application needs a terminal: standard input or error is not one; 'cellapp run PROFILE'"
             " does the day unattended, 'cellapp --help' lists all commands"
         )
-    os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # which Textual reads when it is imported
+    os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # Textual reads this at import
     from cellapp.interfaces.tui.app import CellApp
 
     sys.setswitchinterval(_SWITCH_S)

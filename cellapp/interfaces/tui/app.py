@@ -1,8 +1,8 @@
-"""The application: what is open, one job at a time, STOP on every screen, the screens of the day.
+"""The application: the open profile and run, one job at a time, STOP on every screen, the screens of the day.
 
-The keys that stop call the brakes in the thread that reads the terminal (``urgent_keys``); where there is none, in that
-of the screens. Events of the job wait in a queue of their own and are drawn a few at a time: however many there are, a
-key is handled at once.
+Stop keys call the brakes in the thread that reads the terminal (``urgent_keys``), or without that thread in the event
+loop. Events of the job wait in a queue and are drawn a few at a time, so that a key is handled at once, however many
+events there are.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "stop_job", "abort")
-"""Actions that an open dialog does not hide."""
+"""Actions that stay available over an open dialog."""
 _DRAWING_S = 0.1
-"""Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+"""Interval of drawing a running job: people read no faster, and keys are handled in between."""
 _WAITING = ("paused", "suspended", "stopped", "aborted")
 """States in which a job waits for a person or for the cell."""
 _TICK_S = 1.0
-"""Time between two looks at what goes on without an event: the time that is left, the title of the terminal."""
+"""Interval of updates that no event triggers: remaining time, title of the terminal."""
 _PRELOAD_AFTER_S = 0.3
-"""The first screen is drawn before."""
+"""Delay of the preload, so that the first screen is drawn before it."""
 _LATER = (
     "cellapp.cell.run",
     "cellapp.commands.report.data",
@@ -79,7 +79,7 @@ _LATER = (
 )
 _ONWARD = f"{SHOWN['next']} goes to the next step, {SHOWN['help']} explains"
 _MOST_TAKEN = 300
-"""Events that are taken in at a time: each takes some microseconds."""
+"""Events that are processed in one batch: each takes some microseconds."""
 
 
 class CellApp(JobKeys):
@@ -94,7 +94,7 @@ class CellApp(JobKeys):
     patience_s : float
         How long quitting waits for a job to stop before the program ends without it.
     ends_process : bool
-        Whether a signal that ends the program ends the process even where the screen cannot be left.
+        Whether a signal that ends the program ends the process even if the screen cannot be left.
     """
 
     TITLE = "cellapp"
@@ -141,13 +141,13 @@ class CellApp(JobKeys):
         self.leaving.close_terminal()
 
     def get_driver_class(self) -> type[Driver]:
-        """The driver that stops before the event loop gets a key, where there is one."""
+        """Return the driver that stops before the event loop gets a key, if this system has one."""
         return driver_that_stops(super().get_driver_class())
 
     # -- begin and end -------------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
-        """Show the first screen of the day, and begin to listen."""
+        """Show the first screen of the day, and start the timers."""
         self.register_theme(HIGH_CONTRAST)
         self.push_screen(self._screen_of("cell"))
         self.call_after_refresh(self._welcome)
@@ -159,36 +159,36 @@ class CellApp(JobKeys):
         self.say(f"Choose a profile on the screen Cell (key 1); {_ONWARD}.")
 
     def _welcome(self) -> None:
-        """Ask what to begin with where there is no profile."""
+        """Ask how to begin if there is no profile."""
         if not any(self.profiles.glob("*.yaml")):
             from cellapp.interfaces.tui.dialogs.first_run import (
-                offer_first_run,  # 0.7 s that other starts need not wait for
+                offer_first_run,  # 0.7 s, only at the first start
             )
 
             offer_first_run(self)
 
     @work(thread=True)
     def _preload(self) -> None:
-        """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
+        """Import what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
         for module in _LATER:
             importlib.import_module(module)
         gc.collect()
-        gc.freeze()  # what was loaded stays: passing over it again and again held up keys for up to 0.3 s
+        gc.freeze()  # exempt loaded objects from collection: scanning them held up keys for up to 0.3 s
         if run := jobs_of_verbs.interrupted_run(self.logs):
             self.post_message(ResumeOffered(run))
 
     def on_unmount(self) -> None:
-        """Brake all arms and end the job however the screen closes: no job continues unseen."""
+        """Brake all arms and end the job, however the screen closes: no job continues unseen."""
         self.jobs.control.leave(ENDED)
         self.leaving.close()
 
     def wait_for_job(self) -> None:
-        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
         if self.jobs.running:
             self.jobs.wait(self._patience_s)
 
     async def action_quit(self) -> None:
-        """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
+        """Quit; with a running job or unsaved changes, ask first; stop the job and wait for its end."""
         unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
         if self.jobs.running or unsaved:
             if not self._leaving:
@@ -198,7 +198,7 @@ class CellApp(JobKeys):
 
     @on(LeaveAsked)
     def leave_at_once(self) -> None:
-        """Quit as if the question had been answered."""
+        """Quit as if the question had been answered with yes."""
         self._leave(True)
 
     def _leave(self, leave: bool) -> None:
@@ -223,12 +223,12 @@ class CellApp(JobKeys):
 
     @property
     def day_screen(self) -> DayScreen:
-        """The screen of the day that is shown, below any dialog."""
+        """The shown screen of the day, below any dialog."""
         return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
 
     @property
     def _made_screen(self) -> DayScreen | None:
-        """The screen of the day, None while it is being made: what only half of it has drawn is not drawn again."""
+        """The screen of the day; None while it is being mounted, so that it is not drawn twice."""
         return self.day_screen if self.day_screen.is_mounted else None
 
     def _screen_of(self, step: Step) -> DayScreen:
@@ -252,7 +252,7 @@ class CellApp(JobKeys):
         self.action_show(event.step)
 
     def action_next_step(self) -> None:
-        """Show the screen of the step that comes next; where it is shown, begin what comes next."""
+        """Show the screen of the next step; if it is shown, begin that step."""
         step, screen = self.workspace.next_step, self.day_screen
         if step != screen.STEP:
             self.action_show(step)
@@ -262,7 +262,7 @@ class CellApp(JobKeys):
             screen.begin_next("" if self.workspace.overview is None else self.workspace.overview.next_verb)
 
     def action_explain(self) -> None:
-        """Explain the present screen, with all keys that it has."""
+        """Explain the current screen, with all its keys."""
         screen = self.day_screen
         keys = f"{key_table(screen.BINDINGS)}\n\n## Keys of every screen\n\n{key_table(self.BINDINGS)}"
         self.push_screen(Reading(f"{screen.HELP.format_map(SHOWN)}\n## Keys of this screen\n\n{keys}\n"))
@@ -274,7 +274,7 @@ class CellApp(JobKeys):
         self.push_screen(Handbook())
 
     def action_jump(self) -> None:
-        """Label everything that can have the focus with a letter that jumps there."""
+        """Label every focusable widget with a letter that jumps to it."""
         self.push_screen(Jump(self.screen))
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
@@ -288,7 +288,7 @@ class CellApp(JobKeys):
         return None if action == "whole_day" and self.jobs.running else True
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
-        """Every action for the command palette: those of the application and of the screen below it."""
+        """Yield every action for the command palette: those of the application and of the screen below it."""
         yield from self._commands
         yield SystemCommand(
             "Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self.day_screen)
@@ -299,7 +299,7 @@ class CellApp(JobKeys):
         yield SystemCommand("Theme", "light, dark, high contrast and others", self.action_change_theme)
 
     def action_command_palette(self) -> None:
-        """Open the command palette with all that is possible now."""
+        """Open the command palette with all actions that are possible now."""
         if isinstance(self.screen, DayScreen):
             self._commands = list(possible_commands(self, self.screen))
             self.push_screen(Palette(id="--command-palette"))
@@ -312,7 +312,7 @@ class CellApp(JobKeys):
 
     @on(ResumeOffered)
     def offer_to_resume(self, event: ResumeOffered) -> None:
-        """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        """Offer to resume an interrupted run, unless something else was begun meanwhile."""
         run = event.run
         left = counted(run.stops_left, "stop")
         self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {left} left'}"
@@ -336,7 +336,7 @@ class CellApp(JobKeys):
         self._read(profile_path, folder, self._loads)
 
     def _hides_moving_arms(self, folder: Path | None) -> bool:
-        """Whether a job moves arms of another run: the header must say of those whether they are real."""
+        """Return whether a job moves arms of another run: the header must keep saying whether those are real."""
         job = self.jobs.job
         return job is not None and job.moves and folder != job.folder
 
@@ -349,10 +349,10 @@ class CellApp(JobKeys):
 
     @on(WorkspaceLoaded)
     def show_loaded(self, event: WorkspaceLoaded) -> None:
-        """Draw what was read."""
+        """Draw the workspace that was read."""
         before, now = self.workspace, event.workspace
         if self._hides_moving_arms(now.folder):
-            return  # it was asked for before the job began, whose run is read at its end
+            return  # it was requested before the job began, whose run is read at its end
         self.workspace, self.reading = now, ""
         ended, self._ended = self._ended, None
         title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
@@ -364,7 +364,7 @@ class CellApp(JobKeys):
             then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
             self.say(f"{now.folder} is open; {then}.")
         elif ended is None and now.folder is None and now.profile_path not in (None, before.profile_path):
-            if str(now.profile_path) not in self.message:  # it was written just now, and that is said
+            if str(now.profile_path) not in self.message:  # it was written just now, and the message says so
                 self.message, self._severity = f"{now.profile_path} is open; {_ONWARD}.", "information"  # not logged
         elif ended and ended == self.message and now.folder is not None:
             self.message = f"{ended} Next: {title} (key n)."
@@ -373,12 +373,12 @@ class CellApp(JobKeys):
     # -- the job -------------------------------------------------------------------------------------------------------
 
     def action_whole_day(self) -> None:
-        """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
+        """After a question: plan, collect, calibrate, discover, push and verify in a new run."""
         offer_whole_day(self)
 
     @on(JobEnded)
     def show_end(self, message: JobEnded) -> None:
-        """State in words how the job ended, and read the run again."""
+        """Say how the job ended, and read the run again."""
         for event in self.jobs.events():
             self.record.add(event)
         self.jobs.ended()
@@ -388,7 +388,7 @@ class CellApp(JobKeys):
         self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
         self._tell_event("done" if ending.code == 0 else "ended", ending.text)
-        if self._leaving:  # the shell keeps what the screen can no longer show
+        if self._leaving:  # the shell keeps the text that the screen can no longer show
             self.exit(return_code=self.code, message=Text(ending.text))
             return
         if not isinstance(message.ending, BaseException | None):
@@ -396,7 +396,7 @@ class CellApp(JobKeys):
                 screen.show_result(message.ending)
             show_paths(self, message.ending)
         if isinstance(message.ending, Detached):
-            return  # something else is opened now
+            return  # something else is open now
         folder = message.job.folder or self.workspace.folder
         self.reading = f"What '{message.job.name}' has stored is being read."
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
@@ -414,8 +414,8 @@ class CellApp(JobKeys):
         self.refresh_bindings()
 
     def draw_all(self) -> None:
-        """Draw the present screen whole."""
-        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
+        """Redraw the current screen completely."""
+        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or screens are being removed
             self._draw_message()
             if (screen := self._made_screen) is not None:
                 screen.show_workspace(self.workspace)
@@ -430,7 +430,7 @@ class CellApp(JobKeys):
             line.set_classes(f"message {self._severity}")
 
     def _draw_events(self) -> None:
-        """Take in the oldest events of the job, and draw if anything changed."""
+        """Process the oldest events of the job, and draw if anything changed."""
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
@@ -446,7 +446,7 @@ class CellApp(JobKeys):
             self._say_state()
 
     def _tick(self) -> None:
-        """The time that is left goes down, and the terminal's title says how far the job is."""
+        """Update the remaining time, and the terminal's title with the progress of the job."""
         with contextlib.suppress(NoMatches, StopIteration):
             if self.jobs.running and (screen := self._made_screen) is not None:
                 screen.draw_state()
@@ -456,16 +456,16 @@ class CellApp(JobKeys):
             self.tell(night.title_sequence(title))
 
     def tell(self, sequence: str) -> None:
-        """Write a sequence to the terminal, past the screens."""
+        """Write a control sequence to the terminal, bypassing the screens."""
         if self._driver is not None and not self.is_headless and night.is_told():
             self._driver.write(sequence)
 
     def _tell_event(self, word: str, text: str) -> None:
-        """Ring, and notify the desktop: somebody who does not look is told."""
+        """Ring the bell and notify the desktop, for somebody who does not look."""
         self.tell(night.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
-        """A new state of the job in the message line; what a replay plays back is no state of these arms."""
+        """Show a new state of the job in the message line; a replay's state is not a state of these arms."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
             since = "" if state == "running" else f" {night.since_words(self.record)}"

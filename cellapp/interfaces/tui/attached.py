@@ -1,4 +1,4 @@
-"""A job that another process runs in the run that is open: the application attaches to it by itself."""
+"""Jobs that another process runs in the open run: the application attaches to them automatically."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from cellapp.cell.driving.requests.attaching import RemoteControl
 
 LOOK_EVERY_S = 1.0
-"""Somebody may start a job in another window at any time."""
+"""Interval of looking for jobs that were started in another window."""
 
 
 class JobsOfOthers:
-    """Looks for jobs of other processes, and attaches the application to them."""
+    """Finds jobs of other processes, and attaches the application to them."""
 
     def __init__(self, app: Host) -> None:
         self._app = app
@@ -29,7 +29,7 @@ class JobsOfOthers:
         self._said = ""
 
     def look(self) -> None:
-        """Look, in a thread, whether a job was begun or has ended in the run that is open; not beside a job."""
+        """Check, in a thread, whether a job has started or ended in the open run; do nothing while a job runs here."""
         folder = self._app.workspace.folder
         if folder is None or self._app.jobs.running or self._looking.locked():
             return
@@ -39,7 +39,7 @@ class JobsOfOthers:
             self._app.open_run(folder, self._app.workspace.profile_path)
 
     def find(self, folder: Path | None) -> None:
-        """Connect to the job in a folder, if another process of this computer runs one. For a thread of its own."""
+        """Connect to the job in a folder, if another process of this computer runs one. Call it in a thread."""
         address = None if folder is None or self._app.jobs.running else address_of_job(folder)
         if folder is None or address is None or address.is_own or not address.is_here:
             return
@@ -49,7 +49,7 @@ class JobsOfOthers:
 
         try:
             self._app.call_later(self.attach, attach(folder))
-        except NoJob:  # the file of one that was killed
+        except NoJob:  # the file of a killed job
             if self._app.workspace.in_use:
                 self._app.call_later(self._app.open_run, folder, self._app.workspace.profile_path)
         except CellappError as error:
@@ -60,7 +60,7 @@ class JobsOfOthers:
             self._looking.release()
 
     def attach(self, remote: RemoteControl) -> None:
-        """Let the application show and command a job as if it were its own; unless another is open by now."""
+        """Let the application show and command a job as if it were its own, unless another run is open by now."""
         app = self._app
         if app.jobs.running or remote.folder != app.workspace.folder:
             remote.close()
@@ -79,7 +79,7 @@ class JobsOfOthers:
         app.draw_all()
 
     def leave_unless(self, folder: Path | None) -> None:
-        """Detach from a job that is not of this folder; it goes on."""
+        """Detach from a job that does not belong to this folder; the job continues."""
         job = self._app.jobs.job
         if job is not None and job.process is not None and job.folder != folder:
             self._app.jobs.control.leave("another run was opened")

@@ -1,4 +1,4 @@
-"""Open a page in a browser that has a window of its own, and say in a sentence how that went."""
+"""Opening of a page in a graphical browser, with a sentence about the outcome."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 
 
 def open_page(page: Path) -> str:
-    """Open a file in a browser; where there is none, the sentence says where the file is.
+    """Open a file in a browser; without a browser, the sentence says where the file is.
 
-    A browser for terminals is never started: it would draw over this program.
+    A text browser is never started: it would draw over this program.
     """
     where = page.resolve()
     if _has_display():

@@ -1,4 +1,4 @@
-"""What a person reads when a job ended."""
+"""Words for a person about how a job ended."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from cellapp.interfaces.tui.messages import Severity
 
 ERROR_LOG = "error.log"
 REPORT_FILE = "report.html"
-"""As ``cellapp.cell.run.sqlite_file`` names it, which loads more than a start needs."""
+"""Same name as in ``cellapp.cell.run.sqlite_file``, whose import would slow down the start."""
 STOPPED = 4
 UNEXPECTED = 3
 """Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
 
 _RESUMABLE = ("collect", "calibrate", "discover", "push", "verify")
-"""Jobs that go on where they were, or are begun again without loss."""
+"""Jobs that continue where they were, or can be repeated without loss."""
 _PLANS = ("plan", "compare")
-"""The last events of planning, random and designed; a plan that was not finished leaves nothing."""
+"""Last events of planning, random and designed; an unfinished plan is not stored."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a job ended: a sentence, how serious it is, the exit code of the program that quits then."""
+    """End of a job: a sentence, its severity, and the exit code of the program if it quits then."""
 
     text: str
     severity: Severity
@@ -40,7 +40,7 @@ class Ending:
 
 
 def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
-    """The end of a job in words; ``last`` is its newest event."""
+    """Return the end of a job in words; ``last`` is its newest event."""
     folder, ending = ended.job.folder, ended.ending
     if not isinstance(ending, BaseException):
         return _done(ended)
@@ -58,7 +58,7 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
 
 
 def _done(ended: JobEnded) -> Ending:
-    """The end of a job that did all it was to do; with the exit code of the command where a check did not hold."""
+    """Return the end of a completed job; if a check did not hold, with the exit code of the command."""
     job, view = ended.job, ended.view
     where = "" if job.folder is None else f"; the run is in {job.folder}"
     if job.folder is not None and job.name == RUN.name:
@@ -74,7 +74,7 @@ def _done(ended: JobEnded) -> Ending:
 
 
 def how_to_resume(last: Progress | None, folder: Path | None) -> str:
-    """How to go on after a job that ended after the event ``last``; empty if there is nothing to resume."""
+    """Return how to continue after a job whose last event was ``last``; empty if there is nothing to resume."""
     if last is None or folder is None:
         return ""
     job = "collect" if last.job in _PLANS and last.done >= last.total else last.job
@@ -82,7 +82,7 @@ def how_to_resume(last: Progress | None, folder: Path | None) -> str:
 
 
 def left_behind(name: str, patience_s: float) -> str:
-    """What a person must know of a job that did not stop before the program ended."""
+    """Return what a person must know about a job that did not stop before the program ended."""
     return (
         f"'{name}' did not stop within {patience_s:.0f} s; cellapp ended without it. Check the cell before you start"
         " again; the run keeps the measured data."
@@ -102,7 +102,7 @@ def _unexpected(error: BaseException, folder: Path | None) -> str:
 
 
 def forget_terminal() -> None:
-    """Let drawing go nowhere: the terminal was closed, and a write to it would fail."""
+    """Redirect output to the null device: the terminal was closed, and writing to it would fail."""
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in range(3):
         os.dup2(nowhere, stream)

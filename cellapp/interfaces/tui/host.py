@@ -1,4 +1,4 @@
-"""What screens, dialogs and widgets may ask of the application; they know no more of it than this."""
+"""Interface of the application for screens, dialogs and widgets; they know nothing else of it."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
 
 
 class ShowsResults(Protocol):
-    """A screen that draws the result of a job that it asked for."""
+    """A screen that draws the result of a job that it started."""
 
     def show_result(self, result: Result) -> None:
-        """Draw it."""
+        """Draw the result."""
 
 
 class Host(App[None]):
-    """An application that has something open and runs one job at a time.
+    """An application with an open profile or run, and one job at a time.
 
     Attributes
     ----------
     profiles, logs : Path
         Folder whose ``*.yaml`` are offered; folder of the runs.
     asked_by : ShowsResults or None
-        The screen that asked for the present job; it gets the result, whichever screen is shown then.
+        The screen that started the current job; it gets the result, whichever screen is shown then.
     code : int
         Exit code of the last job.
     waits : str
-        A run that waits to be gone on with, in words; empty if none was found.
+        An interrupted run that can be resumed, in words; empty if none was found.
     reading : str
-        That the first profile, or what the last job stored, is being read, as a sentence; empty once it is.
+        Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
 
     def __init__(self, profiles: Path, logs: Path) -> None:
@@ -57,14 +57,14 @@ class Host(App[None]):
 
     @property
     def state(self) -> RunState:
-        """The one state of the run that is open and of the job; derived once for what is known now."""
+        """The only state of the open run and the job; derived once for each change of its inputs."""
         known = (self.workspace, self.record.changes, self.jobs.job, self.waits, self.reading)
         if self._state is None or any(one is not other for one, other in zip(known, self._state[0], strict=True)):
             self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
         return self._state[1]
 
     def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
-        """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
+        """Start a job; ``cell`` is its workspace if not the open one. Return whether it was started."""
         if self.jobs.running:
             self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
             return False
@@ -78,11 +78,11 @@ class Host(App[None]):
 
     @property
     def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog or leaves a field; else it stops a job."""
+        """Whether Escape closes a dialog or leaves a field; otherwise it stops a job."""
         return False
 
     def live(self) -> CellLive | None:
-        """What is known now of the cell that the present job has open; None without one."""
+        """Return what is known now of the cell that the current job has open; None without one."""
         return self.jobs.control.live() if self.jobs.running else None
 
     def open_profile(self, path: Path) -> None:
@@ -110,7 +110,7 @@ class Host(App[None]):
         raise NotImplementedError
 
     def wait_for_job(self) -> None:
-        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
         raise NotImplementedError
 
     def close_terminal(self) -> None:

@@ -1,4 +1,4 @@
-"""The keys that ask something of the job: stop, pause, resume, abort; and the question before the first motion."""
+"""Keys for requests to the job: stop, pause, resume, abort; and the question before the first motion."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class JobKeys(Host):
 
     @property
     def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog or leaves a field: one is open, and nothing can move."""
+        """Whether Escape closes a dialog or leaves a field: there is one, and nothing can move."""
         if self.jobs.moves or not self.jobs.running:
-            return False  # a stop first, or nothing to stop: Escape closes by itself
-        with suppress(ScreenStackError):  # asked by the thread that reads keys, also while the screens go away
+            return False  # stop first, or nothing to stop: Escape closes by itself
+        with suppress(ScreenStackError):  # called by the thread that reads keys, also while screens are removed
             return isinstance(self.screen, ModalScreen) or isinstance(self.screen.focused, Input)
         return False
 
     def action_stop_job(self) -> None:
-        """Brake all arms now, whatever is open: Ctrl-C."""
+        """Brake all arms now (Ctrl-C), whatever is open."""
         self.action_stop()
 
     def action_stop(self) -> None:
@@ -48,7 +48,7 @@ class JobKeys(Host):
 
     @on(StopGiven)
     def show_stop(self, event: StopGiven) -> None:
-        """Say that a press has stopped."""
+        """Say that a press of STOP has taken effect."""
         self.presses.said()
         if self.jobs.running:
             self._say_stop(event.arms)
@@ -56,18 +56,18 @@ class JobKeys(Host):
     def _say_stop(self, arms: bool) -> None:
         self._refuse_motion()
         if isinstance(self.screen, DayScreen) and isinstance(self.screen.focused, Input):
-            self.screen.leave_field()  # the next key is one of the job's, no letter of a text
+            self.screen.leave_field()  # the next key is a command, not a letter of a text
         if self.jobs.control.cancelled:
             self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
         else:
             self.say(f"STOP: all arms brake. {_AFTER_A_STOP}", "error")
 
     def action_say_how_to_quit(self) -> None:
-        """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
+        """Say how to quit: Ctrl-C does not, if no job runs and no text is selected."""
         self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
 
     def action_pause(self) -> None:
-        """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
+        """Pause the job after the current stop; the second time, resume. A stopped job is not resumed."""
         control = self.jobs.control
         if control.request == "pause":
             self.action_resume()
@@ -100,12 +100,12 @@ class JobKeys(Host):
     def ask_before_motion(self, message: MotionAsked) -> None:
         """Show the first motion and ask for the profile's name."""
         if self.jobs.control.request not in ("none", "pause"):
-            return  # a person stopped the job before the question was shown, which answered it
+            return  # a person stopped the job before the question was shown: that is the answer
         profile = self.workspace.profile
         name = "move" if profile is None else profile.name
         self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
 
     def _refuse_motion(self) -> None:
-        """Close the question before the first motion: a stop is an answer."""
+        """Close the question before the first motion: a stop answers it."""
         if isinstance(self.screen, MotionQuestion):
             self.screen.dismiss(False)

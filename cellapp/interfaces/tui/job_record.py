@@ -1,4 +1,4 @@
-"""What is known of the present job: events of its thread, reduced to what screens draw."""
+"""State of the current job for the screens, reduced from the events of its thread."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cellapp.interfaces.tui.live_words import halt_of, without_data
 Level = Literal["debug", "info", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
 MOST_LINES = 5000
-"""Lines of the log that the screen keeps; the run file keeps all."""
+"""Number of log lines that the screen keeps; the run file keeps all."""
 
 Activity = (
     Literal["unknown", "moving", "settling", "measuring", "measured", "not measured", "resting", "stopped"] | HaltState
@@ -43,13 +43,13 @@ Activity = (
 
 
 def level_of(word: str) -> Level:
-    """The level of a word that a run's log uses; ``note`` and unknown words count as info."""
+    """Return the level of a word in a run's log; ``note`` and unknown words count as info."""
     return next((level for level in LEVELS if level == word), "info")
 
 
 @dataclass(frozen=True)
 class LogRow:
-    """One line of the log: when it was heard, how important it is, what it says."""
+    """One line of the log: its time, its level, its text."""
 
     at: datetime
     level: Level
@@ -58,14 +58,14 @@ class LogRow:
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """The newest that is known of one arm.
+    """Newest known state of one arm.
 
     Attributes
     ----------
     activity : str
-        What it does; ``settling`` is at rest at a stop and not measured yet.
+        What it does; ``settling``: at rest at a stop and not measured yet.
     stop : int or None
-        Number of the stop, from 0, to which it moves or at which it is; None on other ways.
+        Index of the stop, from 0, to which it moves or at which it is; None on other motions.
     reason : str
         Why its SMR was not measured; empty otherwise.
     q : tuple or None
@@ -73,7 +73,7 @@ class ArmRecord:
     joint_temperature_c : tuple or None
         Joint temperatures (N) [degC]; None if not reported.
     expected_s : float or None
-        Expected duration of the present motion [s].
+        Expected duration of the current motion [s].
     report : StopReport or None
         Error of the newest stop and standard error so far.
     """
@@ -89,7 +89,7 @@ class ArmRecord:
 
 @dataclass(frozen=True)
 class TrackerRecord:
-    """The newest that is known of the tracker and of the air.
+    """Newest known state of the tracker and of the air.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class TrackerRecord:
     air : AirReport or None
         The newest state of the air, from the weather station or else from the tracker.
     sweep : SweepLive or None
-        How far the sweep is that it follows; None where it follows none.
+        Progress of the sweep that it follows; None if it follows none.
     """
 
     arm: str | None = None
@@ -114,23 +114,23 @@ class TrackerRecord:
 
 @dataclass(frozen=True)
 class Pace:
-    """When a part of a job was first and last heard of [s, monotonic], and how many steps were done at first."""
+    """Times of the first and the last event of a part of a job [s, monotonic], and its number of steps at the first."""
 
     began_s: float
     began_done: int
     heard_s: float
 
     def per_minute(self, done: int) -> float | None:
-        """Steps a minute since the beginning; None before one was made."""
+        """Return the steps per minute since the beginning; None before the first step."""
         seconds = self.heard_s - self.began_s
         return None if done <= self.began_done or seconds <= 0.0 else 60.0 * (done - self.began_done) / seconds
 
 
 @dataclass
 class JobRecord:
-    """The events of one job, reduced. Only the thread of the screens writes and reads it.
+    """State of one job, reduced from its events. Only the thread of the screens writes and reads it.
 
-    What it holds of arms and tracker is replaced and never changed, so that a screen sees by ``is`` what to draw again.
+    Records of arms and tracker are replaced, never changed, so that a screen can detect changes with ``is``.
 
     Attributes
     ----------
@@ -139,40 +139,40 @@ class JobRecord:
     attached : bool
         Whether another process runs it.
     part : str
-        What its events call what it does, where people call it by ``name``: a push that measures is a verification.
+        Name in its events for what people call ``name``: a push that measures is a verification.
     state : JobState or None
         None while no job runs.
     reason : str
-        Why the job came into its state, in a sentence; may be empty.
+        Why the job is in its state, in a sentence; may be empty.
     since : datetime
-        When it came into its state.
+        When it entered its state.
     paces : dict
-        Part -> when it was heard of, and how fast it is.
+        Part -> times of its events, and its speed.
     progress : dict
-        The newest event of each part, by its name; the part that reported last is the last one.
+        Part -> its newest event; the part that reported last is the last one.
     arms : dict
-        Arm -> the newest that is known of it.
+        Arm -> its newest known state.
     tracker : TrackerRecord
     stops : dict
         Arm -> reports of its stops, oldest first.
     references : list
         Reports of reference measurements, oldest first.
     sweep : SweepLive or None
-        How far the newest sweep is; None before the first.
+        Progress of the newest sweep; None before the first.
     sweep_trace : list
-        The speeds of its SMR that were heard, as in ``SweepLive``.
+        The reported speeds of its SMR, as in ``SweepLive``.
     suspicions : list
-        What the measurements made doubtful.
+        Doubts raised by the measurements.
     log : deque
         Lines, oldest first.
     log_written : int
         Number of lines that were ever written.
     causes : tuple of str
-        Why the arms were stopped, as the open cell says it, whether the job's thread has noticed or not.
+        Why the arms were stopped, according to the open cell, even before the job's thread has noticed.
     lost : tuple of str
-        Devices of the open cell of which no data come.
+        Devices of the open cell that send no data.
     changes : int
-        Grows with every event, so that a screen knows whether to draw again.
+        Counter that every event increments, so that a screen knows whether to redraw.
     """
 
     name: str = ""
@@ -207,12 +207,12 @@ class JobRecord:
         return self.name.split(" ")[0] == "replay"
 
     def newest_lines(self, written: int) -> list[LogRow]:
-        """The lines that were written since ``log_written`` had a value, as far as they are kept; oldest first."""
+        """Return the kept lines written since ``log_written`` had the value ``written``; oldest first."""
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
     def begin(self, name: str, *, attached: bool = False, part: str = "") -> None:
-        """Forget the job before, but not its log. Events of ``part`` are told under the job's own name."""
+        """Reset for a new job, but keep the log. Events of ``part`` are stored under the job's own name."""
         self.attached, self.part = attached, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         self.since = datetime.now()
@@ -223,14 +223,14 @@ class JobRecord:
         self.changes += 1
 
     def end(self) -> None:
-        """The job has ended; what it reported stays."""
+        """Note that the job has ended; its reports are kept."""
         self.state, self.reason = None, ""
         self.causes, self.lost = (), ()
         self._rest_arms("resting")
         self.changes += 1
 
     def look(self, live: CellLive | None) -> None:
-        """Take in what is known of the open cell now; no event of the job is needed for it."""
+        """Update from the current state of the open cell; no event of the job is needed."""
         causes, lost = ((), ()) if live is None else (live.causes, tuple(without_data(live)))
         if (causes, lost) != (self.causes, self.lost):
             self.causes, self.lost = causes, lost
@@ -250,14 +250,14 @@ class JobRecord:
         self.changes += 1
 
     def add(self, event: Progress) -> None:
-        """Take in one event."""
+        """Process one event."""
         if event.job == self.part:
             event = replace(event, job=self.name)
         now_s, pace = time.monotonic(), self.paces.get(event.job)
         self.paces[event.job] = Pace(now_s, event.done, now_s) if pace is None else replace(pace, heard_s=now_s)
-        before = self.progress.pop(event.job, None)  # the newest part is the last one
+        before = self.progress.pop(event.job, None)  # reinserted below: the newest part is the last one
         if before is not None and event.detail is not None and not event.note:
-            self.progress[event.job] = replace(event, note=before.note)  # the note of a step stands until the next
+            self.progress[event.job] = replace(event, note=before.note)  # the note of a step stays until the next step
         else:
             self.progress[event.job] = event
         self.changes += 1
@@ -327,7 +327,7 @@ class JobRecord:
                 self.tracker = TrackerRecord(name, False, detail, self._air_of(detail))
 
     def _air_of(self, point: PointMeasured) -> AirReport | None:
-        """The air at a point; pressure and humidity are those of the weather station, whose temperature it repeats."""
+        """Return the air at a point: all that is known if the temperature is the same, else the temperature alone."""
         air = self.tracker.air
         if point.temperature_c is None or (air is not None and air.temperature_c == point.temperature_c):
             return air
@@ -341,14 +341,14 @@ class JobRecord:
             self._rest_arms("stopped")
 
     def _rest_arms(self, activity: Activity) -> None:
-        """Arms that moved or waited to be measured do so no more."""
+        """Set arms that moved or waited to be measured to ``activity``."""
         for name, arm in self.arms.items():
             if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
                 self.arms[name] = replace(arm, activity=activity, expected_s=None)
         self.tracker = replace(self.tracker, measuring=False, sweep=None)
 
     def _log_detail(self, job: str, detail: Detail) -> None:
-        """Write a line, where the job writes none of its own for this detail."""
+        """Log a detail for which the job itself writes no line."""
         match detail:
             case LogReport(level, text):
                 self.note(text, level_of(level))
@@ -363,5 +363,5 @@ class JobRecord:
 
 
 def within_limit(report: ReferenceReport) -> bool:
-    """Whether no reference moved farther than the limit."""
+    """Return whether no reference moved farther than the limit."""
     return max(report.drift_mm.values(), default=0.0) <= report.limit_mm

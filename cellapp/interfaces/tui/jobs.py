@@ -1,6 +1,6 @@
-"""One job at a time, in a thread of its own: it calls a verb; its events wait in a queue.
+"""One job at a time, in a separate thread: it calls a verb; its events wait in a queue.
 
-Keys and signals reach the brakes through ``control`` without passing the queue.
+Keys and signals reach the brakes through ``control`` and bypass the queue.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
 Ask = Callable[[str], bool]
-"""Shows a person the first motion in words and returns whether it is allowed."""
+"""Function that shows a person the first motion in words and returns whether it is allowed."""
 Work = Callable[[Listener, JobControl, Ask], "Result | None"]
-"""A verb with its inputs bound; it runs in the thread of the job."""
+"""A verb with its inputs bound; it runs in the job's thread."""
 M = TypeVar("M", bound=Message)
 
 _MOST_WAITING = 2000
-"""Events that wait to be drawn; a faster job loses the oldest ones here, the run file has all."""
+"""Length of the event queue; a faster job loses the oldest events here, the run file has all."""
 _ANSWER_S = 0.1
-"""How often a job that waits for an answer looks whether it is to end."""
+"""Interval at which a job that waits for an answer checks whether it must end."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done.
+    """A job to run.
 
     Attributes
     ----------
     name : str
         A word or two for people: "collect".
     work : callable
-        What does it.
+        Function that does the work.
     folder : Path or None
         The run that it reads or adds to; its error log is written there.
     moves : bool
         Whether it may move arms; a replay and a calculation do not.
     process : int or None
-        The other process that runs it; here it is only watched and commanded. None: this one.
+        Id of the other process that runs it and is only watched and commanded from here; None: this process.
     verb : Verb or None
-        The verb that it is; its view says what held. None of one that no command has.
+        Its verb, whose view shows the result; None for a job without a command.
     request : Request or None
-        What the verb is asked for.
+        Request for the verb.
     """
 
     name: str
@@ -68,12 +68,12 @@ class Job:
     request: Request | None = None
 
     def view(self, result: Result) -> View:
-        """How its result is shown; in the thread of the job, as tables may take a while."""
+        """Return the view of its result; call it in the job's thread, as tables may take a while."""
         return View() if self.verb is None else self.verb.view(result, self.request)
 
 
 class MotionAsked(Message):
-    """The job asks before its first motion; ``answer`` takes what the person decides."""
+    """Question of the job before its first motion; ``answer`` receives the person's decision."""
 
     def __init__(self, words: str, answer: Callable[[bool], None]) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class MotionAsked(Message):
 
 
 class JobEnded(Message):
-    """The thread of the job ended, with a result and its view or with an exception."""
+    """End of the job's thread, with a result and its view or with an exception."""
 
     def __init__(self, job: Job, ending: Result | BaseException | None, view: View | None = None) -> None:
         super().__init__()
@@ -94,7 +94,7 @@ class JobRunner:
     Parameters
     ----------
     post : callable
-        Takes messages from any thread and hands them to the screens.
+        Passes messages from any thread to the screens.
     """
 
     def __init__(self, post: Callable[[Message], object]) -> None:
@@ -111,17 +111,17 @@ class JobRunner:
 
     @property
     def moves(self) -> bool:
-        """Whether the present job may move arms, here or in another process."""
+        """Whether the current job may move arms, here or in another process."""
         job = self.job
         return job is not None and (job.moves or job.process is not None or self.control.has_brakes)
 
     @property
     def attached(self) -> bool:
-        """Whether the present job is one of another process: leaving it does not stop it."""
+        """Whether the current job belongs to another process: leaving it does not stop it."""
         return self.job is not None and self.job.process is not None
 
     def start(self, job: Job, control: JobControl | None = None) -> None:
-        """Start a job; the one before must have reported its end. ``control`` is that of a job of another process."""
+        """Start a job; the previous one must have reported its end. ``control`` is that of a job of another process."""
         if self.job is not None:
             raise RuntimeError(f"{self.job.name} is still running")
         self.control = control or JobControl(holds=True)  # first: whoever sees the job, in any thread, stops this one
@@ -132,16 +132,16 @@ class JobRunner:
         self._thread.start()
 
     def ended(self) -> None:
-        """Take note of the end that ``JobEnded`` reported."""
+        """Note the end that ``JobEnded`` reported."""
         self.job = None
 
     def events(self, most: int | None = None) -> list[Progress]:
-        """Take the oldest events that nobody took yet, at most ``most``."""
+        """Remove the oldest events from the queue, at most ``most``, and return them."""
         count = len(self._events) if most is None else min(len(self._events), most)
         return [self._events.popleft() for _ in range(count)]
 
     def possible(self, verb: str) -> bool:
-        """Whether ``stop``, ``pause``, ``resume`` or ``abort`` can be asked of the present job."""
+        """Return whether ``stop``, ``pause``, ``resume`` or ``abort`` can be requested from the current job."""
         request = self.control.request
         return self.running and {
             "stop": True,  # again and again: braking twice does no harm
@@ -151,7 +151,7 @@ class JobRunner:
         }.get(verb, False)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
         if self._thread is not None:
             self._thread.join(timeout_s)
 
@@ -174,6 +174,6 @@ class JobRunner:
             return True
 
         with contextlib.ExitStack() as stack:
-            stack.push(report_failure)  # whatever ends the job is reported to the screens
+            stack.push(report_failure)  # report to the screens whatever ends the job
             result = job.work(with_eta(self._events.append), control, ask)
             self._post(JobEnded(job, result, None if result is None else job.view(result)))

@@ -1,7 +1,7 @@
-"""The grammar of keys: one table of meanings, each with its key. Screens bind meanings, sentences name keys by them.
+"""Table of all keys: one key per meaning. Screens bind meanings, and sentences name keys by meanings.
 
-A meaning has the same key on every screen, and a key has one meaning. What a sentence from elsewhere calls a command
-of the command line is written here as the keys that do it.
+A meaning has the same key on every screen, and a key has one meaning. Sentences from elsewhere that name a command of
+the command line are shown here with the keys that do it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.workspace import STEPS, Step
 
 @dataclass(frozen=True)
 class Key:
-    """Keys as Textual names them, separated by commas; the first as people see it; what it means on every screen."""
+    """Keys with Textual's names, separated by commas; the display name of the first; the meaning on every screen."""
 
     keys: str
     shown: str
@@ -79,7 +79,7 @@ KEYS: Mapping[str, Key] = {
     ),
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
-"""Meaning -> its key as people see it, for ``str.format_map``."""
+"""Meaning -> display name of its key, for ``str.format_map``."""
 WAYS: Mapping[str, tuple[Step, str]] = {
     "doctor": ("cell", "go"),
     "plan": ("plan", "go"),
@@ -102,9 +102,9 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "replay": ("runs", "look"),
     "runs": ("runs", "again"),
 }
-"""Verb -> the screen and the meaning of the key that does it; the palette does the others."""
+"""Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
-"""Verb -> the meaning of the key that does it on every screen; the palette has no such verb."""
+"""Verb -> the meaning of the key that does it on every screen; these verbs are not in the palette."""
 _VARIANTS = "|".join(re.escape(word) for verb in VERBS for word in verb.variants)
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
@@ -113,13 +113,13 @@ _COMMAND = re.compile(
 
 
 def bind(meaning: str, action: str, label: str, tooltip: str = "", *, show: bool = True) -> Binding:
-    """A binding of a meaning to an action of a screen or of the application."""
+    """Return the binding of a meaning to an action of a screen or of the application."""
     key = KEYS[meaning]
     return Binding(key.keys, action, label, show=show, tooltip=tooltip, key_display=key.shown)
 
 
 def key_table(bindings: Sequence[BindingType]) -> str:
-    """The keys of a screen or of the application, as a Markdown table: each with what it does there."""
+    """Return the keys of a screen or of the application as a Markdown table, each with its effect."""
     rows = ["| key | what it does |", "| --- | --- |"]
     for one in bindings:
         if isinstance(one, Binding) and one.description:
@@ -129,7 +129,7 @@ def key_table(bindings: Sequence[BindingType]) -> str:
 
 
 def way_to(verb: str) -> str:
-    """The keys that do a verb from any screen: "keys 4, b"."""
+    """Return the keys that do a verb from any screen: "keys 4, b"."""
     if verb in _EVERYWHERE:
         return f"key {SHOWN[_EVERYWHERE[verb]]}"
     if verb not in WAYS:
@@ -139,13 +139,13 @@ def way_to(verb: str) -> str:
 
 
 def table_with_keys(table: Table) -> Table:
-    """A table whose cells name keys instead of commands."""
+    """Return the table with commands in its cells replaced by keys."""
     rows = tuple(tuple(with_keys(cell) if isinstance(cell, str) else cell for cell in row) for row in table.rows)
     return replace(table, rows=rows)
 
 
 def with_keys(text: str) -> str:
-    """A sentence in which each command of the command line is written as the keys that do it."""
+    """Replace each command of the command line in a sentence by the keys that do it."""
     verbs = {verb.name for verb in VERBS}
 
     def keys(found: re.Match[str]) -> str:

@@ -1,4 +1,4 @@
-"""Leaving because the system says so: the terminal was closed, the program is to end. Ctrl-Z pauses instead."""
+"""Exit on request of the system: the terminal was closed, or the program must end. Ctrl-Z pauses instead."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cellapp.interfaces.tui.messages import LeaveAsked
 
 LEFT = "a person left the application"
 ENDED = "the terminal application ended"
-"""What a run records as the cause of the halt."""
+"""Cause of the halt that a run records."""
 _PAUSING = available("SIGTSTP")
 _LAST_WORDS_S = 5.0
-"""After the end of the job, for leaving the screen; usually some 0.1 s."""
+"""Time limit for leaving the screen after the end of the job; usually about 0.1 s."""
 _LAST_WRITES_S = 0.5
-"""The same where the terminal is gone: nobody reads last words, and the next start waits for what this one holds."""
+"""The same if the terminal is gone: nobody reads it, and the next start waits for the files that this one holds."""
 
 
 class Leaving:
@@ -29,7 +29,7 @@ class Leaving:
     ----------
     app : Host
     ends_process : bool
-        Whether a signal that ends the program ends the process even where the screen cannot be left.
+        Whether a signal that ends the program ends the process even if the screen cannot be left.
     """
 
     def __init__(self, app: Host, *, ends_process: bool) -> None:
@@ -37,16 +37,16 @@ class Leaving:
         self._signals = contextlib.ExitStack()
 
     def watch(self) -> None:
-        """Listen to signals, in the main thread, after Textual has set its own: Ctrl-Z would freeze the program."""
+        """Handle signals, in the main thread, after Textual has set its handlers: Ctrl-Z would freeze the program."""
         if threading.current_thread() is threading.main_thread():
             self._signals.enter_context(watch_signals((*INTERRUPTS, *HANGUP, *_PAUSING), self._react, lambda *_: None))
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop handling signals."""
         self._signals.close()
 
     def _react(self, number: int) -> None:
-        """In the thread that watches the signals."""
+        """React to a signal, in the thread that watches the signals."""
         control = self._app.jobs.control
         if number in HANGUP:
             self.close_terminal()
@@ -70,7 +70,7 @@ class Leaving:
             threading.Thread(target=self._end_process, args=(after_s,), name="end", daemon=True).start()
 
     def _end_process(self, after_s: float) -> None:
-        """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
+        """End the process if Textual cannot: it waits for ever after a failed write to a closed terminal."""
         running = self._app.jobs.running and not self._app.jobs.attached
         self._app.wait_for_job()
         time.sleep(after_s)

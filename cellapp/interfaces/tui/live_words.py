@@ -1,4 +1,4 @@
-"""What is known of the cell now, in words: the age of all data, how far each arm's stop is. Draws nothing."""
+"""Words for the current state of the cell: the age of all data, the progress of each arm's stop. Draws nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 from cellapp.ground.progress import ArmLive, CellLive, HaltState
 
 LATE_S, LOST_S = 0.3, 1.0
-"""Data older than this are late; older than that they are lost, and say nothing about now."""
+"""Ages from which data are late, and lost: lost data say nothing about now."""
 Look = Literal["fresh", "late", "lost"]
 
 HALT_WORDS: Mapping[HaltState, str] = {
@@ -24,7 +24,7 @@ _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of the strip, and how old its data are."""
+    """A part of the live strip, and how old its data are."""
 
     text: str
     look: Look
@@ -32,7 +32,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Banner:
-    """How far the halt is, in words that begin with the state; the causes; whether an arm counts as moving."""
+    """Progress of the halt in words that begin with the state; its causes; whether an arm counts as moving."""
 
     words: str
     causes: tuple[str, ...]
@@ -40,21 +40,21 @@ class Banner:
 
 
 def look_of(age_s: float | None) -> Look:
-    """How old data look; None is no data."""
+    """Return how data of an age are displayed; None means no data."""
     if age_s is None or age_s > LOST_S:
         return "lost"
     return "late" if age_s > LATE_S else "fresh"
 
 
 def age_words(age_s: float | None) -> str:
-    """An age as "0.2 s", in steps that an eye can follow."""
+    """Format an age as "0.2 s", in steps that an eye can follow."""
     if age_s is None:
         return "no data"
     return f"{age_s:.1f} s" if age_s < 10.0 else f"{age_s:.0f} s"
 
 
 def halt_of(arm: ArmLive) -> HaltState | None:
-    """How far the halt of an arm is; a halt of which no data tell is not seen, whatever was commanded."""
+    """Return the progress of an arm's halt; without current data it is not seen at rest, whatever was commanded."""
     if arm.halt is None:
         return None
     unknown = arm.halt.state in ("asked", "braking") and look_of(arm.age_s) == "lost"
@@ -62,7 +62,7 @@ def halt_of(arm: ArmLive) -> HaltState | None:
 
 
 def strip_of(live: CellLive) -> list[Part]:
-    """Each arm, the tracker and the job with the age of their data."""
+    """Return each arm, the tracker and the job with the age of their data."""
     parts = []
     for name, arm in live.arms.items():
         halt, look = halt_of(arm), look_of(arm.age_s)
@@ -73,9 +73,9 @@ def strip_of(live: CellLive) -> list[Part]:
 
 
 def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None:
-    """The state of a halt, or that data are missing; None where neither is so.
+    """Return the banner of a halt or of missing data; None if there is neither.
 
-    ``unseen`` are the arms that the run that is open counts as moving, arm -> why.
+    ``unseen`` are the arms that the open run counts as moving, arm -> why.
     """
     halts = {} if live is None else {name: halt_of(arm) for name, arm in live.arms.items()}
     state = next((state for state in _WORST_FIRST if state in halts.values()), None)
@@ -95,6 +95,6 @@ def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None
 
 
 def without_data(live: CellLive) -> list[str]:
-    """Names of the devices of which no data come."""
+    """Return the names of the devices that send no data."""
     arms = [f"arm {name}" for name, arm in live.arms.items() if look_of(arm.age_s) == "lost"]
     return [*arms, *(["tracker"] if look_of(live.tracker_age_s) == "lost" else [])]

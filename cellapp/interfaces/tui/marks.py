@@ -1,4 +1,4 @@
-"""The marks of the steps: a tick is not a verdict. What each step concluded, as one sign and in words."""
+"""Marks of the steps, as a sign and in words: what each step concluded, as completion alone is not a verdict."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ SIGNS: Mapping[Kind, str] = {
     "does not conform": "✗",
     "out of date": "!",
 }
-"""A sign for each: ``done`` is done and holds, ``conforms`` is inside its tolerance by its uncertainty."""
+"""Sign of each kind: ``done`` is done and up to date, ``conforms`` is within its tolerance given its uncertainty."""
 _ENDED = ("complete", "accurate enough")
 
 
 @dataclass(frozen=True)
 class Mark:
-    """How far a step is, and that in words; ``is_next`` where it is what comes next, whatever its mark."""
+    """Progress of a step, also in words; ``is_next`` if it is the next step, whatever its mark."""
 
     kind: Kind
     words: str
@@ -37,7 +37,7 @@ class Mark:
 
 
 def marks_of(workspace: Workspace, measured: int, planned: int, left: int, running: Step | None) -> dict[Step, Mark]:
-    """The mark of every step; ``running`` is the step that a job does now."""
+    """Return the mark of every step; ``running`` is the step that a job does now."""
     marks: dict[Step, Mark] = {step: Mark("open", "not begun") for step in STEPS}
     if workspace.profile is not None:
         marks["cell"] = Mark("done", "a profile is open")
@@ -69,17 +69,17 @@ def _collected(workspace: Workspace, measured: int, planned: int, left: int) -> 
 
 
 def _concluded(workspace: Workspace) -> dict[Step, Mark]:
-    """The marks of the steps that stored something: the worst that holds, or that something is out of date."""
+    """Return the marks of steps with stored results: the worst valid conclusion, or that something is out of date."""
     found: dict[Step, list[Conclusion]] = {}
     for stage, conclusion in workspace.conclusions.items():
-        if (step := step_of(stage)) is not None:  # a later version may have others
+        if (step := step_of(stage)) is not None:  # a later version may have other stages
             found.setdefault(step, []).append(conclusion)
     if not found and not workspace.overview:
         return {}
-    from cellapp.commands.conclusions import Conclusion, worst  # late: no run was read before
+    from cellapp.commands.conclusions import Conclusion, worst  # late: only needed once a run was read
 
     accept = found.setdefault("accept", [])
-    if workspace.overview is not None and workspace.overview.complaints:  # that screen names them all
+    if workspace.overview is not None and workspace.overview.complaints:  # that screen lists them all
         accept.append(Conclusion("out of date", "; ".join(workspace.overview.complaints)))
     if workspace.conformity is not None and (accept or workspace.reported):
         accept.append(Conclusion(workspace.conformity, f"the run: {workspace.conformity}"))

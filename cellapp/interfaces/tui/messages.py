@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
 
 Severity = Literal["information", "warning", "error"]
-"""How serious a sentence is; the words of Textual."""
+"""Severity of a sentence, with Textual's words."""
 
 
 class LeaveAsked(Message):
@@ -20,7 +20,7 @@ class LeaveAsked(Message):
 
 
 class StopGiven(Message):
-    """A person pressed STOP, and the brakes have it; what is left is to say so. ``arms``: whether arms brake."""
+    """A person pressed STOP and the brakes were called; the screens must only say so. ``arms``: whether arms brake."""
 
     def __init__(self, arms: bool) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class WorkspaceLoaded(Message):
 
 
 class ResumeOffered(Message):
-    """A run was found that was interrupted while collecting."""
+    """An interrupted run of collecting was found."""
 
     def __init__(self, run: RunSummary) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Questions that the application asks before it begins something larger, or ends. Each begins nothing by itself."""
+"""Questions before the application begins something larger, or ends. None begins anything without an answer."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ if TYPE_CHECKING:
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
-"""Answers where the model is out of date; the first one has the focus."""
+"""Answers if the model is out of date; the first one has the focus."""
 RECORD = (Answer("record", "Record", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 _MOST_SOCKETS = 6
-"""Rows of a table in a dialog, which has to fit into the smallest terminal."""
+"""Rows of a table in a dialog that fits into the smallest terminal."""
 _READING_WIDTH = 66
-"""Characters of a line of a text that fits into the narrowest terminal."""
+"""Characters per line of a text that fits into the narrowest terminal."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
 """Speeds of a replay and their keys."""
 
 
 def arms_words(workspace: Workspace) -> str:
-    """Which arms a job would move."""
+    """Return which arms a job would move."""
     return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
 
 
 def offer_again(
     screen: DayScreen, title: str, found: Result | None, stage: StageName, begin: Callable[[], None]
 ) -> None:
-    """Begin; where a result is there that still holds, ask whether to do it again."""
+    """Begin; if a valid result exists, first ask whether to repeat the work."""
     results = screen.workspace.results
     if found is None or (results is not None and stage in results.out_of_date):
         begin()
@@ -63,7 +63,7 @@ def offer_again(
 
 
 def offer_whole_day(app: Host) -> None:
-    """Plan, collect, calibrate, discover, push and verify in a new run."""
+    """Offer to plan, collect, calibrate, discover, push and verify in a new run."""
     profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
         app.say(app.state.no_profile, "warning")
@@ -80,19 +80,19 @@ def offer_whole_day(app: Host) -> None:
 
 
 class _VerbView:
-    """Shows the result of a verb that the palette began, as its view says it."""
+    """Shows the result of a verb that was started from the palette, with the verb's view."""
 
     def __init__(self, app: Host, verb: Verb) -> None:
         self._app, self._verb = app, verb
 
     def show_result(self, result: Result) -> None:
-        """Show it as a text to read."""
+        """Show the result as a text."""
         text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
         self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))
 
 
 def verbs_of_run() -> tuple[Verb, ...]:
-    """The verbs that work on a run and whose other needed fields a dialog asks for."""
+    """Return the verbs that work on a run and whose other required fields a dialog can ask for."""
     return tuple(
         verb
         for verb in VERBS
@@ -102,14 +102,14 @@ def verbs_of_run() -> tuple[Verb, ...]:
 
 
 def offer_verb(screen: DayScreen, verb: Verb) -> None:
-    """Ask for the request of any verb on the run that is open, then do it and show its view."""
+    """Ask for the request of any verb on the open run, then run it and show its view."""
     folder = screen.open_folder()
     if folder is not None:
         _offer(screen, verb, {"folder": folder})
 
 
 def offer_verb_of_profile(screen: DayScreen, verb: Verb) -> None:
-    """Ask for the request of a verb on the profile that is open, then do it and show its view."""
+    """Ask for the request of a verb on the open profile, then run it and show its view."""
     profile = screen.workspace.profile_path
     if profile is None:
         screen.say(screen.state.no_profile, "warning")
@@ -118,7 +118,7 @@ def offer_verb_of_profile(screen: DayScreen, verb: Verb) -> None:
 
 
 def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
-    """Ask for what is not ``given`` of the request of a verb, then do it and show its view."""
+    """Ask for the fields of a verb's request that are not ``given``, then run it and show its view."""
     app = screen.cell_app
 
     def begin(request: Request | None) -> None:
@@ -131,8 +131,8 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
 
 
 def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
-    """Ask for the request of a verb that measures with the model in force, then do it; ``begun`` is called before."""
-    from cellapp.commands.compensate.target_list import stale_model  # numerics, which no start waits for
+    """Ask for the request of a verb that measures with the model in force, then run it; ``begun`` is called before."""
+    from cellapp.commands.compensate.target_list import stale_model  # numerics, which the start must not wait for
 
     if (calibrated := screen.calibrated_run()) is None:
         return
@@ -157,7 +157,7 @@ class _TouchView:
         self._screen, self._asked = screen, asked
 
     def show_result(self, result: Result) -> None:
-        """Ask again, with the arm and the socket of before."""
+        """Ask again, with the previous arm and socket."""
         from cellapp.commands.touch.result import TouchResult
 
         if not isinstance(result, TouchResult):
@@ -169,7 +169,7 @@ class _TouchView:
 
 
 def offer_touch(screen: DayScreen) -> None:
-    """Record touches of sockets by an arm that is led by hand, into the run that is open, else into a new one."""
+    """Record touches of sockets by a hand-led arm, in the open run or else in a new one."""
     app, profile = screen.cell_app, screen.workspace.profile
     if app.workspace.profile_path is None or profile is None:
         app.say(app.state.no_profile, "warning")
@@ -183,15 +183,15 @@ def offer_touch(screen: DayScreen) -> None:
 
 
 def _touch_folder(workspace: Workspace, profile: Profile) -> Path:
-    """The run that is open where touches may be added to it, else a new one."""
-    from cellapp.cell.run.touches import touches_before  # late: most never record touches
+    """Return the open run if touches may be added to it, else a new one."""
+    from cellapp.cell.run.touches import touches_before  # late: only needed for touches
     from cellapp.ground.errors import InputError
 
     if workspace.folder is None:
         return new_folder(profile)
     try:
         touches_before(workspace.folder, profile, next(iter(profile.arms)))
-    except InputError:  # it is one of a tracker
+    except InputError:  # it is a run with a tracker
         return new_folder(workspace.file_profile or profile)
     return workspace.folder
 
@@ -211,7 +211,7 @@ def _ask_touch(screen: DayScreen, values: Mapping[str, object], text: str) -> No
 
 
 def offer_paths(screen: DayScreen) -> None:
-    """Plan paths of lines and arcs for the run that is open; drive and measure them where a person asks for that."""
+    """Plan paths of lines and arcs for the open run; drive and measure them if the person asks for it."""
     from cellapp.commands.compensate.target_list import stale_model
 
     app, profile = screen.cell_app, screen.workspace.profile
@@ -240,7 +240,7 @@ def offer_paths(screen: DayScreen) -> None:
 
 
 def show_paths(app: Host, result: object) -> None:
-    """Show the tables of paths that were planned or followed; anything else is shown by its screen."""
+    """Show the tables of planned or followed paths; other results are shown by their screens."""
     from cellapp.cell.targets.path_records import PathResult
     from cellapp.commands.follow.view import path_sentences, path_tables
     from cellapp.commands.view.table import markdown
@@ -250,7 +250,7 @@ def show_paths(app: Host, result: object) -> None:
 
 
 def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:
-    """Ask whether to stop the job, or to lose what is not saved, and quit; ``leave`` takes the answer."""
+    """Ask whether to stop the job or to lose unsaved changes, and quit; ``leave`` receives the answer."""
     lost = f"Not saved, and lost: {', '.join(unsaved)}. " if unsaved else ""
     if not app.jobs.running:
         lose = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, lose them", "y", "error"))
@@ -269,7 +269,7 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[st
 
 
 def offer_to_resume(app: Host, run: RunSummary) -> None:
-    """Open a run that was interrupted while collecting, or one in which another process works now."""
+    """Offer to open an interrupted run of collecting, or one in which another process works now."""
     folder, title = Path(run.run), "Go on with the last run?"
     text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
     if run.in_use:
@@ -301,7 +301,7 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
 
 def offer_replay(app: Host, folder: Path) -> None:
-    """Play back a run through the screen Collect."""
+    """Play back a run on the screen Collect."""
 
     def play(answer: str | None) -> None:
         if answer is not None and app.start_job(work.job_of(REPLAY, folder=folder, speed=float(answer[1:]))):

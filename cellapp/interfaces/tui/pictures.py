@@ -1,4 +1,4 @@
-"""Pictures of the terminal application: its first question and every screen of the day, drawn without a terminal."""
+"""Pictures of the terminal application, drawn without a terminal: its first question and every screen of the day."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.app import CellApp
 
 SIZE = (120, 40)
-"""Columns and lines of a usual terminal."""
+"""Columns and lines of a typical terminal."""
 REPLAY_SPEED = 100.0
-"""The greatest there is."""
+"""Speed of the replay: the largest possible."""
 _WAIT_S = 300.0
 _LOOK_S = 0.05
-"""How often it is looked whether a replay is far enough."""
+"""Interval of checking whether a replay is far enough."""
 FIRST_RUN = "first-run"
-"""What the application asks in a folder without profiles; drawn beside the screens."""
+"""Name of the picture of the question in a folder without profiles; drawn beside the screens."""
 _FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 _PLOTS_S = 1.0
-"""The screen Collect draws its plots one after the other, so that keys are answered between them."""
+"""Time for the plots of the screen Collect, which draws them one by one so that keys are handled in between."""
 _PLAN_TAB = "tab-design"
-"""The tab of the screen Plan that shows most."""
+"""The most informative tab of the screen Plan."""
 _SETTLED = 3
-"""Screens that read something in a thread draw it a message later, and that may begin another reading."""
+"""Rounds of waiting: a screen draws what a thread has read one message later, and may then begin to read again."""
 
 
 def screen_file(step: str) -> str:
-    """Name of the picture of a step's screen."""
+    """Return the file name of the picture of a step's screen."""
     return f"screen-{step}.svg"
 
 
 def write_screens(
     profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE, outputs: Outputs = NEW_ONLY
 ) -> list[Path]:
-    """Draw every screen as an SVG file, with a run or without one; their paths. Nothing is changed in the run.
+    """Draw every screen as an SVG file, with a run or without one; return the paths. The run is not changed.
 
     The first picture is that of the first start, in a folder without profiles.
 
     Parameters
     ----------
     profile : Path
-        A profile; where ``run`` is given, that from which it was planned.
+        A profile; if ``run`` is given, the one from which it was planned.
     run : Path or None
         Folder of the run.
     folder : Path
@@ -59,7 +59,7 @@ def write_screens(
     size : tuple
         Columns and lines.
     outputs : Outputs
-        What may be replaced; left out, nothing.
+        What may be replaced; default: nothing.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def write_screens(
 
 
 async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> dict[str, str]:
-    """Name and SVG text of the picture of every screen."""
+    """Return name -> SVG text of the picture of every screen."""
     from textual.widgets import TabbedContent
 
     from cellapp.interfaces.tui.app import CellApp
@@ -93,7 +93,7 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
                 app.open_profile(profile)
             else:
                 app.open_run(run, profile)
-            for entry in sorted(SCREENS, key=lambda entry: entry.step == "collect"):  # a replay leaves a message
+            for entry in sorted(SCREENS, key=lambda entry: entry.step == "collect"):  # its replay leaves a message
                 app.action_show(entry.step)
                 await settle(pilot)
                 if run is not None and entry.step == "collect":
@@ -108,7 +108,7 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
 
 
 async def _first_run(size: tuple[int, int]) -> str:
-    """SVG text of what the application asks in an empty folder."""
+    """Return the SVG text of the question in an empty folder."""
     from cellapp.interfaces.tui.app import CellApp
 
     with tempfile.TemporaryDirectory() as name, chdir(name):  # the question names the folder as people see it
@@ -119,7 +119,7 @@ async def _first_run(size: tuple[int, int]) -> str:
 
 
 async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
-    """Play back the first half of the stops, and pause: the screen as people see it while arms move."""
+    """Play back the first half of the stops and pause, to show the screen as it is while arms move."""
     from cellapp.commands.replay.request import VERB as REPLAY
     from cellapp.interfaces.tui import work
 
@@ -144,7 +144,7 @@ async def _end_job(app: CellApp, pilot: Pilot[None]) -> None:
 
 @contextmanager
 def _runs_of(run: Path | None) -> Iterator[Path]:
-    """The folder that the screen Runs lists: only the run itself, or none."""
+    """Yield the folder that the screen Runs lists: only the run itself, or an empty one."""
     if run is not None:
         yield run
         return
@@ -153,7 +153,7 @@ def _runs_of(run: Path | None) -> Iterator[Path]:
 
 
 async def settle(pilot: Pilot[None]) -> None:
-    """Wait until the threads that read for the screens have ended and what they read is drawn."""
+    """Wait until the threads that read for the screens have ended and their data are drawn."""
     async with asyncio.timeout(_WAIT_S):
         for _ in range(_SETTLED):
             await pilot.app.workers.wait_for_complete()
@@ -161,5 +161,5 @@ async def settle(pilot: Pilot[None]) -> None:
 
 
 def _without_fonts(svg: str) -> str:
-    """The picture without fonts of the network: any fixed-width font does, the width of each text is stated."""
+    """Remove web fonts from the picture: any fixed-width font works, as the width of each text is given."""
     return _FONT.sub("", svg).replace("font-family: Fira Code, monospace", "font-family: monospace")

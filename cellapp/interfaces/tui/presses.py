@@ -1,4 +1,4 @@
-"""Presses of STOP that brake before the event loop gets them, and what must not be taken for a later press."""
+"""Presses of STOP that brake before the event loop gets them, and protection against misordered resume keys."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.jobs import JobRunner
 
 _RESUME_AFTER_S = 0.3
-"""A key that resumes and is handled sooner after a STOP may have been pressed before it."""
+"""A resume key that is handled sooner than this after a STOP may have been pressed before it."""
 
 
 class StopPresses:
-    """Stops given in the thread that reads the terminal.
+    """Presses of STOP, handled in the thread that reads the terminal.
 
     Attributes
     ----------
     region : Region
-        Where STOP is, on every screen and every dialog [cells].
+        Position of STOP, on every screen and every dialog [cells].
     """
 
     def __init__(self, jobs: JobRunner) -> None:
@@ -32,7 +32,7 @@ class StopPresses:
         self._said_s = -_RESUME_AFTER_S
 
     def give(self) -> StopGiven | None:
-        """Brake all arms now; None if no job runs, and nothing was done. In the thread that read the press."""
+        """Brake all arms now; return None and do nothing if no job runs. In the thread that read the press."""
         if not self._jobs.possible("stop"):
             return None
         control = self._jobs.control
@@ -42,11 +42,11 @@ class StopPresses:
         return StopGiven(arms)
 
     def said(self) -> None:
-        """Take note that the screens have handled the oldest press."""
+        """Note that the screens have handled the oldest press."""
         self._said += 1
         self._said_s = time.monotonic()
 
     @property
     def just_given(self) -> bool:
-        """Whether what is handled now may have been pressed before the last STOP."""
+        """Whether the key that is handled now may have been pressed before the last STOP."""
         return self._given != self._said or time.monotonic() < self._said_s + _RESUME_AFTER_S

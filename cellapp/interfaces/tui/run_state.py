@@ -1,6 +1,6 @@
-"""The one state of the run: derived once from what the run file holds and what the job says; draws nothing.
+"""The only state of the run, derived once from the run file and the job's reports; draws nothing.
 
-Every sentence of the screens about the state comes from here: which run, what is planned, measured, calibrated, what
+All sentences of the screens about the state are made here: which run, what is planned, measured and calibrated, what
 runs now, what each step concluded, why a screen has nothing to show.
 """
 
@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.marks import Mark, marks_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
-"""What the run file holds: the farthest that is true."""
+"""Content of the run file: the most advanced state that applies."""
 COPY_IT = "This folder cannot be written: copy the run to go on with it."
 _DRIVES: Mapping[str, Step] = {
     **{verb: step for verb, (step, _) in WAYS.items()},
@@ -28,14 +28,14 @@ _DRIVES: Mapping[str, Step] = {
     "compare": "plan",
     "forecast": "plan",
 }
-"""What a job, or a part of a day, is called -> its step; planning ends with comparing designs."""
+"""Name of a job, or of a part of a day -> its step; planning ends with comparing designs."""
 
 
 @dataclass(frozen=True)
 class JobNow:
-    """The present job: what it is called, in which state, in which folder, and how many stops it has measured.
+    """The current job: its name, state and folder, and the number of stops that it has measured.
 
-    ``step`` is the step that it does; None of one that belongs to none. ``moves``: whether arms may move.
+    ``step`` is its step; None if it belongs to none. ``moves``: whether arms may move.
     """
 
     name: str
@@ -55,16 +55,18 @@ class JobNow:
 
 @dataclass(frozen=True)
 class RunState:
-    """Attributes
+    """State of the open run and the current job.
+
+    Attributes
     ----------
     stored : str
-        What the run file holds.
+        What the run file contains.
     profile : str
         Name of the profile; empty without one.
     folder : Path or None
-        The run that is open, or that the present job makes.
+        The open run, or the one that the current job creates.
     planned, measured : int
-        Stops without reserves; measured ones as far as the job says, which is ahead of the file as it was read.
+        Stops without reserves; measured ones as reported by the job, which is ahead of the file as it was read.
     left : int
         Planned stops that are not measured.
     job : JobNow or None
@@ -75,13 +77,13 @@ class RunState:
     in_use : str
         Another job that uses the run, as a phrase.
     waits : str
-        A run that waits to be gone on with, as "logs/day waits with 185 stops left"; empty if one is open.
+        An interrupted run, as "logs/day waits with 185 stops left"; empty if a run is open.
     outcome : str
-        How the last session of collecting ended; empty without one, or where the program died in it.
+        How the last session of collecting ended; empty without one, or if the program died in it.
     drift : bool
         Whether the newest references are beyond their limit.
     reading : str
-        That the first profile, or what a job stored, is being read, as a sentence; empty if that is shown already.
+        Sentence that the first profile, or the result of a job, is being read; empty if it is already shown.
     marks : mapping
         Step -> its mark.
     """
@@ -114,7 +116,7 @@ class RunState:
 
     @property
     def collecting(self) -> bool:
-        """Whether the present job measures stops of this run."""
+        """Whether the current job measures stops of this run."""
         return self.job is not None and self.job.step == "collect" and not self.job.replays
 
     @property
@@ -126,7 +128,7 @@ class RunState:
 
     @property
     def no_run(self) -> str:
-        """Why there is no run to work on, and what to do; empty if one is open and can be read."""
+        """Why there is no run to work on, and what to do; empty if a readable one is open."""
         if self.folder is not None and self.stored not in ("no cell", "broken", "no run"):
             return ""
         if self.job is not None and self.job.folder is not None:
@@ -142,12 +144,12 @@ class RunState:
 
     @property
     def no_profile(self) -> str:
-        """Why nothing new can be planned, where no profile's file is read."""
+        """Why nothing new can be planned: no profile file was read."""
         return self.no_run or "No profile's file is open beside this run: choose one on the screen Cell (key 1)."
 
     @property
     def not_calibrated(self) -> str:
-        """Why there is no calibration, and what to do; empty where there is one."""
+        """Why there is no calibration, and what to do; empty if there is one."""
         if self.no_run or self.stored == "calibrated":
             return self.no_run
         if (job := self.job) is not None and job.step in ("collect", "calibrate"):
@@ -166,7 +168,7 @@ class RunState:
 
     @property
     def not_collected(self) -> str:
-        """What the file holds of the collecting, where it has no tables to show."""
+        """What the file contains of the collecting, if it has no tables to show."""
         if self.no_run:
             return self.no_run
         if (job := self.job) is not None and self.collecting:
@@ -181,14 +183,14 @@ class RunState:
         return f"Nothing was collected yet in this run: {begin}"
 
     def nothing(self, step: Step, else_: str) -> str:
-        """Why a step has nothing to show; ``else_`` where only the step itself was not done."""
+        """Return why a step has nothing to show; ``else_`` if only the step itself was not done."""
         if (job := self.job) is not None and job.step == step and not self.no_run:
             return f"Nothing is stored yet: {job.words}."
         return self.not_calibrated or (COPY_IT if self.read_only and else_ else else_)
 
     @property
     def residuals_words(self) -> str:
-        """What the plots of residuals say without a point."""
+        """Text of the residual plots without a point."""
         if self.no_run:
             return self.no_run
         if self.collecting:
@@ -205,9 +207,9 @@ class RunState:
 def run_state(
     workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "", reading: str = ""
 ) -> RunState:
-    """The state of what is open and of the job that runs.
+    """Return the state of the open run and the running job.
 
-    ``waits`` is a run that was found at the start, ``reading`` says what is not read yet.
+    ``waits`` is a run that was found at the start; ``reading`` says what is not read yet.
     """
     job = _job_now(record, running)
     here = job is not None and not job.replays and (job.folder is None or job.folder == workspace.folder)
@@ -248,7 +250,7 @@ def _outcome(workspace: Workspace) -> str:
 
 
 def drift_exceeded(workspace: Workspace) -> bool:
-    """Whether the newest reference measurements of the run are beyond the limit."""
+    """Return whether the newest reference measurements of the run are beyond the limit."""
     collection = workspace.collection
     if collection is None or not collection.references:
         return False
@@ -257,7 +259,7 @@ def drift_exceeded(workspace: Workspace) -> bool:
 
 
 def holds_for_drift(record: JobRecord) -> bool:
-    """Whether the job was stopped by references beyond their limit."""
+    """Return whether the job was stopped by references beyond their limit."""
     newest = record.references[-1] if record.references else None
     by_reference = record.reason.startswith("reference ")
     return record.state == "stopped" and by_reference and (newest is None or not within_limit(newest))

@@ -1,8 +1,8 @@
-"""Passes of Python's collector that would hold up a stop.
+"""Mitigation of slow garbage collections, which would delay a stop.
 
-A full pass holds the interpreter for 0.1 to 0.4 s once a run is loaded: no thread reads a key or stops arms meanwhile.
-What survived a slow pass is set aside, so that no later pass goes over it again; when a job has ended, it is looked at
-once more.
+Once a run is loaded, a full collection holds the interpreter for 0.1 to 0.4 s, in which no thread can read a key or
+stop arms. Objects that survived a slow collection are frozen, so that later ones skip them; after the end of a job they
+are collected once more.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from collections.abc import Mapping
 
 _SLOW_S = 0.02
 _MOST = 100
-"""Of a job: some of what is set aside, as a dialog that is closed later, becomes garbage and keeps its memory."""
+"""Limit of freezes per job: frozen objects that become garbage, like a closed dialog, keep their memory."""
 _FULL = 2
-"""The oldest generation of the collector."""
+"""The oldest generation of the garbage collector."""
 
 
 class SlowPasses:
-    """Takes objects out of garbage collection (``gc.freeze``) after a slow full pass; called in any thread."""
+    """Freezes objects (``gc.freeze``) after a slow full garbage collection; called in any thread."""
 
     def __init__(self) -> None:
         self._began_s = 0.0
         self._set_aside = 0
 
     def watch(self) -> None:
-        """Begin, for the rest of the process."""
+        """Start watching, for the rest of the process."""
         gc.callbacks.append(self._passed)
 
     def _passed(self, phase: str, info: Mapping[str, int]) -> None:
@@ -39,7 +39,7 @@ class SlowPasses:
             self._set_aside += 1
 
     def look_again(self) -> None:
-        """Collect what was set aside and is garbage now. It holds the interpreter: call it while nothing moves."""
+        """Collect frozen objects that have become garbage. It holds the interpreter: call it while nothing moves."""
         if self._set_aside:
             self._set_aside = 0
             gc.unfreeze()

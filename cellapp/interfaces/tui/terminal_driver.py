@@ -1,4 +1,4 @@
-"""Which driver of Textual reads the terminal."""
+"""Choice of Textual's driver for the terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from textual.driver import Driver
 
 
 def driver_that_stops(usual: type[Driver]) -> type[Driver]:
-    """The driver whose thread gives a STOP itself, in place of the usual one of a POSIX terminal."""
+    """Return the driver whose thread handles STOP itself, if ``usual`` is that of a POSIX terminal; else ``usual``."""
     if sys.platform == "win32":
         return usual
     from textual.drivers.linux_driver import LinuxDriver  # which Windows cannot load

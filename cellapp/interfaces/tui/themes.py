@@ -1,4 +1,4 @@
-"""Colours for people who need strong contrast; Textual brings light and dark themes."""
+"""Colours for people who need strong contrast; Textual itself has light and dark themes."""
 
 from __future__ import annotations
 
@@ -18,4 +18,4 @@ HIGH_CONTRAST = Theme(
     panel="#101010",
     dark=True,
 )
-"""The colours of Okabe and Ito (2008), which people with any colour vision tell apart, on black."""
+"""Colours of Okabe and Ito (2008) on black, distinguishable with any colour vision."""

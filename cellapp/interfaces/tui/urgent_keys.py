@@ -1,7 +1,7 @@
-"""STOP in the thread that reads the terminal: the event loop may be busy with drawing, and a stop does not wait for it.
+"""STOP in the thread that reads the terminal: a stop must not wait for the event loop, which may be busy drawing.
 
-Escape, Ctrl-C and a press of STOP with the mouse brake here, as soon as they are read, in whatever way the terminal
-encodes them. The screens then get ``StopGiven`` in place of the key: one press stops once, and every press stops.
+Escape, Ctrl-C and a mouse press of STOP brake here as soon as they are read, in every encoding of the terminal. The
+screens then get ``StopGiven`` instead of the key: one press stops once, and every press stops.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ from cellapp.interfaces.tui.host import Host
 from drivers.priority import run_first
 
 _POLL_S = 0.1
-"""How soon the thread notices that the application ends."""
+"""Time in which the thread notices that the application ends."""
 _PASTE_RESTS_S = 0.5
-"""A pasted text that pauses for so long is over: if its end was lost, keys must not be taken for text for ever."""
+"""Pause that ends a pasted text: if its end mark was lost, keys must not be taken for text for ever."""
 _ALONE = (b"\x03", b"\x1b")
-"""Ctrl-C and Escape as a person types them: nothing else comes with them. After a pause they are no pasted text, even
-where this thread had no processor to notice the pause."""
+"""Ctrl-C and Escape typed by a person, alone. After a pause they are not pasted text, even if this thread had no
+processor to notice the pause."""
 _READ = 4096
 _NICENESS = -10
 _LEFT_BUTTON = 1
 _ESCAPES = ("escape", "\x1b")
-"""Names of Escape, without modifiers: the second where the terminal encodes it as "modifyOtherKeys" says."""
+"""Names of Escape, without modifiers: the second in the terminal encoding "modifyOtherKeys"."""
 _CTRL_C = ("ctrl+c", "ctrl+\u0441")
-"""The second on a Cyrillic layout, where the terminal reports letters and no bytes."""
+"""Names of Ctrl-C: the second on a Cyrillic layout, if the terminal reports letters instead of bytes."""
 
 
 class UrgentDriver(LinuxDriver):
-    """The driver of Textual, with STOP taken out of what is read before the event loop gets it."""
+    """Textual's driver, with STOP taken out of the input before the event loop gets it."""
 
     _pasting = False
     _newest = ""
-    """The last characters that were read, as many as a mark of a pasted text has."""
+    """The last characters read, as many as the mark of a pasted text has."""
 
     def run_input_thread(self) -> None:
         """Read keys until the application ends or the terminal is closed.
 
-        After each read the parser is asked again as soon as an escape sequence would have to go on: the loop of Textual
-        looks ten times a second, and a lone Escape waits for that.
+        After each read the parser is asked again as soon as an escape sequence would have to continue. Textual's own
+        loop looks only ten times a second, and a lone Escape would wait for that.
         """
-        run_first(_NICENESS)  # and so what it starts: the threads that brake
+        run_first(_NICENESS)  # also for the threads that it starts, which brake
         parser = XTermParser(self._debug)
         decode = getincrementaldecoder("utf-8")(errors="replace").decode
         wait_s, read_s = _POLL_S, time.monotonic()
@@ -71,7 +71,7 @@ class UrgentDriver(LinuxDriver):
                 self.process_message(message)
 
     def _read(self) -> bytes:
-        """What was typed; empty if the terminal is gone."""
+        """Return what was typed; empty if the terminal is gone."""
         try:
             return os.read(self.fileno, _READ)
         except OSError:
@@ -87,9 +87,9 @@ class UrgentDriver(LinuxDriver):
                 self._pasting = self._newest == BRACKETED_PASTE_START
 
     def process_message(self, message: Message) -> None:
-        """Stop if the message is a press that stops and a job runs, then hand it on."""
+        """Stop if the message is a press of STOP and a job runs, then pass it on."""
         if self._pasting and isinstance(message, events.Key):
-            return  # an escape sequence in a pasted text, which is in the event of the paste as well
+            return  # an escape sequence in a pasted text, which is also in the paste event
         if self._presses_stop(message):
             given = cast(Host, self._app).presses.give()
             message = message if given is None else given
@@ -105,5 +105,5 @@ class UrgentDriver(LinuxDriver):
 
 
 def presses_stop(key: str) -> bool:
-    """Whether a key, as Textual names it, is STOP: Escape with any modifier, and Ctrl-C."""
+    """Return whether a key, with Textual's name, is STOP: Escape with any modifier, or Ctrl-C."""
     return key in _CTRL_C or key.rpartition("+")[2] in _ESCAPES

@@ -1,4 +1,4 @@
-"""The verbs as jobs of the terminal application. Packages that a verb needs are loaded in the job's own thread."""
+"""The verbs as jobs of the terminal application. Packages that a verb needs are loaded in the job's thread."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
-    """The job of a verb; ``outputs`` says what it may replace."""
+    """Return the job of a verb; ``outputs`` says what it may replace."""
 
     moves = verb.moves_arms and request.moves()
 
@@ -47,14 +47,14 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
 
 
 def job_of(verb: Verb, **values: Any) -> Job:
-    """The job of a verb, for these values of its request's fields."""
+    """Return the job of a verb, with these values of its request's fields."""
     return verb_job(verb, verb.asked(values))
 
 
 def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
-    """Plan, collect, calibrate, discover, compensate, verify, report.
+    """Return the job of a whole day: plan, collect, calibrate, discover, compensate, verify, report.
 
-    ``agreed`` is what a person was asked about; the job refuses a file that holds something else by now.
+    ``agreed`` is the profile that the person agreed to; the job refuses a file that has changed since.
     """
     job = job_of(RUN, profile=profile, folder=folder)
 
@@ -70,7 +70,7 @@ def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
 
 
 def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
-    """Make profile and run of readings that were recorded elsewhere; ``home`` has the folders of profiles and runs."""
+    """Return the job that creates profile and run from external readings; ``home`` has the folders of both."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
@@ -86,7 +86,7 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
 
 
 def check_plan(folder: Path) -> Job:
-    """Run the safety gate over the plan of a run again; nothing moves."""
+    """Return the job that runs the safety gate over the plan of a run again; nothing moves."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.planning.check import check_plan_run
@@ -97,7 +97,7 @@ def check_plan(folder: Path) -> Job:
 
 
 def forecast_plan(folder: Path) -> Job:
-    """Foresee what the plan of a run will give."""
+    """Return the job that forecasts the results of a run's plan."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.planning.forecast import forecast_run
@@ -108,7 +108,7 @@ def forecast_plan(folder: Path) -> Job:
 
 
 def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
-    """A job that only reads a run."""
+    """Return a job that only reads a run."""
 
     def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.run import RunFile
@@ -120,7 +120,7 @@ def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobContr
 
 
 def report_data(folder: Path | None) -> ReportData | None:
-    """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
+    """Read the data for plots of a calibrated run; None if there is no calibration. Call it in a separate thread."""
     from cellapp.cell.run import RunFile
     from cellapp.commands.report.data import read_report_data
     from cellapp.ground.errors import CellappError
@@ -138,17 +138,17 @@ def report_data(folder: Path | None) -> ReportData | None:
 
 
 def interrupted_run(logs: Path) -> RunSummary | None:
-    """The newest run below a folder in which another process works now, else the newest that was interrupted while
-    collecting and is not in use. For a thread of its own."""
+    """Return the newest run below a folder in which another process works now, else the newest unused run whose
+    collecting was interrupted; None if there is none. Call it in a separate thread."""
     from cellapp.commands.runs.history import to_go_on_with
     from cellapp.ground.errors import CellappError
 
     try:
         return to_go_on_with(logs) if logs.is_dir() else None
     except CellappError:
-        return None  # a folder that cannot be read offers nothing; the screen Runs says why
+        return None  # an unreadable folder offers nothing; the screen Runs says why
 
 
 def looked(verb: Verb, request: Request) -> Result:
-    """What a verb finds that only reads. For a thread of its own."""
+    """Run a verb that only reads, and return its result. Call it in a separate thread."""
     return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))

@@ -1,4 +1,4 @@
-"""The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in the job's own thread."""
+"""The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in the job's thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def verdict(folder: Path) -> RunVerdict | None:
-    """Judgements, marks and next steps of a run; None where it cannot be read. For a thread of its own."""
+    """Read judgements, marks and next steps of a run; None if it cannot be read. Call it in a separate thread."""
     from datetime import UTC, datetime
 
     from cellapp.cell.run import RunFile

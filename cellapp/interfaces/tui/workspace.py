@@ -1,4 +1,4 @@
-"""What the screens show: the profile, the run that is open, and how far each step of the day is."""
+"""Data for the screens: the profile, the open run, and the progress of each step of the day."""
 
 from __future__ import annotations
 
@@ -45,38 +45,38 @@ _STEP_OF_VERB: Mapping[str, Step] = {
 
 
 def step_of(verb: str) -> Step | None:
-    """The step that a verb or a stage belongs to."""
+    """Return the step that a verb or a stage belongs to; None if none."""
     return _STEP_OF_VERB.get(verb)
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """A profile and a run of it, read once; screens draw it.
+    """A profile and a run of it, read once for the screens.
 
     Attributes
     ----------
     profile : Profile or None
-        That of the run where one is open, else that of ``profile_path``.
+        That of the run if one is open, else that of ``profile_path``.
     folder : Path or None
-        The run; None where none is open.
+        The run; None if none is open.
     overview, results, collection, stops, ways
-        What the run holds; None without a run. ``ways`` is how each stop is reached, and what it is for.
+        Content of the run; None without a run. ``ways`` is how each stop is reached, and its purpose.
     design : PlanDesignResult or None
-        What is known of the design of the run's plan; None where it was not designed.
+        The design of the run's plan; None if it was not designed.
     problem : str
         Why profile or run cannot be used, in a sentence; empty if they can.
     edited : bool
-        The file of the profile was changed since the run was planned from it.
+        Whether the file of the profile was changed since the run was planned from it.
     in_use : str
         Which job used the run when it was read, as a phrase; empty if none did.
     conclusions : mapping
-        Stage -> what it concluded.
+        Stage -> its conclusion.
     conformity : str or None
-        The verdict on the tolerances; None where nothing is judged.
+        The verdict on the tolerances; None if nothing is judged.
     reported, read_only : bool
         Whether the page of the run is written; whether its folder cannot be written.
     beside_run : Profile or None
-        Where a run is open, what ``profile_path`` holds now: perhaps another cell than that of the run.
+        If a run is open, the current content of ``profile_path``, which may be another cell than that of the run.
     """
 
     profile_path: Path | None = None
@@ -99,12 +99,12 @@ class Workspace:
 
     @property
     def file_profile(self) -> Profile | None:
-        """What ``profile_path`` holds: a new run is planned from it, whichever run is open."""
+        """Content of ``profile_path``, from which a new run is planned, whichever run is open."""
         return self.profile if self.folder is None else self.beside_run
 
     @property
     def kind(self) -> CellKind:
-        """Whether this cell's arms are real, emulated or simulated; ``none`` where none can move."""
+        """Whether this cell's arms are real, emulated or simulated; ``none`` if none can move."""
         return "none" if self.profile is None else self.profile.cell_kind
 
     @property
@@ -123,14 +123,14 @@ class Workspace:
 
 
 def holds_run(folder: Path | None) -> bool:
-    """Whether a folder holds a run file."""
+    """Return whether a folder contains a run file."""
     from cellapp.cell.run.sqlite_file import FILE_NAME
 
     return folder is not None and (folder / FILE_NAME).is_file()
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
-    """Read a profile and a run. A problem is part of what is returned; nothing is raised for bad files."""
+    """Read a profile and a run. A problem is part of the return value; bad files raise nothing."""
     from cellapp.cell.profile import load_profile
 
     profile, problem = None, ""
@@ -183,7 +183,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
 
 
 def new_folder(profile: Profile | None) -> Path:
-    """A new folder for a run. Raises ``InputError`` without a profile."""
+    """Return the path of a new folder for a run. Raises ``InputError`` without a profile."""
     from cellapp.commands.plan.run import default_folder
 
     if profile is None:

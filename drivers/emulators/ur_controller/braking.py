@@ -1,10 +1,10 @@
-"""How soon and how hard a controller brakes its arm, and when each stop was received, took effect and ended.
+"""Latency and deceleration of a controller's stops; records of when each stop was received, took effect and ended.
 
 Published times of real controllers: the UR10/CB3 user manual (section on the monitoring of safety inputs) states that a
 stop of category 1 or 2 begins to brake within 24 ms and is never slower than a ramp from the joint's speed limit to 0
 in 500 ms. The UR5/CB3 user manual (appendix A) measures 244, 530 and 164 ms for base, shoulder and elbow from 183 deg/s
-in a stop of category 0, fully extended with the largest payload. The emulator brakes at the slowest ramp permitted.
-The latency of a stop that comes over the network is an assumption: a few control cycles of the slower series.
+in a stop of category 0, fully extended with the largest payload. The emulator brakes at the slowest permitted ramp. The
+latency of a stop over the network is an assumption: a few control cycles of the slower series.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 from drivers.emulators.ur_controller.motion import Array, Motions
 
 StopKind = Literal["program", "stopj", "protective", "emergency"]
-"""End or pause of a program, deceleration requested by a program, and the safety stops of category 2 and 1."""
+"""Kinds of stop: end or pause of a program, deceleration requested by a program, safety stops of category 2 and 1."""
 _SAFETY_STOPS = ("protective", "emergency")
 _MOST_RECORDS = 2000
 
 
 @dataclass(frozen=True)
 class Braking:
-    """Reaction of a controller to stops, in the cell's time.
+    """Reaction of a controller to stops, in cell time.
 
     Attributes
     ----------
@@ -44,14 +44,14 @@ class Braking:
 
 @dataclass
 class StopRecord:
-    """One stop of a moving arm, or one that found it at rest; times are ``time.monotonic`` [s].
+    """One stop of an arm, moving or at rest; times are ``time.monotonic`` [s].
 
     Attributes
     ----------
     ideal_s : float
-        Time that braking takes from the speed at ``received_s``, in the cell's time [s].
+        Braking time from the speed at ``received_s``, in cell time [s].
     began_s, rest_s : float or None
-        When braking began and when the arm rested; None until then, and ``began_s`` for an arm at rest.
+        When braking began and when the arm rested; None until then. ``began_s`` is also None for an arm at rest.
     """
 
     kind: StopKind
@@ -79,7 +79,7 @@ class Brakes:
     Attributes
     ----------
     records : deque of StopRecord
-        Newest last. A stop that comes while the arm brakes already has no record of its own.
+        Newest last. A stop that arrives while the arm is already braking has no record of its own.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Brakes:
 
     @property
     def braking(self) -> bool:
-        """Whether the arm brakes now; during the latency before that it does not yet."""
+        """Whether the arm brakes now; False during the latency before."""
         return self._record is not None and self._record.began_s is not None
 
     def request(self, kind: StopKind, deceleration: float | None = None) -> None:
@@ -123,7 +123,7 @@ class Brakes:
         self._due_s = min(self._due_s, self._motions.clock_s + latency_s)
 
     def cycle(self, now_s: float) -> None:
-        """Begin to brake when that is due, and notice rest; once per control period at ``now_s``."""
+        """Start braking when it is due, and detect rest; call it once per control period at ``now_s``."""
         if self._deceleration is None or self._record is None:
             return
         if self._motions.moving(self._name) and self._motions.clock_s >= self._due_s:

@@ -49,13 +49,13 @@ from drivers.emulators.ur_controller.script import ForeignProgram
 _LONGEST_LINE = 4096
 _TIMEOUT_S = 10.0
 _MOST_S = 1e6
-"""Longest delay and duration [s]; eleven days are as good as for ever."""
+"""Longest delay and duration [s]: eleven days, practically infinite."""
 _LATEST_S = 1e12
 """Latest time of ``time.monotonic`` [s]."""
 _FASTEST = 1e3
-"""Greatest joint speed [rad/s] and travel [rad] of a trigger."""
+"""Largest joint speed [rad/s] and travel [rad] of a trigger."""
 _HEAVIEST_KG, _FARTHEST_M = 1e3, 10.0
-"""Greatest load and its greatest distance from the flange along an axis."""
+"""Largest load and its largest distance from the flange along an axis."""
 
 
 class Refused(ValueError):

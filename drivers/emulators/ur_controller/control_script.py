@@ -1,4 +1,4 @@
-"""The control script of ur_rtde as it acts on a controller through its registers.
+"""The control script of ur_rtde, emulated by its effect on a controller through registers.
 
 A client writes a command and its arguments into input registers. Once per control period the script executes it and
 reports that in output registers. Its state stays READY during a blocking motion, like that of the real script.
@@ -17,13 +17,13 @@ from drivers.plant.servo import servo_rate
 _READY, _DONE = 1, 2
 _RUNNING_BIT = 1 << 15
 _IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
-"""Commands that are executed in every cycle while they are in the register, and leave the script READY."""
+"""Commands that are executed in every cycle while they are in the register; the script stays READY."""
 _SERVO = 11
 _STOP = 255
 _KG_MOST = 50.0
 _LEAST_DECELERATION = 1e-6
 _MOST = 1e6
-"""Greatest argument of a command: angles, lengths, times and rates are far smaller."""
+"""Largest argument of a command: angles, lengths, times and rates are far smaller."""
 _NO_TOOL = (0.0,) * 6
 
 
@@ -42,7 +42,7 @@ class ControlScript:
         self._writes = 0
         self._operation = 0
         self._streamed: tuple[float, ...] | None = None
-        """The position of a stream that the arm follows; None after any other command."""
+        """The streamed position that the arm follows; None after any other command."""
 
     def begin(self, controller: Controller) -> None:
         """Report that the script is ready and no asynchronous motion runs."""
@@ -78,7 +78,7 @@ class ControlScript:
     # -- current motion ----------------------------------------------------------------------------------------------
 
     def _advance(self, controller: Controller) -> None:
-        """Continue a motion that waits for rest, runs, or has ended."""
+        """Update the state of a motion: start one that waits for rest, detect the end of a running one."""
         if self._thread == "starting":  # the thread runs from the cycle after the answer to the command
             self._thread = "running"
             self._operation = (self._operation + 1) % 128
@@ -185,7 +185,7 @@ class ControlScript:
                 raise ScriptError(f"command {command} of ur_rtde is not emulated")
 
     def _move(self, controller: Controller) -> None:
-        """``moveJ``: blocking, or in a thread of the script. A running asynchronous motion is stopped first."""
+        """Execute ``moveJ``, blocking or in a thread of the script. A running asynchronous motion is stopped first."""
         *goal, speed, acceleration = self._doubles(controller, 0, 8)
         self._asynchronous = controller.input_int(self._i + 1) == 1
         if self._thread != "none" or controller.moving:
@@ -199,7 +199,7 @@ class ControlScript:
         self._advance(controller)
 
     def _servo(self, controller: Controller) -> None:
-        """``servoj``: follow the position in the registers; the same position in the next cycle changes nothing."""
+        """Execute ``servoj``: follow the position in the registers; repeating it in the next cycle changes nothing."""
         *goal, _, _, time_s, lookahead_s, gain = self._doubles(controller, 0, 11)
         if not all(map(math.isfinite, (*goal, time_s))):
             raise ScriptError("servoj: a value is not a finite number")

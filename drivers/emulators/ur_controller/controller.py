@@ -1,7 +1,7 @@
 """A controller as a state machine: power, safety, program and registers. No sockets; the caller passes the time.
 
-Two clocks: the cell's (plant) for everything that happens to the arm, so that it scales with the pace; wall time for
-what a client times with its own clock: the start of an uploaded program and the watchdog.
+It uses two clocks. The cell's (the plant's) is for everything that happens to the arm, so that it scales with the pace.
+Wall time is for what a client times with its own clock: the start of an uploaded program and the watchdog.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from drivers.emulators.ur_controller.watchdog import Watchdog
 
 _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
-"""A longer pause of this process counts only as this for the watchdog: the client was not silent meanwhile."""
+"""Largest pause of this process that the watchdog counts: during a longer one the client was not silent."""
 _STEADY_S = 0.1
 _MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
-"""A joint speed [rad/s] or acceleration [rad/s^2] below this counts as 0: the motion would take days."""
+"""Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
 _COMMAND_REGISTERS = ("input_int_register_0", "input_int_register_24")
 _STOPPING: Mapping[float, str] = {15: "stopl", 16: "stopj", 33: "stopl", 34: "stopj", 255: "end of the script"}
@@ -56,13 +56,13 @@ class Controller:
     began_s : deque of float
         When the last motions were started, by ``clock``.
     journal : Journal
-        The stops received, in each way, and the motions begun and ended.
+        All stops received, and the motions begun and ended.
     start_delay_s : float
         Wall time from an uploaded program to its start.
     """
 
     def __init__(self, config: ControllerConfig, motions: Motions, clock: Callable[[], float] = time.monotonic) -> None:
-        """``clock`` stamps the stops, between two cycles too."""
+        """``clock`` gives the timestamps of stops, also between two cycles."""
         self.config = config
         self.motions = motions
         self.name = config.name
@@ -115,12 +115,12 @@ class Controller:
 
     @property
     def clock_s(self) -> float:
-        """Time of the cell at the last cycle [s]."""
+        """Cell time at the last cycle [s]."""
         return self._clock_s
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is in progress; at speed slider 0 the arm stands in its middle."""
+        """Whether a motion is in progress; at speed slider 0 it is, although the arm stands still."""
         return self.motions.moving(self.name)
 
     @property
@@ -221,7 +221,7 @@ class Controller:
         self.began_s.append(self._monotonic())
 
     def follow(self, q: Sequence[float], rate: float) -> None:
-        """Follow a position of a stream with the lag ``rate`` [1/s]; an arm that brakes does not."""
+        """Follow a position of a stream with the lag ``rate`` [1/s]; ignore it while the arm brakes."""
         if not self.brakes.braking:
             if not self.moving:
                 self._note_start("stream")
@@ -270,7 +270,7 @@ class Controller:
         self._set_runtime(Runtime.STOPPING)
 
     def pause_program(self, how: str = "dashboard: pause") -> bool:
-        """Pause the program; return whether one ran."""
+        """Pause the program; return whether one was running."""
         self.journal.note("stop", how)
         if not self.running:
             return False
@@ -337,7 +337,7 @@ class Controller:
             self._publish_modes()
 
     def power_on(self) -> bool:
-        """Boot the joints; False in an emergency stop."""
+        """Boot the joints; return False in an emergency stop."""
         if self.safety_mode is SafetyMode.ROBOT_EMERGENCY_STOP:
             return False
         if self.robot_mode is RobotMode.POWER_OFF:
@@ -347,7 +347,7 @@ class Controller:
         return True
 
     def release_brakes(self) -> bool:
-        """Go to RUNNING, with power on if needed; False in an emergency stop."""
+        """Switch to RUNNING, with power on if needed; return False in an emergency stop."""
         if not self.power_on():
             return False
         if self.robot_mode is not RobotMode.RUNNING and not any(m is RobotMode.RUNNING for _, m in self._mode_due):
@@ -367,7 +367,7 @@ class Controller:
     # -- time --------------------------------------------------------------------------------------------------------
 
     def cycle(self, now_s: float) -> None:
-        """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
+        """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has advanced."""
         self._watchdog.run_s += min(now_s - self.now_s, _MAX_PAUSE_S)
         self.now_s = now_s
         self.brakes.cycle(now_s)
@@ -477,7 +477,7 @@ class Controller:
         return poses.pose(poses.composed(flange, poses.frame(tcp)))
 
     def refresh_poses(self) -> None:
-        """Update the streamed TCP pose and speed; called only when they are streamed, because it takes time."""
+        """Update the streamed TCP pose and speed; called only if they are streamed, because it takes time."""
         now = (self._q, self._qd, self.tcp)
         if self._pose_inputs == now:
             return

@@ -1,4 +1,4 @@
-"""Dashboard server: one line per command and answer. Refusals were not compared with a real controller's text."""
+"""Dashboard server: one line per command and answer. The texts of refusals were not compared with a real controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LOCAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode and reconnect to port"
     " 29999"
 )
-"""As real controllers answer; a connection that was opened in local control stays refused."""
+"""Answer of real controllers in local control; a connection that was opened in local control stays refused."""
 _TOO_EARLY = (
     "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
 )

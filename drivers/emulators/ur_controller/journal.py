@@ -1,4 +1,4 @@
-"""What a controller received and did, with times: stops in whatever way they came, motions begun and ended."""
+"""Timestamped record of what a controller received and did: stops in any way, motions begun and ended."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOST = 5000
 class Event:
     """One event at ``at_s`` (``time.monotonic`` of this process, comparable on one computer) [s].
 
-    ``how`` is the way in which a stop came, or the cause of a motion: "move", "resume" or "stream".
+    ``how`` is the way in which a stop arrived, or the cause of a motion: "move", "resume" or "stream".
     """
 
     at_s: float
@@ -32,7 +32,7 @@ class Journal:
         self._events: deque[Event] = deque(maxlen=_MOST)
 
     def note(self, kind: EventKind, how: str) -> None:
-        """Note an event of now."""
+        """Record an event at the current time."""
         self._events.append(Event(self._clock(), kind, how))
 
     def since(self, at_s: float) -> list[dict[str, Any]]:

@@ -21,10 +21,10 @@ _FLOOD = 4096
 _MAX_CLIENTS = 64
 _MAX_QUEUED = 1 << 20
 _MAX_STREAMED = 1 << 16
-_MAX_FD = 1000  # select() takes no more than 1024
+_MAX_FD = 1000  # select() accepts at most 1024
 _TRICKLE_S = 0.05
 _MOST_UNREAD = 64
-"""Chunks that are read from a client whose connection ends; one that sends on and on is reset."""
+"""Chunks that are read from a client whose connection ends; a client that keeps sending is reset."""
 
 
 class Session(Protocol):
@@ -97,7 +97,7 @@ class Port:
         self._trickle_at_s = 0.0
 
     def listen(self) -> None:
-        """Take the port. Raises ``OSError`` that names the address."""
+        """Listen on the port. Raises ``OSError`` that names the address."""
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             if os.name == "posix":  # on Windows it would share the port with another process
@@ -182,7 +182,7 @@ class Port:
             self.push(link, b"")
 
     def push(self, link: Link, data: bytes) -> None:
-        """Queue bytes and send what the socket takes at once."""
+        """Queue bytes and send at once what the socket accepts."""
         if link.gone:
             return
         flood = self.fault == "flood"
@@ -217,7 +217,7 @@ class Port:
             self._selector.unregister(link.socket)
 
     def drop(self, link: Link, ending: Ending = "fin") -> None:
-        """End a connection in order, or with a reset."""
+        """End a connection in an orderly way, or with a reset."""
         if link.gone:
             return
         link.gone = True

@@ -1,4 +1,4 @@
-"""Modes of a UR controller, numbered as on the wire."""
+"""Modes of a UR controller, numbered as in the protocol."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class RobotMode(IntEnum):
-    """Robot mode, numbered as on the wire."""
+    """Robot mode, numbered as in the protocol."""
 
     DISCONNECTED = 0
     CONFIRM_SAFETY = 1
@@ -19,7 +19,7 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
-    """Safety mode, numbered as on the wire."""
+    """Safety mode, numbered as in the protocol."""
 
     NORMAL = 1
     REDUCED = 2
@@ -33,7 +33,7 @@ class SafetyMode(IntEnum):
 
 
 class Runtime(IntEnum):
-    """State of the program, numbered as on the wire."""
+    """State of the program, numbered as in the protocol."""
 
     STOPPING = 0
     STOPPED = 1

@@ -1,4 +1,4 @@
-"""Drives behind the controllers: the joints of a plant, or joints alone; and the cell's clock."""
+"""Drives behind the controllers: the joints of a plant, or ideal joints without one; and the cell's clock."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ class Motions(Protocol):
 
     @property
     def clock_s(self) -> float:
-        """Time of the cell [s]."""
+        """Cell time [s]."""
 
     def advance(self, duration_s: float) -> None:
         """Advance the clock."""
 
     def q(self, name: str) -> Array:
-        """Joint positions (6,) now [rad]."""
+        """Return the current joint positions (6,) [rad]."""
 
     def moving(self, name: str) -> bool:
-        """Whether an arm moves."""
+        """Return whether an arm moves."""
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
 
     def servo(self, name: str, goal: Array, rate: float) -> None:
-        """Follow ``goal`` (6,) of a stream from now on, with the lag ``rate`` [1/s]; at rest or in a stream."""
+        """Follow ``goal`` (6,) of a stream from now on, with the lag ``rate`` [1/s]; allowed at rest or in a stream."""
 
     def stop(self, name: str, deceleration: Array | None = None) -> None:
-        """Brake at most at ``deceleration`` (6,), by default the greatest; harmless at rest."""
+        """Brake at most at ``deceleration`` (6,), by default the largest; harmless at rest."""
 
     def speeds(self, name: str) -> Array:
-        """Joint speeds (6,) now [rad/s]."""
+        """Return the current joint speeds (6,) [rad/s]."""
 
     def scale_speed(self, name: str, scale: float) -> None:
         """Continue the running motion at ``scale`` times its own speed, from 0 to 1."""
@@ -59,10 +59,10 @@ class Motions(Protocol):
         """Smallest distances of the arms so far; None if they are not watched."""
 
     def joint_temperatures_c(self, name: str) -> Array:
-        """Joint temperatures (6,) now [degC]."""
+        """Return the current joint temperatures (6,) [degC]."""
 
     def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Torques [Nm] or currents [A] (6,) of the drives at rest; None: they measure none."""
+        """Return torques [Nm] or currents [A] (6,) of the drives at rest; None if not measured."""
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Set the load of the flange [kg, m]."""
@@ -97,12 +97,12 @@ class FreeMotions:
                 self._q[name], self._motions[name] = motion.q_to, None
 
     def q(self, name: str) -> Array:
-        """Joint positions (6,) now [rad]."""
+        """Return the current joint positions (6,) [rad]."""
         motion = self._motions[name]
         return self._q[name].copy() if motion is None else motion.position(np.array([self._clock_s]))[0]
 
     def moving(self, name: str) -> bool:
-        """Whether an arm moves."""
+        """Return whether an arm moves."""
         return self._motions[name] is not None
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
@@ -116,7 +116,7 @@ class FreeMotions:
         self._motions[name] = ServoMotion.towards(np.array(goal), self._clock_s, self.q(name), self.speeds(name), rate)
 
     def stop(self, name: str, deceleration: Array | None = None) -> None:
-        """Brake at most at ``deceleration`` (6,), by default the greatest acceleration."""
+        """Brake at most at ``deceleration`` (6,), by default the largest acceleration."""
         motion = self._motions[name]
         if motion is not None:
             self._q[name] = self.q(name)
@@ -124,7 +124,7 @@ class FreeMotions:
             self._motions[name] = braked(motion, self._clock_s, limit)
 
     def speeds(self, name: str) -> Array:
-        """Joint speeds (6,) now [rad/s]."""
+        """Return the current joint speeds (6,) [rad/s]."""
         motion = self._motions[name]
         return np.zeros(6) if motion is None else motion.velocity(np.array([self._clock_s]))[0]
 
@@ -135,11 +135,11 @@ class FreeMotions:
             self._motions[name] = motion.scaled(self._clock_s, scale)
 
     def joint_temperatures_c(self, name: str) -> Array:
-        """Room temperature (6,) [degC]."""
+        """Return room temperature (6,) [degC]."""
         return np.full(6, _ROOM_C)
 
     def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """None: ideal joints carry no load."""
+        """Return None twice: ideal joints carry no load."""
         return None, None
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
@@ -162,7 +162,7 @@ class PacedCell:
 
     @property
     def pace(self) -> float:
-        """Seconds of the cell for each second of wall time. Setting it raises ``ValueError`` unless in (0, 1000]."""
+        """Seconds of cell time per second of wall time. Setting it raises ``ValueError`` unless in (0, 1000]."""
         return self._pace
 
     @pace.setter

@@ -9,13 +9,13 @@ _BITS, _MASK, _LEVELS = "actual_digital_output_bits", "standard_digital_output_m
 
 
 class DigitalOutputs:
-    """What is wired to the outputs, number -> what is called when one rises."""
+    """Outputs with wired callbacks: number -> function that is called on a rising edge."""
 
     def __init__(self) -> None:
         self.wired: dict[int, Callable[[], None]] = {}
 
     def cycle(self, values: dict[str, Values]) -> None:
-        """Set the outputs to what clients wrote since the last control cycle."""
+        """Set the outputs to the values that clients wrote since the last control cycle."""
         mask = int(values[_MASK][0])
         if not mask:
             return

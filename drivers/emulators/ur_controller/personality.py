@@ -26,7 +26,7 @@ _RATE_HZ = {"CB3": 125.0, "e-Series": 500.0, "PolyScope X": 500.0}
 
 
 def _rows(d: tuple[float, ...], a2: float, a3: float) -> Rows:
-    """Nominal rows theta, d, a, alpha of a UR arm: all of them share the twists."""
+    """Return nominal rows theta, d, a, alpha of a UR arm: the twists are the same for all of them."""
     a = (0.0, a2, a3, 0.0, 0.0, 0.0)
     alpha = (math.pi / 2.0, 0.0, 0.0, math.pi / 2.0, -math.pi / 2.0, 0.0)
     return tuple((0.0, d[i], a[i], alpha[i]) for i in range(6))
@@ -100,11 +100,11 @@ class ControllerConfig:
     Attributes
     ----------
     name : str
-        Of the arm, in the plant and on the control channel.
+        Name of the arm, in the plant and on the control channel.
     host : str
         IPv4 address to listen on; other than loopback only with ``beyond_loopback``.
     ports : mapping
-        Of dashboard, primary, script and rtde; 0 takes a free one. The ur_rtde client knows the standard ones only.
+        Ports of dashboard, primary, script and rtde; 0 takes a free one. The ur_rtde client knows only standard ones.
     limits, speed, acceleration : tuples of 6
         Joint ranges [rad] and limits of each joint [rad/s, rad/s^2]; faster commands are executed at these.
     home : tuple of 6
@@ -114,15 +114,15 @@ class ControllerConfig:
     remote_control : bool
         Whether commands over the network are accepted; CB3 has no such switch and always accepts them.
     simulation : bool
-        Whether its primary interface says that the real robot is not enabled, as in simulation mode.
+        Whether its primary interface reports that the real robot is not enabled, as in simulation mode.
     payload_mass, payload_center, tcp : float, tuple of 3, tuple of 6
         Settings of the controller's installation [kg, m; m and rotation vector in rad].
     boot_s, brake_release_s, unlock_after_s : float
-        In the cell's time: power on to idle, idle to running, protective stop to the earliest unlocking [s].
+        Cell time: power on to idle, idle to running, protective stop to the earliest unlocking [s].
     start_delay_s : float
         Wall time from an uploaded program to its start [s].
     braking : Braking
-        How soon and how hard a stop acts.
+        Latency and deceleration of stops.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """Poses of flange and tool from standard D-H, as position and rotation vector.
 
-Plain numbers instead of arrays: for one configuration per control cycle they are faster.
+Plain numbers instead of arrays: they are faster for one configuration per control cycle.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def composed(one: Frame, other: Frame) -> Frame:
 
 
 def speed(frames: Sequence[Frame], qd: Sequence[float], point: Vector) -> tuple[float, ...]:
-    """Return velocity of a point of the last body and its angular velocity (6,) at joint speeds ``qd`` (6,)."""
+    """Return the velocity of a point of the last body and its angular velocity (6,) at joint speeds ``qd`` (6,)."""
     linear = angular = (0.0, 0.0, 0.0)
     for before, rate in zip(frames, qd, strict=False):
         arm = _mix(1.0, point, -1.0, before.p)

@@ -1,4 +1,4 @@
-"""What a controller executes: a program, one control cycle at a time."""
+"""Interface of the programs that a controller executes, one control cycle at a time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ C = TypeVar("C", contravariant=True)
 
 
 class ScriptError(Exception):
-    """A program requests something impossible; the program ends."""
+    """A program requested something impossible; the program ends."""
 
 
 class Program(Protocol[C]):

@@ -1,6 +1,6 @@
 """Real-Time Data Exchange, protocol version 2: recipes, stream of states, registers written by clients.
 
-An input belongs to the connection that first claimed it until that connection ends; its last value stays.
+An input belongs to the connection that first claimed it until that connection ends; it keeps its last value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _OUTPUTS, _INPUTS, _START, _PAUSE, _DATA = ord("O"), ord("I"), ord("S"), ord("P"
 _PROTOCOL = 2
 _MAX_RECIPES = 255
 _LARGEST = 65535
-"""Bytes of a package: its length is told in 16 bits."""
+"""Largest package [bytes]: its length is a 16-bit number."""
 _POSES = frozenset({"actual_TCP_pose", "actual_TCP_speed", "target_TCP_pose", "target_TCP_speed"})
 
 
@@ -49,7 +49,7 @@ class RtdeServer:
         self.outputs = OUTPUTS | E_SERIES_OUTPUTS if e_series else OUTPUTS
 
     def claim(self, names: Sequence[str], session: RtdeSession) -> list[str]:
-        """Claim inputs for a connection, all or none; return their types, or why a name cannot be claimed."""
+        """Claim all inputs for a connection or none; return their types, or for a name why it cannot be claimed."""
         types = [INPUTS.get(name, "NOT_FOUND") for name in names]
         for i, name in enumerate(names):
             if types[i] != "NOT_FOUND" and self._owners.get(name, session) is not session:
@@ -106,7 +106,7 @@ class RtdeSession:
         self._server.release(self)
 
     def cycle(self) -> None:
-        """Send the state of this control cycle if the requested frequency demands it."""
+        """Send the state of this control cycle if the requested frequency requires it."""
         if not self._streaming or self._output is None:
             return
         self._credit += self._share
@@ -186,7 +186,7 @@ class RtdeSession:
         self._reply_recipe(_INPUTS, number, types)
 
     def _reply_recipe(self, kind: int, number: int, types: Sequence[str]) -> None:
-        """Answer with the recipe's number, 0 if it was refused, and the types, as many as a package holds."""
+        """Answer with the recipe's number (0 if refused) and as many of the types as a package can hold."""
         text = ",".join(types).encode()
         if len(text) > _LARGEST - _HEADER.size - 1:
             text = text[: text.rfind(b",", 0, _LARGEST - _HEADER.size)]

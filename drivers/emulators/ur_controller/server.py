@@ -31,11 +31,11 @@ _LONGEST_LINE = 4096
 _JOIN_S = 10.0
 _START_S = 60.0
 _NICENESS = -15
-"""Of the separate process: a controller has a computer of its own, which no busy-waiting client keeps from running."""
+"""Niceness of the separate process: a real controller is a computer of its own, which no busy-waiting client delays."""
 REAL_TIME = 1.0
-"""Up to this pace the controllers wait most of the time, and may run before all other programs."""
+"""Largest pace for real-time scheduling: up to it the controllers wait most of the time and block no other program."""
 _MAX_BEHIND = 5
-"""Missed control cycles that are made up for; more are skipped."""
+"""Missed control cycles that are executed late; more are skipped."""
 
 
 @dataclass(frozen=True)
@@ -186,13 +186,13 @@ class UrControllerServer:
         return ControlSession(link.send, lambda line: execute(line, self._arms, self.cell, time.monotonic()))
 
     def wire(self, name: str, output: int, rises: Callable[[], None]) -> None:
-        """Have ``rises`` called, with ``cell.lock`` held, when a digital output of an arm's controller rises."""
+        """Call ``rises``, with ``cell.lock`` held, on a rising edge of a digital output of an arm's controller."""
         self._arms[name].controller.outputs.wired[output] = rises
 
     # -- life --------------------------------------------------------------------------------------------------------
 
     def open(self) -> Addresses:
-        """Open all ports. Raises ``OSError`` with the arm and the address; then nothing is left open."""
+        """Open all ports. Raises ``OSError`` with the arm and the address; then nothing stays open."""
         if self._wake is not None:
             raise RuntimeError("the emulator was started already")
         self._closing = False
@@ -235,7 +235,7 @@ class UrControllerServer:
             self._thread = None
 
     def stop(self) -> None:
-        """Let ``run`` return; from any thread."""
+        """Make ``run`` return; from any thread."""
         self._closing = True
         if self._wake is not None:
             with suppress(OSError):  # full: the loop wakes anyway; closed: it has ended

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 _FULL_RANGE_S = 0.5
-"""Time in which the scaling follows the slider from one end to the other [s]; an assumption, no faster than a stop."""
+"""Time in which the scaling follows the slider over its full range [s]; an assumption, no faster than a stop."""
 
 
 class SpeedSlider:
@@ -16,14 +16,14 @@ class SpeedSlider:
         self.scaling = 1.0
 
     def set(self, fraction: float) -> bool:
-        """Move the slider, at most to its ends; return False for a value that is not a finite number."""
+        """Move the slider, limited to its range; return False for a value that is not a finite number."""
         if not math.isfinite(fraction):
             return False
         self.fraction = min(max(fraction, 0.0), 1.0)
         return True
 
     def follow(self, elapsed_s: float) -> bool:
-        """Let the scaling follow the slider for ``elapsed_s`` [s]; return whether it has changed."""
+        """Update the scaling for ``elapsed_s`` [s]; return whether it has changed."""
         if self.scaling == self.fraction:
             return False
         step = elapsed_s / _FULL_RANGE_S

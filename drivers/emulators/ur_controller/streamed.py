@@ -1,4 +1,4 @@
-"""Values of the RTDE variables that follow from a controller's modes and settings."""
+"""Values of the RTDE variables that depend on a controller's modes and settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RTDE variables and their types on the wire."""
+"""RTDE variables and their types in the protocol."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def layout(kinds: Sequence[str]) -> struct.Struct:
 
 
 def width(kind: str) -> int:
-    """Return the number of numbers in a value of a type."""
+    """Return how many numbers a value of a type has."""
     one = layout([kind])
     return len(one.unpack(bytes(one.size)))
 

@@ -1,4 +1,4 @@
-"""The watchdog of a control program: it ends a program whose client no longer writes a register."""
+"""The watchdog of a control program: it ends a program whose client stops writing a register."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 class Watchdog:
-    """Watches how often one input register is written; ``run_s`` [s] is the time that the controller has run."""
+    """Monitor of how often one input register is written; ``run_s`` [s] is the time that the controller has run."""
 
     def __init__(self) -> None:
         self.run_s = 0.0
@@ -16,7 +16,7 @@ class Watchdog:
         self._written_s: dict[int, float] = {}
 
     def watch(self, least_hz: float, register: int) -> None:
-        """Complain from now on if ``register`` is written less often than ``least_hz``; 0 watches nothing."""
+        """Monitor from now on that ``register`` is written at least at ``least_hz``; 0 monitors nothing."""
         self._period_s = 1.0 / least_hz if least_hz > 0.0 else math.inf
         self._register, self._begun_s = register, self.run_s
 
@@ -25,7 +25,7 @@ class Watchdog:
         self._written_s[register] = self.run_s
 
     def complaint(self) -> str:
-        """What is wrong, in words; empty while the register is written in time."""
+        """Return what is wrong, in words; empty while the register is written in time."""
         silent_s = self.run_s - max(self._written_s.get(self._register, -math.inf), self._begun_s)
         if silent_s <= self._period_s:
             return ""

@@ -1,6 +1,6 @@
 """Backlash between drive and joint: after a reversal the joint follows only when the play is used up.
 
-Besides sharp play there are three laws of a play that is used up gradually.
+Besides sharp play there are three laws with a gradual transition.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.plant.mechanism import Deflection
 
 _ELEMENTS = 16
 _REFERENCE_C = 20.0
-"""Temperature for which a play that depends on it is stated [degC]."""
+"""Temperature for which a temperature-dependent play is stated [degC]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,8 @@ class SlippingElements(Effect):
     """Lost motion that grows with the length of the last step and saturates.
 
     Masing model: many parallel elements between drive and joint stick, are strained by the step, and slip beyond a
-    strain of their own; the slip distances are distributed exponentially with mean ``reach``. At rest the elements
-    relax, so that each step begins unstrained. The memory is the drive's angle and the joint's lag.
+    strain of their own. Their slip distances are distributed exponentially with mean ``reach``. At rest the elements
+    relax, so each step begins unstrained. The memory is the drive's angle and the joint's lag.
     """
 
     half: Array
@@ -84,8 +84,8 @@ class SlippingElements(Effect):
 class WarmPlay(Effect):
     """Lost motion ``half (1 - exp(-|step| / reach))`` against the last step, in a gear whose play grows as it warms.
 
-    ``half`` holds at 20 degC; it changes by ``per_kelvin`` of itself with the joint's temperature. The memory is the
-    drive's angle and the used share of the play.
+    ``half`` is stated for 20 degC; its relative change is ``per_kelvin`` times the rise of the joint's temperature. The
+    memory is the drive's angle and the used share of the play.
     """
 
     half: Array
@@ -120,7 +120,7 @@ class ManyPlays(Effect):
     """Preisach-like hysteresis: many plays in parallel, of widths up to ``reach``, each with a memory of its own.
 
     Prandtl-Ishlinskii model with equal weights: the lost motion is the mean over the elements, each between -half and
-    +half. After a short reversal it depends on the motions before the last one. The memory are the elements' positions.
+    +half. After a short reversal it depends on the motions before the last one. The memory is the elements' positions.
     """
 
     half: Array
@@ -145,7 +145,7 @@ class ManyPlays(Effect):
         order = np.argsort(situation.time_s, kind="stable")
         if situation.time_s[order[0]] == situation.time_s[order[-1]]:
             return elements
-        for before, now in pairwise(order):  # one history; the last motion may begin elsewhere than at the stop before
+        for before, now in pairwise(order):  # one history; the last motion may begin elsewhere than at the last stop
             moved = elements[:, before]
             for reached in (q[now] - step[now], q[now]):
                 moved = np.clip(moved, reached - widths[:, 0], reached + widths[:, 0])

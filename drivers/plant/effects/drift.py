@@ -20,8 +20,8 @@ class Course:
     """Course of a drift over time: linear (1 at ``time``), exponential (towards 1), logarithmic creep, and others.
 
     Creep is ``log(1 + t / time)``, as of a bolted joint that settles under a constant load. A sinusoidal drift, as with
-    the sun on a wall, has the period ``time`` and starts at ``phase``; a wandering one has a random path of its own for
-    each component of the twist, whose quickest wave has the period ``time``.
+    the sun on a wall, has the period ``time`` and starts at ``phase``. A wandering drift has a separate random path for
+    each component of the twist, whose fastest wave has the period ``time``.
     """
 
     law: str
@@ -49,7 +49,7 @@ def _scaled(share: Array, twist: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Course of a slip at ``time`` [s]: ``creeping`` of it follows with ``time_constant`` [s], the rest is sudden."""
+    """Course of a slip at ``time`` [s]: the share ``creeping`` follows with ``time_constant`` [s], the rest at once."""
 
     time: float
     creeping: float = 0.0

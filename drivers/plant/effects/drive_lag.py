@@ -1,4 +1,4 @@
-"""Drives that follow late: the joint moves a delay and a creep behind what its encoder reports."""
+"""Drives that lag: the joint follows what its encoder reports after a delay and with creep."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from drivers.plant.lags import lagging
 from drivers.plant.mechanism import Mechanism
 
 _FASTER = 8.0
-"""The inertia behind the creeping coupling makes a second, faster time constant: this many times shorter."""
+"""Ratio of the two time constants: the inertia behind the creeping coupling causes the second, faster one."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveLag(Effect):
-    """A viscous coupling with little inertia behind it: two time constants, the first ``time_constant`` [s], after a
-    pure ``delay`` [s], each (N,)."""
+    """A viscous coupling with little inertia behind it: per joint (N,) a pure ``delay`` [s], then two time constants,
+    the first of them ``time_constant`` [s]."""
 
     time_constant: Array
     delay: Array
@@ -32,7 +32,7 @@ class DriveLag(Effect):
 
 
 def drive_lag(parameters: Parameters) -> Effect:
-    """Build late drives. Per joint: ``time_constant`` [s]; optional ``delay`` [s]."""
+    """Build drive lag. Per joint: ``time_constant`` [s]; optional ``delay`` [s]."""
     parameters.require("time_constant", optional=("delay",))
     delay = np.zeros(parameters.joints)
     if parameters.all_or_none("delay"):

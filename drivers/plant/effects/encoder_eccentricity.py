@@ -13,14 +13,14 @@ from drivers.plant.mechanism import Deflection
 
 @dataclass(frozen=True, eq=False)
 class EncoderEccentricity(Effect):
-    """The servo controls the encoder reading to the commanded angle, so the shaft angle has the error.
+    """The servo drives the encoder reading to the commanded angle, so the shaft angle has the error.
 
     The axis is the origin, the head is at distance r from it. With the shaft at angle s the disc's centre is at
     ``e (cos(s + phase), sin(s + phase))``; the reading is the head's direction from the disc's centre, on the disc:
-    ``reading = s + atan2(e sin(s + phase), r - e cos(s + phase))``. Solved for s in the triangle of centre, axis and
-    head, whose angle at the centre follows from the reading: ``s = reading - atan2(h, sqrt(r^2 - h^2))`` with
+    ``reading = s + atan2(e sin(s + phase), r - e cos(s + phase))``. It is solved for s in the triangle of centre, axis
+    and head, whose angle at the centre follows from the reading: ``s = reading - atan2(h, sqrt(r^2 - h^2))`` with
     ``h = e sin(reading + phase)``. A disc that is also tilted by t against the shaft looks elliptic to the head: its
-    reading errs with two cycles per revolution, amplitude ``tan^2(t / 2)``.
+    reading has an error of two cycles per revolution with amplitude ``tan^2(t / 2)``.
     """
 
     joints: np.ndarray

@@ -16,7 +16,7 @@ class FrictionWindup(Effect):
     """At rest the spring holds the friction torque ``friction + load_friction * |load|`` of the last motion.
 
     The friction acts at the joint, the encoder is at the motor. The load is gravity in the deflected posture. The
-    wind-up does not exceed the last step; a joint that has not moved has none. Sizes: an estimate, 1e-4 rad at 50 Nm.
+    wind-up does not exceed the last step; a joint that has not moved has none. Size: 1e-4 rad at 50 Nm (an estimate).
     """
 
     friction: Array
@@ -46,14 +46,14 @@ class StribeckWindup(FrictionWindup):
 
     def friction_torque(self, situation: Situation, load: Array) -> Array:
         slow: Array = 1.0 + self.rise * np.exp(-((situation.last_step / self.short) ** 2))
-        # a step of zero stands for a long one
+        # a step of zero means a long one
         slow = np.where(situation.last_step == 0.0, 1.0, slow)
         return slow * super().friction_torque(situation, load)
 
 
 @dataclass(frozen=True, eq=False)
 class RootLoadWindup(FrictionWindup):
-    """Friction that grows with the square root of the load, as of lubricated teeth: less than in proportion.
+    """Friction that grows with the square root of the load, as of lubricated teeth: less than proportionally.
 
     ``friction + load_friction * sqrt(|load| * typical_load)``, ``typical_load`` [Nm] per joint.
     """

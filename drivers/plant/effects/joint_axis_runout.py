@@ -17,8 +17,9 @@ from drivers.plant.random_functions import RandomWaves
 class JointAxisRunout(Effect):
     """The axis shifts with harmonics of its own angle, across itself by ``radial`` and along itself by ``axial`` [m].
 
-    Error motions of a rotary axis (ISO 230-7). The shift is in the frame before the joint; the round part of one cycle
-    a turn across the axis belongs to the geometry. Sizes: 5 to 30 um, bearings of this class (an estimate).
+    Error motions of a rotary axis (ISO 230-7). The shift is in the frame before the joint. The circular part of one
+    cycle per revolution across the axis belongs to the geometry. Sizes: 5 to 30 um for bearings of this class (an
+    estimate).
     """
 
     joints: np.ndarray
@@ -38,7 +39,7 @@ class JointAxisRunout(Effect):
 def joint_axis_runout(parameters: Parameters) -> Effect:
     """Build run-out. ``joints``: numbers from 1; for each ``radial`` and ``axial`` [m].
 
-    ``harmonics`` (cycles per revolution), as many ``shares``, and a ``seed`` of the phases are those of all joints.
+    All joints share ``harmonics`` (cycles per revolution), as many ``shares``, and a ``seed`` of the phases.
     """
     parameters.require("joints", "radial", "axial", "harmonics", "shares", "seed")
     joints = parameters.joint_numbers("joints")

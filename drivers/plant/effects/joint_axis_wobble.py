@@ -64,10 +64,10 @@ class JointAxisWobble(Effect):
 
 @dataclass(frozen=True, eq=False)
 class HarmonicWobble(Effect):
-    """The axis tilts with any harmonics of its own angle, with other phases about x than about y.
+    """The axis tilts with any harmonics of its own angle, with different phases about x and y.
 
-    About each of the two axes across it the joint tilts by ``tilt`` [rad] times a sum of harmonics with random phases.
-    One cycle per revolution is therefore an ellipse; only its round part belongs to the geometry.
+    About each of the two perpendicular axes the tilt is ``tilt`` [rad] times a sum of harmonics with random phases. One
+    cycle per revolution is therefore an ellipse; only its circular part belongs to the geometry.
     """
 
     joints: np.ndarray
@@ -106,7 +106,7 @@ def joint_axis_wobble(parameters: Parameters) -> Effect:
 
 
 def random_waves(parameters: Parameters, joints: int, directions: int) -> tuple[RandomWaves, ...]:
-    """Draw sums of ``harmonics`` with ``shares`` by ``seed`` for some joints, each in some directions."""
+    """Draw sums of ``harmonics`` with ``shares`` by ``seed`` for some joints, each in ``directions`` directions."""
     harmonics = parameters.numbers("harmonics", parameters.length("harmonics"), least=1.0)
     shares = parameters.numbers("shares", len(harmonics))
     rng = np.random.default_rng(parameters.integer("seed", least=0))

@@ -40,7 +40,7 @@ class HardeningJointCompliance(Effect):
 
 @dataclass(frozen=True, eq=False)
 class ThreeStageCompliance(Effect):
-    """The catalogues' three stiffnesses K1 < K2 < K3 with a torque between each two (T1 < T2)."""
+    """The catalogues' three stiffnesses K1 < K2 < K3 with the torques T1 < T2 between them."""
 
     stiffnesses: Array  # (3, N)
     knees: Array  # (2, N)
@@ -55,7 +55,7 @@ class ThreeStageCompliance(Effect):
 
 @dataclass(frozen=True, eq=False)
 class StiffeningCompliance(Effect):
-    """Teeth that come into contact gradually: a compliance that falls smoothly from the soft to the stiff one.
+    """Teeth that come into contact gradually: the compliance falls smoothly from the soft to the stiff value.
 
     ``angle = torque / stiffness + (1 / soft_stiffness - 1 / stiffness) knee tanh(torque / knee)``.
     """
@@ -74,7 +74,7 @@ class StiffeningCompliance(Effect):
 class HardeningSpring(Effect):
     """A spring with ``torque = stiffness * angle + cubic * angle^3`` (Duffing), as of a preloaded toothing.
 
-    The angle is the one real root, by Cardano's formula in its hyperbolic form.
+    The angle is the only real root, by Cardano's formula in its hyperbolic form.
     """
 
     stiffness: Array

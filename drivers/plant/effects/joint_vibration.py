@@ -1,10 +1,10 @@
-"""Arms that swing on their elastic joints: all masses on all springs, excited by the accelerations of the motion.
+"""Arms that vibrate on their elastic joints: all masses on all springs, excited by the accelerations of the motion.
 
     M(q) y'' + C y' + K y = tau
 
 y are the twists of the joints, M the mass matrix of the posture, tau the torques of inertia on the path of the drives.
-It is solved mode by mode in blocks of time in which the posture hardly changes, exactly within each block. What elastic
-joints do under slow accelerations, ``tau / K``, is theirs; vibration is what comes beside it.
+It is solved mode by mode in blocks of time in which the posture hardly changes, exactly within each block. The static
+part ``tau / K`` belongs to the elastic joints; vibration is the rest.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from drivers.plant.mechanism import Mechanism
 
 _BLOCK_S = 0.2
 _STIFF = 0.5
-"""Modes whose phase advances by more than this in one step [rad] follow at once."""
+"""Modes whose phase advances by more than this in one step [rad] follow without delay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class JointVibration(Effect):
         return found - torque / self.stiffness
 
     def _modes(self, force: Array, rate: Array, start: Array, speed: Array, step_s: float) -> tuple[Array, Array]:
-        """Amplitudes (n, N) of modes under forces (n, N) from amplitudes and speeds (N,) one step before, and their
-        speeds in the end."""
+        """Return the amplitudes (n, N) of modes under forces (n, N) and their final speeds (N,), from amplitudes
+        ``start`` and speeds (N,) one step before the first force."""
         decay, turn = -self.damping * rate, rate * np.sqrt(1.0 - self.damping**2)
         pole = decay + 1j * turn
         quick = rate * step_s > _STIFF
@@ -63,7 +63,7 @@ class JointVibration(Effect):
 
 
 def joint_vibration(parameters: Parameters) -> Effect:
-    """Build elastic joints that swing. Per joint: ``stiffness`` [Nm/rad]; ``damping``, a share of the critical one."""
+    """Build vibration of elastic joints. ``stiffness`` [Nm/rad] per joint; ``damping``, a share of the critical one."""
     parameters.require("stiffness", "damping")
     damping = parameters.number("damping", above=0.0)
     if damping >= 1.0:

@@ -21,7 +21,7 @@ class LinkBending(Effect):
     The moment at the middle of a segment is that of all weight beyond it in the deflected posture: bodies and load
     beyond the link, and the link's own mass, distributed along the beam such that its centre of mass is correct. A
     segment of length s rotates by ``s M / EI`` across the beam (Euler-Bernoulli) and by ``s M / GJ`` about it; the
-    tip's twist is the product of these rotations. Sizes: ``EI`` about 1e5 Nm^2 for a UR10 (an estimate).
+    tip's twist is the product of these rotations. Size: ``EI`` about 1e5 Nm^2 for a UR10 (an estimate).
     """
 
     links: np.ndarray
@@ -40,8 +40,8 @@ class LinkBending(Effect):
 class ShearingLinkBending(Effect):
     """Beams that bend and also shear (Timoshenko), as short tubes with openings do.
 
-    Added to bending: the force across the beam, of all weight beyond the middle of the link, shifts its tip by
-    ``force length / shear``, ``shear`` being the product kappa G A [N].
+    In addition to bending, the transverse force, of all weight beyond the middle of the link, shifts the tip by
+    ``force length / shear``. ``shear`` is the product kappa G A [N].
     """
 
     bending: LinkBending
@@ -84,13 +84,13 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     share = (np.arange(_SEGMENTS) + 0.5) / _SEGMENTS
     places = root * (1.0 - share)[:, None]  # the middles of the segments
 
-    # the link's own mass: linear density along the beam that puts the centre of mass in its place
+    # the link's own mass: linear density along the beam that gives the correct centre of mass
     mass, center = mechanism.masses[link], carry(home, mechanism.centers[link])
     lean = float(np.clip((center - root) @ along / length - 0.5, -1 / 6, 1 / 6))
     masses = mass / _SEGMENTS * (1.0 + 12.0 * lean * (share - 0.5))
     beside = center - along * (center @ along)
 
-    # first moment of all beyond the tip, relative to it, in the link's own frame
+    # first moment of everything beyond the tip, relative to it, in the link's own frame
     pose = posture.placements[link] @ mechanism.frames[link + 1]
     back = pose[:, :3, :3].swapaxes(1, 2)
     down = (back @ posture.gravity)[:, None]

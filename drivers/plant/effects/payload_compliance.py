@@ -26,7 +26,7 @@ class PayloadCompliance(Effect):
 
 @dataclass(frozen=True, eq=False)
 class OffCentrePayload(Effect):
-    """The load's centre of mass is elsewhere than was entered on the controller: ``shift`` (3,) [m] from it.
+    """A payload whose true centre of mass is off by ``shift`` (3,) [m] from the centre entered on the controller.
 
     The shift is given in the flange frame; its moment is that of the load's weight at the shifted centre.
     """
@@ -43,7 +43,7 @@ class OffCentrePayload(Effect):
 
 @dataclass(frozen=True, eq=False)
 class SofteningUnderPayload(Effect):
-    """Drives that yield more beyond the load torque ``knee``: ``soft_stiffness`` applies to what exceeds it."""
+    """Drives that are softer above the load torque ``knee``: ``soft_stiffness`` applies to the excess."""
 
     stiffness: Array
     soft_stiffness: Array

@@ -1,4 +1,4 @@
-"""Elastic supports: a column under the arm's own weight, a common beam under the other arm's."""
+"""Elastic supports: a column under the arm's own weight, a common beam under the other arm's weight."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PedestalCoupling(Effect):
     depth: float
 
     def yielding(self, moment: Array) -> Array:
-        """Return by how much the beam yields to moments (n, 3) [Nm], relative to a linear one, (n, 1)."""
+        """Return the compliance of the beam at moments (n, 3) [Nm], relative to a linear one, (n, 1)."""
         return np.ones((len(moment), 1))
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
@@ -61,7 +61,7 @@ class PedestalCoupling(Effect):
             up = -to_here[:3, :3] @ other.gravity / np.linalg.norm(other.gravity)
             beam = to_here[:3, 3] - up * (to_here[:3, 3] @ up)
             length = np.linalg.norm(beam)
-            # for bases above one another no beam direction is defined
+            # no beam direction is defined for bases above one another
             along = beam / length if length > 1e-6 else np.zeros(3)
             moment = other.base_moment @ to_here[:3, :3].T
             moment = moment * self.yielding(moment)
@@ -74,10 +74,10 @@ class PedestalCoupling(Effect):
 
 @dataclass(frozen=True, eq=False)
 class FramePedestal(Effect):
-    """A welded frame: a full symmetric compliance, and a rotation about a pivot that is not below the base.
+    """A welded frame: a full symmetric compliance matrix, and a rotation about a pivot that is not below the base.
 
-    The moment of the arm's weight about the ``pivot`` rotates all above it: ``turn = compliance moment``. Off-diagonal
-    entries turn the base about one axis under a moment about another.
+    The moment of the arm's weight about the ``pivot`` rotates everything above it: ``turn = compliance moment``.
+    Off-diagonal entries turn the base about one axis under a moment about another.
     """
 
     pivot: Array  # (3,) in B
@@ -91,7 +91,7 @@ class FramePedestal(Effect):
 
 @dataclass(frozen=True, eq=False)
 class HardeningCoupling(PedestalCoupling):
-    """Bolted joints whose gaps close under load: the beam turns less than in proportion to large moments.
+    """Bolted joints whose gaps close under load: the beam turns less than proportionally to large moments.
 
     The turn is that of a linear beam divided by ``1 + |moment| / limit``, ``limit`` in Nm.
     """

@@ -12,7 +12,7 @@ from drivers.plant.effect import Effect, Parameters, Situation
 
 @dataclass(frozen=True, eq=False)
 class TargetIncidence(Effect):
-    """A glass plate of thickness d and index n before the corner cube, whose dihedral angles are off by ``dihedral``.
+    """A glass plate of thickness d and index n before the corner cube, with dihedral angle errors ``dihedral``.
 
     At incidence angle t the optical path through the plate, minus that through the same air, is
     ``d (sqrt(n^2 - sin^2 t) - cos t)`` (Snell's law); its value at t = 0 is part of the reflector constant. A dihedral

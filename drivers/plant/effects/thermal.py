@@ -81,7 +81,7 @@ class ThermalGrowth(Effect):
 
 @dataclass(frozen=True, eq=False)
 class SaturatingGrowth(ThermalGrowth):
-    """Growth that is held back as it becomes large, as of a tube clamped in one of lower expansion.
+    """Growth that is restrained as it becomes large, as of a tube clamped in one of lower expansion.
 
     The strain is ``expansion limit tanh((T - reference) / limit)``, ``limit`` in K.
     """
@@ -95,7 +95,7 @@ class SaturatingGrowth(ThermalGrowth):
 
 @dataclass(frozen=True, eq=False)
 class TwoLagGrowth(Effect):
-    """Links of a thin shell and a heavy core: a part of the growth follows quickly, the rest slowly."""
+    """Links of a thin shell and a heavy core: one part of the growth follows quickly, the rest slowly."""
 
     quick: ThermalGrowth
     slow: ThermalGrowth
@@ -160,10 +160,10 @@ def _growth(parameters: Parameters) -> ThermalGrowth:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp(Effect):
-    """The zero of each joint's encoder drifts as it warms up after switching on at time 0.
+    """The zero of each joint's encoder drifts as the joint warms up after switching on at time 0.
 
-    Published drift of a small industrial arm was removable to 90 % by a model of its temperatures; 20 to 50 urad and
-    an hour are estimates.
+    The published drift of a small industrial arm could be removed to 90 % by a model of its temperatures; 20 to 50 urad
+    and an hour are estimates.
     """
 
     drift: Array
@@ -175,7 +175,7 @@ class WarmUp(Effect):
 
 @dataclass(frozen=True, eq=False)
 class ReadingHeadBracket(Effect):
-    """The bracket of each joint's reading head grows with the joint temperature: ``per_kelvin`` [rad/K]."""
+    """The bracket of each joint's reading head expands with the joint temperature: ``per_kelvin`` [rad/K]."""
 
     per_kelvin: Array
     reference: float
@@ -186,7 +186,7 @@ class ReadingHeadBracket(Effect):
 
 @dataclass(frozen=True, eq=False)
 class WanderingZeros(Effect):
-    """The zero of each joint's encoder wanders along a smooth random path: ``drift`` times a path of its own."""
+    """The zero of each joint's encoder wanders along a smooth random path of its own, scaled by ``drift``."""
 
     drift: Array
     paths: RandomPaths

@@ -11,7 +11,7 @@ from drivers.plant.effect import Effect, Parameters, Situation
 from drivers.plant.effects.transmission_error import cardan
 
 _REFERENCE_C = 20.0
-"""Air temperature for which a scale that depends on it is stated [degC]."""
+"""Air temperature for which a temperature-dependent scale is stated [degC]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class TrackerScale(Effect):
 
 @dataclass(frozen=True, eq=False)
 class AirScale(Effect):
-    """A scale error that changes with the air temperature, as where the weather station is not in the beam."""
+    """Scale error that changes with the air temperature, as when the weather station is not near the beam."""
 
     ppm: float
     per_kelvin: float

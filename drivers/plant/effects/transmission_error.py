@@ -79,11 +79,11 @@ class ErrorCurve(Effect):
 
 @dataclass(frozen=True, eq=False)
 class MeshingGears(Effect):
-    """Lines of two gear stages, the first with an amplitude that the output's run-out modulates.
+    """Lines of two gear stages; the output's run-out modulates the amplitude of the first.
 
     The generator's line of ``ratio`` cycles per revolution has the amplitude ``line (1 + depth cos(q + depth_phase))``,
-    which is a line with a sideband on either side. A second stage has ``second_cycles`` a turn, which need not be
-    whole, and a line of twice that of half its amplitude.
+    which is a line with a sideband on either side. The second stage has a line of ``second_cycles`` per revolution,
+    which need not be an integer, and one of twice that with half the amplitude.
     """
 
     joints: np.ndarray

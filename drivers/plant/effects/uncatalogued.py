@@ -12,7 +12,7 @@ from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomField
 
 _REFERENCE_C = 20.0
-"""Air temperature at which a base that moves with it is in its place [degC]."""
+"""Air temperature at which a base that moves with it is at its nominal place [degC]."""
 
 
 def _joint_offset(situation: Situation, joint: int, angle: Array) -> Deflection:
@@ -128,7 +128,7 @@ class WarmFloor(Effect):
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceField(Effect):
-    """Points look shifted by a smooth random field of their position, as by layers of air or a bent tracker stand."""
+    """Points appear shifted by a smooth random field of their position, as by layers of air or a bent tracker stand."""
 
     rms: float  # of the shift's length
     field: RandomField

@@ -16,7 +16,7 @@ class UnsettledMeasurement(Effect):
     """A spring and a damper in parallel behind the drive (Kelvin-Voigt).
 
     At the end of a step the joint lags by ``fraction`` of it; the lag decays while the arm rests. During motion the
-    full lag applies. Sizes: an estimate, 5e-5 of a step of 1 rad.
+    full lag applies. Size: 5e-5 of a step of 1 rad (an estimate).
     """
 
     fraction: Array

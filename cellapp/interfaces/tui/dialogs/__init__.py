@@ -1,1 +1,1 @@
-"""Questions over the screens. STOP is in the same corner, and the keys that stop and abort work over them, too."""
+"""Dialogs over the screens. STOP is in the same corner, and the keys for stop and abort still work."""

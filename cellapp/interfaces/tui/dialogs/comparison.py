@@ -1,4 +1,4 @@
-"""Where runs differ, over the screen Runs."""
+"""Differences between runs, over the screen Runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Comparison(Question[None]):
         yield Static(f"Up, down scroll; y copies, w saves; {self.closing_key} closes.", classes="muted", markup=False)
 
     def on_mount(self) -> None:
-        """Draw, and scroll with the keys at once."""
+        """Draw the comparison, and focus it so that keys scroll it."""
         tables = self.query_one(TablesView)
         tables.show(comparison_tables(self._result), comparison_sentences(self._result))
         tables.focus()

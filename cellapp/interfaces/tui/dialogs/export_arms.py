@@ -1,4 +1,4 @@
-"""Ask in which format, and where, the calibrated arms or the commands are written for other programs."""
+"""Dialog for the format and the file of an export of calibrated arms or commands for other programs."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class ExportArms(VerbQuestion):
         yield from super().fields()
 
     def first_field(self) -> Widget:
-        """The formats."""
+        """Return the list of formats."""
         formats = self.query_one("#formats", OptionList)
         formats.highlighted = 0
         return formats
 
     @on(OptionList.OptionHighlighted)
     def propose(self, event: OptionList.OptionHighlighted) -> None:
-        """Take the format, and propose a file for it unless a person typed one."""
+        """Select the format, and propose a file for it unless a person typed one."""
         event.stop()
         entry = all_formats()[str(event.option.id)]
         self._given["form"] = entry.name
@@ -60,14 +60,14 @@ class ExportArms(VerbQuestion):
 
     @on(OptionList.OptionSelected)
     def go_on(self, event: OptionList.OptionSelected) -> None:
-        """Go to the file."""
+        """Focus the file field."""
         event.stop()
         field = self.query_one("#out", Input)
         field.focus()
         field.cursor_position = len(field.value)
 
     def action_answer(self, value: str) -> None:
-        """Go to the file where none is given."""
+        """Take an answer; without a file, focus its field instead."""
         if value != "no" and not self.typed("out"):
             self.query_one("#out").focus()
         else:

@@ -1,4 +1,4 @@
-"""Type a path; Tab or the right arrow completes it."""
+"""Dialog for a path, which Tab or the right arrow completes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _MOST_SHOWN = 200
 
 
 class PathSuggester(Suggester):
-    """Completes a path by the files that are there; folders get a slash.
+    """Completion of a path with existing files; folders get a slash.
 
     Parameters
     ----------
     wanted : callable
-        Whether a file may be chosen; folders always may be entered.
+        Whether a file may be chosen; folders can always be entered.
     """
 
     def __init__(self, wanted: Callable[[Path], bool]) -> None:
@@ -33,13 +33,13 @@ class PathSuggester(Suggester):
         self._wanted = wanted
 
     async def get_suggestion(self, value: str) -> str | None:
-        """The first completion; None without one."""
+        """Return the first completion; None if there is none."""
         found = completions(value, self._wanted)
         return found[0] if found and found[0] != value else None
 
 
 def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
-    """Paths that begin with ``text``, folders with a slash at the end, sorted; hidden ones only if asked for."""
+    """Return the paths that begin with ``text``, sorted, folders with a slash; hidden ones only if asked for."""
     head, tail = os.path.split(os.path.expanduser(text))
     try:
         entries = sorted(Path(head or ".").iterdir())
@@ -58,16 +58,16 @@ def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
 
 
 class PathField(Input):
-    """A field for a path, which it completes.
+    """A field for a path with completion.
 
     Parameters
     ----------
     text : str
-        The path to begin with.
+        Initial path.
     wanted : callable
         Whether a file may be chosen.
     hint : str
-        What it shows while it is empty.
+        Text that is shown while it is empty.
     """
 
     def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
@@ -75,7 +75,7 @@ class PathField(Input):
         self._wanted = wanted
 
     def complete(self) -> None:
-        """Complete as far as all candidates agree."""
+        """Complete to the longest common prefix of all candidates."""
         found = completions(self.value, self._wanted)
         if found:
             self.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
@@ -84,7 +84,7 @@ class PathField(Input):
 
 
 class FilePicker(FieldsQuestion[Path]):
-    """Ask for a path. Returns it; None where the dialog is closed.
+    """Dialog for a path. Returns it; None if the dialog is closed.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class FilePicker(FieldsQuestion[Path]):
             yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the field."""
+        """Focus the field."""
         field = self.query_one("#path", Input)
         field.focus()
         field.cursor_position = len(field.value)
@@ -124,7 +124,7 @@ class FilePicker(FieldsQuestion[Path]):
 
     @on(Input.Changed)
     def list_files(self, event: Input.Changed) -> None:
-        """List what the text can become."""
+        """List the possible completions of the text."""
         self._show_found(event.value)
 
     def _show_found(self, text: str) -> None:
@@ -133,11 +133,11 @@ class FilePicker(FieldsQuestion[Path]):
         found.add_options(completions(text, self._wanted))
 
     def action_complete(self) -> None:
-        """Complete as far as all candidates agree; the only one whole."""
+        """Complete to the longest common prefix of all candidates; a single candidate completely."""
         self.query_one(PathField).complete()
 
     def action_into_list(self) -> None:
-        """Go to the list below the field."""
+        """Focus the list below the field."""
         self.query_one("#found").focus()
 
     @on(OptionList.OptionSelected)

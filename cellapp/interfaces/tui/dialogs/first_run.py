@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 
 NEW_PROFILE = "my-cell.yaml"
-"""File of a new profile until it has a name."""
+"""File of a new profile before it has a name."""
 
 
 class Welcome(Choice):
-    """What to begin with, one answer below the other: they are long."""
+    """Choice of how to begin, with the long answers below one another."""
 
     DEFAULT_CSS = "Welcome .dialog .answers { layout: vertical; }"
 
 
 def offer_first_run(app: Host) -> bool:
-    """Ask what to begin with if there are no profiles; whether the question was asked."""
+    """Ask how to begin if there are no profiles; return whether the question was asked."""
     if any(app.profiles.glob("*.yaml")):
         return False
     text = (
@@ -64,12 +64,12 @@ def begin_with(app: Host, answer: str | None) -> None:
 
 
 def write_profile(app: Host) -> None:
-    """Open the form for a new profile; what is saved is opened."""
+    """Open the form for a new profile, and afterwards the saved profile."""
     _show_form(app, OpenProfile(app.profiles / NEW_PROFILE, None, blank_draft()))
 
 
 def take_own_readings(app: Host) -> None:
-    """Ask for readings that were recorded elsewhere; make their profile and run, and open it."""
+    """Ask for external readings; create their profile and run, and open the run."""
     from cellapp.interfaces.tui import work
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings, OwnReadingsRequest
 
@@ -83,7 +83,7 @@ def take_own_readings(app: Host) -> None:
 
 
 def edit_profile(app: Host, path: Path) -> None:
-    """Open the form for a profile that exists; what is saved is opened. A sentence says why where that fails."""
+    """Open the form for an existing profile, and afterwards the saved profile. If that fails, say why."""
     from cellapp.cell.profile.draft_file import open_profile
 
     try:

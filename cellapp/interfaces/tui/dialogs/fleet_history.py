@@ -32,7 +32,7 @@ class FleetHistory(Question[None]):
     ----------
     result : FleetResult
     folder : Path
-        Where the page is proposed.
+        Proposed folder of the page.
     """
 
     DEFAULT_CSS = """
@@ -61,7 +61,7 @@ class FleetHistory(Question[None]):
         yield Static(keys, classes="muted", markup=False)
 
     async def on_mount(self) -> None:
-        """Draw, and scroll with the keys at once."""
+        """Draw the history, and focus it so that keys scroll it."""
         tables = self.query_one("#fleet-tables", TablesView)
         tables.show(fleet_tables(self._result), fleet_sentences(self._result))
         tables.focus()

@@ -1,4 +1,4 @@
-"""The handbook: its contents, a search, the text of a chapter, and where its links lead."""
+"""The handbook: its contents, a search, the text of a chapter, and the targets of its links."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from cellapp.commands.docs.sections import Section
 
 _SHORTEST_SEARCH = 3
-"""Letters from which a search begins: fewer are found everywhere."""
+"""Letters from which a search begins: fewer match everywhere."""
 _KEYS = f"Enter opens a chapter or follows a link, / searches, Tab goes on, {SHOWN['before']} goes back, {{}} closes."
 _LEVELS_LISTED = 3
-"""Headings down to this level stand in the contents."""
+"""Headings down to this level are listed in the contents."""
 
 
 class ClickableMarkdown(Markdown):
-    """Markdown whose links call the screen's action ``follow`` in the place of the terminal's own."""
+    """Markdown whose links call the screen's action ``follow`` instead of the terminal's."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         for one in super().__rich_console__(console, options):
@@ -55,7 +55,7 @@ class Handbook(Question[None]):
     Parameters
     ----------
     address : str
-        Where to begin, as a link has it; the first chapter where it is empty or leads nowhere.
+        Where to begin, as in a link; the first chapter if it is empty or leads nowhere.
     """
 
     AUTO_FOCUS = "#contents"
@@ -91,7 +91,7 @@ class Handbook(Question[None]):
         yield Static(_KEYS.format(self.closing_key), id="hint", markup=False)
 
     async def on_mount(self) -> None:
-        """List the chapters and open the first place."""
+        """List the chapters and open the first section."""
         from cellapp.commands.docs.handbook import CHAPTERS
         from cellapp.commands.docs.sections import section_at, sections
 
@@ -102,7 +102,7 @@ class Handbook(Question[None]):
     # -- contents and search -----------------------------------------------------------------------------------------
 
     def _fill(self, found: tuple[Section, ...]) -> None:
-        """Parts with their chapters and headings; or what was found."""
+        """List parts with their chapters and headings; or the search results."""
         from cellapp.commands.docs.handbook import PARTS
         from cellapp.commands.docs.sections import sections
 
@@ -122,7 +122,7 @@ class Handbook(Question[None]):
 
     @on(Input.Changed, "#words")
     def search_words(self, event: Input.Changed) -> None:
-        """List the sections with these words; all chapters where there are few letters."""
+        """List the sections with these words; all chapters if there are few letters."""
         from cellapp.commands.docs.sections import search
 
         event.stop()
@@ -131,18 +131,18 @@ class Handbook(Question[None]):
 
     @on(Input.Submitted, "#words")
     def go_to_found(self, event: Input.Submitted) -> None:
-        """Go to the list of what was found."""
+        """Focus the list of search results."""
         event.stop()
         self._contents.focus()
         self._contents.cursor_line = 0
 
     def action_search(self) -> None:
-        """Go to the field for words."""
+        """Focus the search field."""
         self.query_one("#words", Input).focus()
 
     @on(Tree.NodeHighlighted, "#contents")
     async def read(self, event: Tree.NodeHighlighted[Section]) -> None:
-        """Show the section under the cursor, if a person put it there."""
+        """Show the section under the cursor, if a person put the cursor there."""
         event.stop()
         if self._contents.has_focus and event.node.data is not None:
             await self._show(event.node.data)
@@ -161,7 +161,7 @@ class Handbook(Question[None]):
         links.clear_options()
         links.add_options(Option(words, place) for words, place in section.links)
         if links.has_focus and not section.links:
-            self._contents.focus()  # before the list goes, which would give the focus to any other widget
+            self._contents.focus()  # before the list is hidden, which would move the focus to any other widget
         links.display = bool(section.links)
         links.highlighted = 0 if section.links else None
         self.call_after_refresh(self._scroll)
@@ -179,7 +179,7 @@ class Handbook(Question[None]):
         await self.action_follow(str(event.option.id))
 
     async def action_follow(self, address: str) -> None:
-        """Go where a link of the present chapter leads; a page elsewhere is only named."""
+        """Follow a link of the current chapter; an external page is only named."""
         from cellapp.commands.docs.sections import section_at
 
         if self._shown is None:
@@ -192,13 +192,13 @@ class Handbook(Question[None]):
         await self._go(place)
 
     async def action_back(self) -> None:
-        """Go back to where the last link was followed."""
+        """Return to where the last link was followed."""
         if self._before:
             await self._go(self._before.pop())
 
     async def _go(self, place: Section) -> None:
         await self._show(place)
-        tops = self._contents.root.children  # parts, or what was found
+        tops = self._contents.root.children  # parts, or search results
         for node in (one for top in tops for one in (top, *top.children)):
             if (at := _node_of(node, place)) is not None:
                 node.expand()
@@ -210,5 +210,5 @@ class Handbook(Question[None]):
 
 
 def _node_of(node: TreeNode[Section], place: Section) -> TreeNode[Section] | None:
-    """The node of a section at or below a chapter's."""
+    """Return the node of a section at or below a chapter's node; None if there is none."""
     return next((one for one in (node, *node.children) if one.data == place), None)

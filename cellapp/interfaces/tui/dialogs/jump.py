@@ -1,4 +1,4 @@
-"""Labels on everything that can have the focus: its letter jumps there."""
+"""Letter labels on all focusable widgets: the letter jumps to its widget."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LETTERS = "asdfghjklqwertyuiopzxcvbnm"
 
 
 class Jump(ModalScreen[None]):
-    """Press the letter of a place; any other key closes.
+    """Press the letter of a widget to jump there; any other key closes.
 
     Parameters
     ----------

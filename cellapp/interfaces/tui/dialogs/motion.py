@@ -18,7 +18,7 @@ class MotionQuestion(Question[bool]):
     words : str
         The first motion.
     name : str
-        What is to be typed.
+        The name to type.
     """
 
     def __init__(self, words: str, name: str) -> None:
@@ -34,12 +34,12 @@ class MotionQuestion(Question[bool]):
             yield Button("Do not move (Esc)", id="refuse", variant="error", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the field."""
+        """Focus the field."""
         self.query_one("#name").focus()
 
     @on(Input.Submitted)
     def check_name(self, event: Input.Submitted) -> None:
-        """Allow the motion if the name is right, else ask again."""
+        """Allow the motion if the name is correct, else ask again."""
         event.stop()
         if event.value.strip() == self._profile_name:
             self.dismiss(True)

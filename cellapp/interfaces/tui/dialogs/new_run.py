@@ -1,4 +1,4 @@
-"""Ask for the folder of a new run."""
+"""Dialog for the folder of a new run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
 
 
 class NewRunQuestion(FieldsQuestion[Path]):
-    """Which folder a new run goes into. Returns it; None where the dialog is closed.
+    """Dialog for the folder of a new run. Returns it; None if the dialog is closed.
 
     Parameters
     ----------
     text : str
         What will be planned.
     folder : Path
-        What is proposed.
+        The proposed folder.
     """
 
     def __init__(self, text: str, folder: Path) -> None:
@@ -40,13 +40,13 @@ class NewRunQuestion(FieldsQuestion[Path]):
             yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the field."""
+        """Focus the field."""
         field = self.query_one("#folder", Input)
         field.focus()
         field.cursor_position = len(field.value)
 
     def action_send(self) -> None:
-        """Close with the folder, if it can take a new run."""
+        """Close with the folder, if a new run can use it."""
         text = self.typed("folder")
         folder = Path(text).expanduser()
         why = _why_not(text, folder)
@@ -57,7 +57,7 @@ class NewRunQuestion(FieldsQuestion[Path]):
 
 
 def _why_not(text: str, folder: Path) -> str:
-    """Why a folder cannot take a new run, in a sentence; empty if it can."""
+    """Return why a new run cannot use a folder, in a sentence; empty if it can."""
     if not text:
         return "Type the name of a folder, for instance logs/monday."
     try:

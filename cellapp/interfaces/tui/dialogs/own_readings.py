@@ -1,4 +1,4 @@
-"""Ask what is known of readings that were recorded elsewhere, to make a profile and a run of them."""
+"""Dialog for external readings and what is known of them, to create a profile and a run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RUNS = "logs"
 
 @dataclass(frozen=True)
 class OwnReadingsRequest:
-    """What ``init --readings`` and ``import`` are asked for; empty texts are found out. ``run`` is a new folder."""
+    """Request for ``init --readings`` and ``import``; empty texts are found out. ``run`` is a new folder."""
 
     readings: Path
     arm: str
@@ -29,12 +29,12 @@ class OwnReadingsRequest:
 
 
 class OwnReadings(FieldsQuestion[OwnReadingsRequest]):
-    """Returns the request; None where the dialog is closed.
+    """Dialog for external readings. Returns the request; None if the dialog is closed.
 
     Parameters
     ----------
     home : Path
-        Folder of the folders of profiles and runs.
+        Folder that contains the folders of profiles and runs.
     """
 
     def __init__(self, home: Path) -> None:
@@ -59,11 +59,11 @@ class OwnReadings(FieldsQuestion[OwnReadingsRequest]):
             yield Button("Not now", id="no", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the file."""
+        """Focus the file field."""
         self.query_one("#readings").focus()
 
     def action_send(self) -> None:
-        """Close with what was typed, if units are such; the verb judges the rest."""
+        """Close with the typed values if the units are valid; the verb checks the rest."""
         readings, angles, lengths = self.typed("readings"), self.typed("angles"), self.typed("lengths")
         if not readings:
             self.explain("Type the file of the readings.")

@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.widgets.stop import StopCorner
 
 
 class Palette(CommandPalette):
-    """Every action of the application by a few letters of its name. F10 closes it, as all dialogs."""
+    """Every action of the application, found by a few letters of its name. F10 closes it, as all dialogs."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("f10", "escape", show=False)]
 
@@ -31,7 +31,7 @@ class Palette(CommandPalette):
 
 
 def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
-    """Every action of the application and of a screen that is possible now, for the command palette."""
+    """Yield every possible action of the application and of a screen, for the command palette."""
     for entry in SCREENS:
         show = partial(app.action_show, entry.step)
         yield SystemCommand(f"Show {entry.title}", f"{entry.purpose} (key {entry.key})", show)

@@ -1,4 +1,4 @@
-"""A base pose from points that the tracker measured: type them, see how well they fit, use the pose."""
+"""Dialog for a base pose from measured points: type them, see the quality of the fit, use the pose."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
 
 _PAUSE_S = 0.3
-"""Rest after the last key before the points are fitted."""
+"""Pause after the last key before the points are fitted."""
 _HOW = (
     "One point a line: x, y, z in the base frame, or the joint positions with the SMR there; a semicolon; x, y, z from"
     " the tracker. Three points or more, four are better, not on one line. Units as in the form."
@@ -35,15 +35,15 @@ class Fitted(Message):
 
 
 class PointsDialog(FieldsQuestion[ProfileDraft]):
-    """Fit the base of one arm of a draft. Returns the draft with that base; None where the dialog is closed.
+    """Fit the base of one arm of a draft. Returns the draft with that base; None if the dialog is closed.
 
     Parameters
     ----------
     draft : ProfileDraft
     index : int
-        Which arm.
+        Index of the arm.
     path : Path
-        Where the profile is, or will be: types of arms are relative to it.
+        File of the profile, existing or not: types of arms are relative to it.
     """
 
     DEFAULT_CSS = "PointsDialog TextArea { height: 6; background: $panel; }"
@@ -65,12 +65,12 @@ class PointsDialog(FieldsQuestion[ProfileDraft]):
             yield Button(f"Close ({self.closing_key[:3]})", id="close", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the points."""
+        """Focus the points."""
         self.query_one("#points", TextArea).focus()
 
     @on(TextArea.Changed)
     def fit_soon(self) -> None:
-        """Fit when the typing rests."""
+        """Fit after a pause in typing."""
         self._show(None, "...")
         if self._timer is not None:
             self._timer.stop()
@@ -92,7 +92,7 @@ class PointsDialog(FieldsQuestion[ProfileDraft]):
 
     @on(Fitted)
     def show_fit(self, event: Fitted) -> None:
-        """Draw the quality of the fit, if it is that of the points as they are now."""
+        """Draw the quality of the fit, if it belongs to the current points."""
         if event.text == self.query_one("#points", TextArea).text:
             self._show(event.draft, event.words)
 
@@ -102,6 +102,6 @@ class PointsDialog(FieldsQuestion[ProfileDraft]):
         self.query_one("#use", Button).disabled = draft is None
 
     def action_send(self) -> None:
-        """Take the pose into the form."""
+        """Close with the pose for the form."""
         if self._fitted is not None:
             self.dismiss(self._fitted)

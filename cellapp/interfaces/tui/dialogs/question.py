@@ -1,4 +1,4 @@
-"""The base of all dialogs, that of dialogs with a row of answers, and the two simplest: a choice, a text to read."""
+"""Base classes of dialogs, with and without a row of answers, and the two simplest: a choice, a text to read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ A = TypeVar("A")
 class Question(ModalScreen[A]):
     """A dialog with STOP in the upper right corner.
 
-    F10 closes it without an answer; so does Escape while no job runs, else Escape stops the job.
+    F10 closes it without an answer. Escape does so while no job runs; otherwise Escape stops the job.
     """
 
     VERTICAL_BREAKPOINTS = [(0, "-low"), (30, "-tall")]  # noqa: RUF012 - as Textual declares it
@@ -43,25 +43,25 @@ class Question(ModalScreen[A]):
         raise NotImplementedError
 
     def typed(self, name: str) -> str:
-        """What a field holds."""
+        """Return the text of a field."""
         return self.query_one(f"#{name}", Input).value.strip()
 
 
 class FieldsQuestion(Question[A]):
-    """Fields that Enter in one of them, or the first button, sends off; the other button closes.
+    """Dialog with fields. Enter in a field, or the first button, submits them; the other button closes.
 
-    A subclass closes the dialog in ``action_send``, or says with ``explain`` what is wrong with the fields.
+    A subclass closes the dialog in ``action_send``, or calls ``explain`` with what is wrong with the fields.
     """
 
     @on(Input.Submitted)
     def submit(self, event: Input.Submitted) -> None:
-        """Send with Enter in any field."""
+        """Submit with Enter in any field."""
         event.stop()
         self.action_send()
 
     @on(Button.Pressed)
     def press(self, event: Button.Pressed) -> None:
-        """Send or close."""
+        """Submit or close."""
         event.stop()
         if event.button is self.query(".answers Button").first():
             self.action_send()
@@ -73,13 +73,13 @@ class FieldsQuestion(Question[A]):
         raise NotImplementedError
 
     def explain(self, sentence: str) -> None:
-        """Say below the fields what is wrong with them."""
+        """Show below the fields what is wrong with them."""
         self.query_one("#why", Static).update(sentence)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One answer of a choice: what is returned, the button's label, its key, how it looks."""
+    """One answer of a choice: its return value, the button's label, its key, its style."""
 
     value: str
     label: str
@@ -90,12 +90,12 @@ class Answer:
 class AnswerQuestion(Question[A]):
     """A question with a row of answers below its text. The first answer has the focus, so Enter gives it.
 
-    A subclass yields what a person fills in in ``fields``, and closes the dialog in ``action_answer``.
+    A subclass yields input widgets in ``fields``, and closes the dialog in ``action_answer``.
 
     Parameters
     ----------
     title, text : str
-        What is asked, and what a person must know to answer it.
+        The question, and what a person must know to answer it.
     answers : sequence of Answer
     """
 
@@ -126,39 +126,39 @@ class AnswerQuestion(Question[A]):
         return iter(())
 
     def on_mount(self) -> None:
-        """Let each answer be given by its key; a field that has the focus takes letters itself."""
+        """Bind each answer to its key; a focused field gets letters itself."""
         for answer in self._answers:
             self._bindings.bind(answer.key, f"answer('{answer.value}')", answer.label)
 
     def action_answer(self, value: str) -> None:
-        """Take an answer by its value."""
+        """Handle an answer, given by its value."""
         raise NotImplementedError
 
     def explain(self, sentence: str) -> None:
-        """Say above the answers what is wrong with the fields."""
+        """Show above the answers what is wrong with the fields."""
         why = self.query_one("#why", Static)
         why.update(sentence)
         why.display = True
 
     @on(Button.Pressed)
     def press(self, event: Button.Pressed) -> None:
-        """Take the answer of the button."""
+        """Handle the answer of the button."""
         event.stop()
         self.action_answer(event.button.id or "")
 
     @on(Input.Submitted)
     def leave_field(self, event: Input.Submitted) -> None:
-        """Take Enter in any field."""
+        """Handle Enter in any field."""
         event.stop()
         self.entered()
 
     def entered(self) -> None:
-        """Go from a field to the answers: nothing begins by it."""
+        """Move from a field to the answers: nothing begins by it."""
         self.query(Button).first().focus()
 
 
 class Choice(AnswerQuestion[str]):
-    """Ask for one of a few answers. Returns its value."""
+    """Dialog for one of a few answers. Returns its value."""
 
     def action_answer(self, value: str) -> None:
         """Close with an answer."""
@@ -175,7 +175,7 @@ class Reading(Question[None]):
         self._text = text
 
     def body(self) -> ComposeResult:
-        from rich.markdown import Markdown  # the first screen has none
+        from rich.markdown import Markdown  # the first screen needs none
 
         with VerticalScroll(classes="reading"):
             yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds

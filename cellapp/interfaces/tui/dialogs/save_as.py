@@ -1,4 +1,4 @@
-"""Ask where to save a text, and save it. A file that is there is only replaced when that is said twice."""
+"""Dialog that saves a text in a file. An existing file is only replaced after a second confirmation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
 
 
 class SaveAs(FieldsQuestion[Path]):
-    """Save a text where a person says. Returns the path; None where the dialog is closed.
+    """Save a text in a chosen file. Returns the path; None if the dialog is closed.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class SaveAs(FieldsQuestion[Path]):
     text : str or None
         None: the caller writes the file.
     proposed : Path
-        The path to begin with.
+        Initial path.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
@@ -45,15 +45,15 @@ class SaveAs(FieldsQuestion[Path]):
             yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the field."""
+        """Focus the field."""
         self.query_one("#path").focus()
 
     def action_complete(self) -> None:
-        """Complete as far as all candidates agree."""
+        """Complete to the longest common prefix of all candidates."""
         self.query_one(PathField).complete()
 
     def action_send(self) -> None:
-        """Save where was typed; what exists is replaced the second time."""
+        """Save to the typed path; replace an existing file at the second attempt."""
         path = Path(self.typed("path")).expanduser()
         try:
             RENEWED.check(path)

@@ -1,4 +1,4 @@
-"""The form of one target, judged while typing by the rules of a target list."""
+"""The form of one target, checked while typing by the rules of a target list."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 
 
 class TargetForm(FieldsQuestion[Target]):
-    """Edit a target, or type a new one. Returns it; None where the dialog is closed.
+    """Edit a target, or type a new one. Returns it; None if the dialog is closed.
 
     Parameters
     ----------
     title : str
     before : Target or None
-        A field that still shows what this target has keeps that value to the last bit.
+        The original target: an unchanged field keeps its value to the last bit.
     texts : mapping
-        What the fields show at first, by name.
+        Initial texts of the fields, by name.
     others : sequence of Target
-        The rest of the list: no two have the same name.
+        The rest of the list: names must be unique.
     profile : Profile
         Its arms can be chosen.
     """
@@ -67,12 +67,12 @@ class TargetForm(FieldsQuestion[Target]):
             yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
-        """Begin with the first field."""
+        """Focus the first field."""
         self._judge()
         self.query(Input).first().focus()
 
     def _judge(self) -> TypedTarget:
-        """Judge the fields and draw what is wrong beside them."""
+        """Check the fields and draw what is wrong beside them."""
         rows = list(self.query(FieldRow))
         texts = {row.field_id: row.input.value for row in rows}
         found = typed_target(texts, self._before, self._others, self._profile)
@@ -88,7 +88,7 @@ class TargetForm(FieldsQuestion[Target]):
 
     @on(Input.Changed)
     def judge_text(self, event: Input.Changed) -> None:
-        """Judge what was typed."""
+        """Check the typed text."""
         event.stop()
         self._judge()
 
@@ -97,7 +97,7 @@ class TargetForm(FieldsQuestion[Target]):
         self._judge()
 
     def action_send(self) -> None:
-        """Close with the target; with something wrong, go there."""
+        """Close with the target; if something is wrong, focus that field."""
         found = self._judge()
         if found.target is not None:
             self.dismiss(found.target)

@@ -1,4 +1,4 @@
-"""A dialog made from the record of a verb: a field for each field of its request that has a label."""
+"""A dialog made from the record of a verb: a field for each labelled field of its request."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from cellapp.interfaces.tui.widgets.labelled import Box, Labelled, text_field
 _COLUMN = 30
 """Width of a check box with its words, or of a number with its label."""
 _MOST_IN_ONE_COLUMN = 4
-"""More numbers in a row stand in columns: the dialog fits into the smallest terminal then."""
+"""Numbers in one column; more are arranged in columns, so that the dialog fits into the smallest terminal."""
 
 
 class VerbQuestion(AnswerQuestion[Request]):
-    """Ask for the request of a verb. Returns the request; None where the dialog is closed or answered with no.
+    """Ask for the request of a verb. Returns the request; None if the dialog is closed or answered with no.
 
-    Where no arm moves, the first empty field has the focus, and Enter in a field gives the first answer.
+    If no arm moves, the first empty field has the focus, and Enter in a field gives the first answer.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class VerbQuestion(AnswerQuestion[Request]):
     given : mapping
         Values of fields that are not asked for, as the folder of the run.
     proposed : mapping
-        Values that fields begin with, where that is not their default.
+        Initial values of fields, if not their default.
     choices : mapping
-        Field -> texts that the right arrow completes; of a field with several values, those that are possible.
+        Field -> texts that the right arrow completes; for a field with several values, the possible ones.
     simulated : bool
-        Whether the cell is simulated; fields for simulated cells are left out else.
+        Whether the cell is simulated; otherwise fields for simulated cells are omitted.
     """
 
     DEFAULT_CSS = """
@@ -73,7 +73,7 @@ class VerbQuestion(AnswerQuestion[Request]):
         }
 
     def fields(self) -> ComposeResult:
-        """A widget for each field; its id is the field's name with hyphens."""
+        """Yield a widget for each field; its id is the field's name with hyphens."""
         for short, names in groupby(self._fields, self._is_number):
             widgets = [widget for name in names for widget in self._widgets(name, self._fields[name])]
             if short and len(widgets) > _MOST_IN_ONE_COLUMN:
@@ -82,24 +82,24 @@ class VerbQuestion(AnswerQuestion[Request]):
                 yield from widgets
 
     def on_mount(self) -> None:
-        """Begin with what is still to be filled in, where nothing can move by it."""
+        """Focus the first empty field, if nothing can move by it."""
         super().on_mount()
         if not self.verb.moves_arms and (first := self.first_field()) is not None:
             self.call_after_refresh(first.focus)
 
     def first_field(self) -> Widget | None:
-        """What a person fills in first."""
+        """Return the widget to fill in first; None if there is none."""
         return next((field for field in self.query(Input) if not field.value), None)
 
     def entered(self) -> None:
-        """Give the first answer; where arms may move, go to the answers."""
+        """Give the first answer; if arms may move, go to the answers."""
         if self.verb.moves_arms:
             super().entered()
         else:
             self.action_answer(self._answers[0].value)
 
     def action_answer(self, value: str) -> None:
-        """Close with the request; where the fields make none, say why."""
+        """Close with the request; if the fields are not valid, say why."""
         if value == "no":
             self.dismiss(None)
             return
@@ -144,7 +144,7 @@ class VerbQuestion(AnswerQuestion[Request]):
             yield text_field(label, key, text, words.hint or " or ".join(choices), choices=choices)
 
     def _value(self, name: str) -> Any:
-        """What a field holds; None where it is empty and may be."""
+        """Return the value of a field; None if it is empty and may be."""
         kind = self._kind(name)
         if self._fields[name].secret:
             return self.query_one(f"#{_id(name)}", Input).value
@@ -164,16 +164,16 @@ class VerbQuestion(AnswerQuestion[Request]):
         return Path(text).expanduser() if kind is Path else text
 
     def _is_number(self, name: str) -> bool:
-        """Whether a field takes a number, or some."""
+        """Return whether a field takes a number, or several."""
         kind = self._kind(name)
         return kind in (int, float) or (get_origin(kind) is tuple and get_args(kind)[0] in (int, float))
 
     def _possible(self, name: str) -> Sequence[str]:
-        """The values of which a field takes several."""
+        """Return the possible values of a field that takes several of them."""
         return self._choices.get(name) or get_args(get_args(self._kind(name))[0])
 
     def _kind(self, name: str) -> Any:
-        """Type of a field's value where there is one."""
+        """Return the type of a field's value, without None."""
         annotation = self.verb.request.model_fields[name].annotation
         if get_origin(annotation) in (Union, UnionType):
             return next(one for one in get_args(annotation) if one is not type(None))

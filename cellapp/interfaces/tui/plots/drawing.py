@@ -1,4 +1,4 @@
-"""A chart drawn into the cells of a terminal, as characters and inks; colours are the widget's."""
+"""A chart drawn into terminal cells, as characters and inks; the widget maps inks to colours."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from cellapp.interfaces.tui.plots.raster import (
 )
 
 TEXT, HEADING, SOFT = -1, -2, -3
-"""Inks that are no series: words and axes, title, limits."""
+"""Inks that are not series: words and axes, title, limits."""
 MARKS = "●▲■◆+×"
 """One mark for each style; further styles repeat them."""
 LIMIT = {"y": "╌", "x": "╎"}
 _BAND = "░"
 _LEAST_ROWS, _LEAST_COLUMNS = 3, 16
-"""Cells of data below which a plot says less than its message."""
+"""Smallest data area [cells]: below it a plot says less than its message."""
 _TICK_ROWS = 2
-"""Rows for one tick of the y axis."""
+"""Rows per tick of the y axis."""
 _TICK_COLUMNS = 7
-"""Columns for one tick of the x axis: a label of up to five characters and a gap."""
+"""Columns per tick of the x axis: a label of up to five characters and a gap."""
 _MOST_TICKS = 8
-"""Ticks of an axis, however long it is: more tell no more."""
+"""Largest number of ticks of an axis, whatever its length: more give no more information."""
 _MARK_EVERY = 10
-"""Columns between two marks of a line: near enough to be found, far enough to see the line."""
+"""Columns between two marks of a line: near enough to find them, far enough to see the line."""
 _CELLS_A_MARK = 8
-"""Cells for each mark of a cloud in which every point has one; in a denser one, marks would hide each other."""
+"""Cells per mark up to which every point of a cloud has its mark; in a denser cloud marks would hide each other."""
 _MARKED_SHARE = 5
-"""Every fifth cell of a dense cloud shows its mark."""
+"""Of a dense cloud, every fifth cell shows its mark."""
 _LEAST_BAR = 6
-"""Cells for the longest bar, however long the names are."""
+"""Smallest width of the longest bar [cells], however long the names are."""
 _EIGHTHS = " ▏▎▍▌▋▊▉"
 
 Run = tuple[str, int]
@@ -62,7 +62,7 @@ class Cells:
 
     @classmethod
     def blank(cls, rows: int, columns: int) -> Cells:
-        """Blank cells."""
+        """Return blank cells."""
         return cls(np.full((rows, columns), " "), np.full((rows, columns), TEXT))
 
     def put(self, where: NDArray[np.bool_], characters: NDArray[np.str_] | str, ink: int) -> None:
@@ -76,7 +76,7 @@ class Cells:
         self.inks[row, column : column + len(text)] = ink
 
     def lines(self) -> Iterator[Line]:
-        """The rows as runs of one ink."""
+        """Yield the rows as runs of one ink."""
         for characters, inks in zip(self.characters, self.inks, strict=True):
             begin = [0, *(np.flatnonzero(np.diff(inks)) + 1).tolist()]
             text = "".join(characters.tolist())
@@ -84,10 +84,10 @@ class Cells:
 
 
 def draw(chart: Chart, width: int, height: int) -> list[Line]:
-    """Title, plot, key and message in at most ``height`` lines of ``width`` cells.
+    """Draw title, plot, key and message in at most ``height`` lines of ``width`` cells.
 
-    Where the room is too small, the words of the axes go first, then sentences after the first and the key, last the
-    plot: its message says as much.
+    If the space is too small, parts are omitted in this order: the words of the axes, sentences after the first and the
+    key, the plot. The message says as much as the plot.
     """
     if width < 1:
         return []
@@ -104,7 +104,7 @@ def draw(chart: Chart, width: int, height: int) -> list[Line]:
 
 
 def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list[Line], list[Line]]]:
-    """Lines above and below a plot: first all of them, then fewer and fewer."""
+    """Yield lines above and below a plot: first all of them, then fewer and fewer."""
     axes, key = _wrapped(f"↑ {chart.y.words}   → {chart.x.words}", width), _key_lines(chart, width)
     sentence = _wrapped(chart.message.partition(". ")[0], width)
     yield axes, key + message
@@ -115,7 +115,7 @@ def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list
 
 
 def point_at(chart: Chart, width: int, height: int, column: int, row: int) -> tuple[float, float] | None:
-    """x and y of the point that is drawn nearest to a cell of ``draw``; None outside a plot with axes."""
+    """Return x and y of the drawn point nearest to a cell of ``draw``; None outside a plot with axes."""
     if chart.is_empty or chart.categories:
         return None
     title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
@@ -145,13 +145,13 @@ def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
 
 
 def _plot(chart: Chart, width: int, height: int) -> Cells | None:
-    """Axes and data; None where the room is too small."""
+    """Return axes and data; None if the space is too small."""
     area = _area(chart, width, height)
     if area is None:
         return None
     margin, rows, columns = area
     x, y = _scales(chart, columns, rows)
-    # the range of a map depends on its width: a label that became longer has no room
+    # the range of a map depends on its width: a label that became longer has no space
     labels = {row: text for row, text in _row_labels(y, rows).items() if len(text) < margin}
     cells = Cells.blank(height, width)
     for row in range(rows):
@@ -164,7 +164,7 @@ def _plot(chart: Chart, width: int, height: int) -> Cells | None:
 
 
 def _area(chart: Chart, width: int, height: int) -> tuple[int, int, int] | None:
-    """Columns left of the data, rows and columns of the data; None where the room is too small."""
+    """Return the columns left of the data, and rows and columns of the data; None if the space is too small."""
     rows = height - 2  # the axis and its labels
     if rows < _LEAST_ROWS:
         return None
@@ -173,20 +173,20 @@ def _area(chart: Chart, width: int, height: int) -> tuple[int, int, int] | None:
 
 
 def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:
-    """Scales of both axes in dots, for a plot of some cells."""
+    """Return scales of both axes in dots, for a plot of ``columns`` by ``rows`` cells."""
     x = chart_scale(chart, "x", 0.0, DOT_COLUMNS * columns - 1.0)
     y = chart_scale(chart, "y", 0.0, DOT_ROWS * rows - 1.0)
     return equal_scales(x, y) if chart.equal else (x, y)
 
 
 def _row_labels(y: Scale, rows: int) -> dict[int, str]:
-    """Row -> text of its tick."""
+    """Return row -> text of its tick."""
     labels = y.labels(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
     return {(DOT_ROWS * rows - 1 - round(at)) // DOT_ROWS: text for at, text in labels}
 
 
 def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
-    """Ticks of the x axis on the last two rows; a label that would touch the one before is left out."""
+    """Write ticks of the x axis on the last two rows; omit a label that would touch the previous one."""
     columns = cells.characters.shape[1] - margin
     free = 0
     for at, text in x.labels(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS)):
@@ -216,7 +216,7 @@ def _draw_data(chart: Chart, cells: Cells, x: Scale, y: Scale) -> None:
 
 
 def _places(rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of the rows (rows, 1) and of the columns (columns,) of some cells."""
+    """Return the indices of the rows (rows, 1) and of the columns (columns,)."""
     return np.arange(rows)[:, np.newaxis], np.arange(columns)
 
 
@@ -253,12 +253,12 @@ def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool
 
 
 def mark_of(one: Series) -> str:
-    """The character by which a series is told apart without colour."""
+    """Return the character that identifies a series without colour."""
     return one.mark or MARKS[one.style % len(MARKS)]
 
 
 def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array, *, several: bool) -> NDArray[np.bool_]:
-    """The cells (rows, columns) in which a series shows its mark: every point where they are few, else some cells."""
+    """Return a mask (rows, columns) of the cells with a series' mark: every point if there are few, else some cells."""
     rows, columns = _places(*occupied.shape)
     few = len(one.x) <= (occupied.size // _CELLS_A_MARK if one.kind == "points" else occupied.shape[1] // 4)
     if one.mark or (few and one.kind in ("points", "line")):
@@ -279,7 +279,7 @@ def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array,
 
 
 def _key_lines(chart: Chart, width: int) -> list[Line]:
-    """Marks and names of the series and limits, if there are several."""
+    """Return marks and names of the series and limits, if there are several."""
     entries = [(mark_of(one), one.name, one.style) for one in chart.series] if len(chart.series) > 1 else []
     for limit in chart.limits:
         unit = (chart.x if limit.axis == "x" else chart.y).unit
@@ -298,7 +298,7 @@ def _key_lines(chart: Chart, width: int) -> list[Line]:
 
 
 def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
-    """One bar a line: name, bar, value."""
+    """Return one bar per line: name, bar, value."""
     values = np.nan_to_num(chart.series[0].y)
     number = max(map(len, chart.bar_texts))
     names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
@@ -315,5 +315,5 @@ def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
 
 
 def _cut(text: str, width: int) -> str:
-    """A text that is cut to a width, with an ellipsis where something is missing."""
+    """Cut a text to a width, with an ellipsis if something is missing."""
     return text if len(text) <= width else f"{text[: max(width - 1, 0)]}…"

@@ -1,4 +1,4 @@
-"""Dots, lines and areas in braille: each cell of the terminal has 4 rows and 2 columns of dots."""
+"""Dots, lines and areas in braille characters: each terminal cell has 4 rows and 2 columns of dots."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ Dots = NDArray[np.bool_]
 Characters = NDArray[np.str_]
 
 _KEPT = 4
-"""Points that are kept of those in one column of dots."""
+"""Number of points that are kept per column of dots."""
 _FIRST_BRAILLE = 0x2800
 _WEIGHTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint32)
 """Bit of each dot of a braille character (Unicode, block U+2800)."""
 
 
 def no_dots(rows: int, columns: int) -> Dots:
-    """Empty dots for some rows and columns of cells."""
+    """Return empty dots for ``rows`` and ``columns`` of cells."""
     return np.zeros((rows * DOT_ROWS, columns * DOT_COLUMNS), dtype=np.bool_)
 
 
 def occupied_cells(dots: Dots) -> Dots:
-    """The cells (rows, columns) that have dots."""
+    """Return a mask (rows, columns) of the cells that have dots."""
     rows, columns = dots.shape[0] // DOT_ROWS, dots.shape[1] // DOT_COLUMNS
     return np.asarray(dots.reshape(rows, DOT_ROWS, columns, DOT_COLUMNS).any(axis=(1, 3)))
 
 
 def braille(dots: Dots) -> Characters:
-    """The characters (rows, columns) that show some dots (4 rows, 2 columns)."""
+    """Return the characters (rows, columns) that show the dots (4 rows, 2 columns) of each cell."""
     rows, columns = dots.shape[0] // DOT_ROWS, dots.shape[1] // DOT_COLUMNS
     cells = dots.reshape(rows, DOT_ROWS, columns, DOT_COLUMNS)
     codes = np.einsum("ijkl,jl->ik", cells, _WEIGHTS, dtype=np.uint32)
@@ -38,7 +38,7 @@ def braille(dots: Dots) -> Characters:
 
 
 def set_points(dots: Dots, column: Array, row: Array) -> None:
-    """Set the dots at positions (n,) in dots; what is not finite or outside is left out."""
+    """Set the dots at positions (n,) in dots; ignore those that are not finite or outside."""
     seen = np.isfinite(column) & np.isfinite(row)
     c, r = np.rint(column[seen]).astype(np.int64), np.rint(row[seen]).astype(np.int64)
     inside = (c >= 0) & (c < dots.shape[1]) & (r >= 0) & (r < dots.shape[0])
@@ -59,7 +59,7 @@ def set_line(dots: Dots, column: Array, row: Array) -> None:
 
 
 def thinned(column: Array, row: Array) -> tuple[Array, Array]:
-    """The first, lowest, highest and last of neighbouring positions in one column of dots: they draw the same line."""
+    """Keep the first, lowest, highest and last of the positions in each column of dots: the line looks the same."""
     place = np.where(np.isfinite(column) & np.isfinite(row), np.rint(column), np.nan)
     new = ~((np.diff(place) == 0.0) | (np.isnan(place[1:]) & np.isnan(place[:-1])))
     begin = np.flatnonzero(np.append(True, new)) if len(column) else np.zeros(0, dtype=np.intp)
@@ -71,7 +71,7 @@ def thinned(column: Array, row: Array) -> tuple[Array, Array]:
 
 
 def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
-    """Fill from the row ``zero`` to each row, over the range of columns that is nearest to each column (n,)."""
+    """Fill from the row ``zero`` to each row, over the range of columns nearest to each column (n,)."""
     seen = np.isfinite(column) & np.isfinite(row)
     column, row = column[seen], row[seen]
     if len(column) == 0:
@@ -86,5 +86,5 @@ def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
 
 
 def as_steps(x: Array, y: Array) -> tuple[Array, Array]:
-    """A line that holds each value up to the next x."""
+    """Return a line that holds each value up to the next x."""
     return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]

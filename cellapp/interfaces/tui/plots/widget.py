@@ -1,4 +1,4 @@
-"""The widget that draws a chart. What draws is loaded with the first chart: a blank one needs no mathematics."""
+"""The widget that draws a chart. Drawing code is loaded with the first chart: a blank widget needs no numerics."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
 ON_LIGHT = ("#0072b2", "#b64f00", "#00795a", "#a8447c", "#000000", "#7a6a00")
-"""Colours of the styles on dark and on light backgrounds: those of Okabe and Ito (2008), which people who are colour
-blind tell apart; on light ones darkened until they have a contrast of 3 to 1."""
+"""Colours of the styles on dark and on light backgrounds: those of Okabe and Ito (2008), distinguishable with colour
+blindness; on light backgrounds darkened to a contrast of 3 to 1."""
 
 
 class ChartPlot(Widget):
@@ -52,7 +52,7 @@ class ChartPlot(Widget):
         self.set_reactive(ChartPlot.chart, chart)
 
     def render_line(self, y: int) -> Strip:
-        """One line of the drawing, which is made once for a chart, a size and a background."""
+        """Return one line of the drawing, which is cached for a chart, a size and a background."""
         width, height = self.content_size
         drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
         if drawn_as != self._drawn_as:
@@ -61,7 +61,7 @@ class ChartPlot(Widget):
         return self._strips[y] if y < len(self._strips) else Strip.blank(width, self.rich_style)
 
     def _drawing(self, chart: Chart, width: int, height: int) -> list[Strip]:
-        """The lines of a chart."""
+        """Return the lines of a chart."""
         from cellapp.interfaces.tui.plots.drawing import draw
 
         lines = draw(chart, width, height)
@@ -72,7 +72,7 @@ class ChartPlot(Widget):
         ]
 
     def on_click(self, event: Click) -> None:
-        """Say which point was clicked."""
+        """Post the point that was clicked."""
         at = event.get_content_offset(self)
         if at is None or self.chart is None:
             return
@@ -83,7 +83,7 @@ class ChartPlot(Widget):
             self.post_message(self.PointClicked(self, *point))
 
     def _style(self, ink: int) -> Style:
-        """Style of an ink on the present background."""
+        """Return the style of an ink on the current background."""
         from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT
 
         own = self.rich_style

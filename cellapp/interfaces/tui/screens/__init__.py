@@ -1,4 +1,4 @@
-"""The screens in the order of the day: the one registry. A screen's module is loaded when it is first shown."""
+"""Registry of the screens, in the order of the day. A screen's module is loaded when it is first shown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.interfaces.tui.workspace import STEPS, Step
 
 @dataclass(frozen=True)
 class ScreenEntry:
-    """One screen: its step, the key that shows it, its title, its class in the module of its name."""
+    """One screen: its step, the key that shows it, its title, and its class, in the module named like the step."""
 
     step: Step
     key: str
@@ -21,7 +21,7 @@ class ScreenEntry:
     purpose: str
 
     def make(self) -> Screen[None]:
-        """Load the module and make the screen."""
+        """Load the module and create the screen."""
         module = importlib.import_module(f"cellapp.interfaces.tui.screens.{self.step}")
         screen: Screen[None] = getattr(module, self.class_name)()
         return screen

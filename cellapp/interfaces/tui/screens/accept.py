@@ -46,16 +46,16 @@ _NO_CERTIFICATE = (
     f"No certificate was written yet. {SHOWN['export']} writes and signs it; {SHOWN['import']} checks the file of one."
 )
 _MEASURED: tuple[StageName, ...] = (CHECK, ISO9283)
-"""What stands below the verdict, too, where a terminal has room."""
+"""Stages that are also shown below the verdict in a tall terminal."""
 _TALL = 50
-"""Lines of such a terminal."""
+"""Smallest number of lines of a tall terminal."""
 _READING = "reading the run ..."
 _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
 class VerdictRead(Message):
-    """The run of a workspace was judged; None where it cannot be read."""
+    """The run of a workspace was judged; None if it cannot be read."""
 
     def __init__(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
         super().__init__()
@@ -177,7 +177,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_result(self, result: Result) -> None:
-        """Show the check of a certificate's file, or a new key: no run holds them."""
+        """Show the check of a certificate file, or a new key, which are not stored in a run."""
         if isinstance(result, CertificateCheckResult):
             self._checked = result
             self._draw_certificate()
@@ -185,7 +185,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
             self.app.push_screen(Reading("\n\n".join(["# A new key", *map(str, SIGN_KEY.view(result).parts)])))
 
     def show_state(self, state: RunState) -> None:
-        """Say why there is no result, and no verdict."""
+        """Say why there is no result and no verdict."""
         for place, empty in (("check", _NOT_CHECKED), ("iso9283", _NOT_TESTED), ("certificate", _NO_CERTIFICATE)):
             needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
@@ -198,7 +198,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
             self._draw_decision("", f"{state.not_calibrated} {_NOMINAL}")
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw what the run holds, and judge it in a thread."""
+        """Draw the content of the run, and judge it in a thread."""
         if workspace is self._drawn:
             return
         if self._drawn is None or self._drawn.folder != workspace.folder:
@@ -225,7 +225,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     @on(VerdictRead)
     def show_verdict(self, event: VerdictRead) -> None:
-        """Draw the judgements, unless something else was opened meanwhile."""
+        """Draw the judgements, unless another workspace was opened meanwhile."""
         if event.workspace is self._drawn:
             self._draw_verdict(event.verdict, _UNREADABLE)
 
@@ -261,12 +261,12 @@ The check and the tests ask first, and real arms ask again with the first path. 
         self._draw_stage(CERTIFICATE, "export", parts)
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
-        """Draw a result, below the mark of one that no longer holds."""
+        """Draw a result, below a mark if it is out of date."""
         for view in self.query(f".{stage}-tables").results(PartsView):
             view.show_parts(parts, self._outdated(stage, again))
 
     def _outdated(self, stage: StageName, again: str) -> list[str]:
-        """The mark of a result that no longer holds."""
+        """Return the mark of a result that is out of date; empty if it is valid."""
         results = self.workspace.results
         reason = None if results is None else results.out_of_date.get(stage)
         return [] if reason is None else [f"! OUT OF DATE: {reason}; {SHOWN[again]} does it again"]

@@ -1,4 +1,4 @@
-"""The jobs of the screen Accept: what is asked before each of them begins."""
+"""The jobs of the screen Accept, with the questions before each."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _PAGES = (
 
 
 class ScreenOfResults(DayScreen):
-    """The screen Accept as these jobs see it: it has a tab for each result."""
+    """Interface of the screen Accept for these jobs: it has a tab for each result."""
 
     key_file = ""
-    """Private key that signed last; its passphrase is not kept."""
+    """Private key file that signed last; its passphrase is not kept."""
 
     def show_tab(self, stage: StageName) -> None:
         """Show the tab of a result."""
@@ -49,7 +49,7 @@ def ask_check(screen: ScreenOfResults) -> None:
 
 
 def ask_iso9283(screen: ScreenOfResults) -> None:
-    """Ask which tests, then make them: in the run that is open, else in a new one of the profile."""
+    """Ask which tests, then make them in the open run, or else in a new run of the profile."""
     workspace = screen.workspace
     profile, results = workspace.profile, workspace.results
     if profile is None:
@@ -65,11 +65,11 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
             screen.show_tab(ISO9283)
             screen.start(work.verb_job(ISO9283_VERB, request))
 
-    where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows that of a run
+    where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
     text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
-    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
+    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
     dialog = VerbQuestion(
         ISO9283_VERB,
         text,
@@ -86,7 +86,7 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
 
 
 def ask_certificate(screen: ScreenOfResults, key: str) -> None:
-    """Ask for number, data and key, then write the certificate. ``key`` is the file that was used last."""
+    """Ask for number, data and key, then write the certificate. ``key`` is the last used key file."""
     folder = screen.open_folder()
     if folder is None:
         return
@@ -145,12 +145,12 @@ def ask_report(screen: ScreenOfResults) -> None:
 
 
 def _sent(label: str, key: str) -> tuple[Answer, Answer]:
-    """Answers to a question after which nothing moves."""
+    """Return the answers to a question after which nothing moves."""
     return Answer("send", label, key, "success"), Answer("no", "Not now", "n")
 
 
 def _certificate_words(workspace: Workspace) -> str:
-    """What a person must know before a certificate is written."""
+    """Return what a person must know before a certificate is written."""
     complaints = () if workspace.overview is None else workspace.overview.complaints
     marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
     return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"

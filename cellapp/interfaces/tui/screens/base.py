@@ -1,4 +1,4 @@
-"""What all screens of the day share: the header with STOP in its corner, the steps, the message, the footer."""
+"""Common base of all screens of the day: header with STOP in its corner, steps, message, footer."""
 
 from __future__ import annotations
 
@@ -31,27 +31,26 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.messages import Severity
 
 _LEAST = (60, 16)
-"""Columns and lines of a terminal below which tables and plots cannot be read."""
+"""Columns and lines of the smallest terminal in which tables and plots are readable."""
 _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
 
 
 READING_RUNS = "reading the folder of runs ..."
-"""What stands where something of the runs will stand."""
+"""Placeholder for data of the runs."""
 
 
 class DayScreen(Screen[None]):
     """One step of the day. Subclasses compose ``body`` and draw in ``show_workspace`` and ``show_job``.
 
-    Both are called when the screen is shown and whenever what they draw has changed meanwhile; never while the screen
-    is hidden.
+    Both are called when the screen is shown and whenever their data have changed; never while it is hidden.
     """
 
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
     STEP: ClassVar[Step]
     SHOWS_JOB: ClassVar[bool] = True
-    """Whether the panel of the live job stands above its body; a screen that shows the job whole has none."""
+    """Whether the panel of the live job is above the body; a screen that shows the whole job has none."""
     HELP: ClassVar[str] = ""
-    """Markdown for the key ``?``: what the screen shows and what one does here."""
+    """Markdown for the key ``?``: what the screen shows and what one can do here."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -59,8 +58,8 @@ class DayScreen(Screen[None]):
         self._look: tuple[object, ...] = ()
 
     def fit(self, size: Size) -> None:
-        """Before the screen is made, take the classes of a terminal of this size: its widgets then find their styles
-        once, and not again at the first resize."""
+        """Set the classes for a terminal of this size before the screen is mounted, so that its widgets find their
+        styles only once, and not again at the first resize."""
         breaks = (size.width, self.HORIZONTAL_BREAKPOINTS), (size.height, self.VERTICAL_BREAKPOINTS)
         for length, breakpoints in breaks:
             reached = [name for least, name in breakpoints or () if length >= least]
@@ -68,12 +67,12 @@ class DayScreen(Screen[None]):
 
     @property
     def cell_app(self) -> Host:
-        """The application with its workspace and its job."""
+        """The application, with its workspace and its job."""
         return cast(Host, self.app)
 
     @property
     def workspace(self) -> Workspace:
-        """What is open."""
+        """The open profile and run."""
         return self.cell_app.workspace
 
     @property
@@ -82,7 +81,7 @@ class DayScreen(Screen[None]):
 
     @property
     def state(self) -> RunState:
-        """The one state of the run."""
+        """The state of the run."""
         return self.cell_app.state
 
     def compose(self) -> ComposeResult:
@@ -102,10 +101,10 @@ class DayScreen(Screen[None]):
         raise NotImplementedError
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw the profile and the run that are open."""
+        """Draw the open profile and run."""
 
     def draw_state(self) -> None:
-        """Draw what every screen says about the state, then what this one does, where it has changed."""
+        """Draw the parts of the state that all screens show, then this screen's parts, if they have changed."""
         state = self.state
         record = self.cell_app.record
         self.query_one(DayHeader).show(state, self.workspace.kind, record)
@@ -114,7 +113,7 @@ class DayScreen(Screen[None]):
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
             self.show_state(state)
-            self._state = state  # drawn: where a widget was not there yet, the next time draws it
+            self._state = state  # only now: if a widget was missing above, the next call draws it
 
     @property
     def unsaved(self) -> str:
@@ -125,18 +124,18 @@ class DayScreen(Screen[None]):
         """Draw the sentences of this screen about the state."""
 
     def show_job(self, record: JobRecord) -> None:
-        """Draw the present or the last job."""
+        """Draw the current or the last job."""
 
     def show_result(self, result: Result) -> None:
-        """Draw the result of a job that this screen asked for, or that ended while it is shown."""
+        """Draw the result of a job that this screen started, or that ended while it is shown."""
 
     def start(self, job: Job) -> None:
-        """Start a job; a sentence says why where that is not possible."""
+        """Start a job; if it cannot start, a sentence says why."""
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
 
     def begin_next(self, verb: str) -> None:
-        """Begin what comes next, a verb of this step; empty: the step's own work."""
+        """Begin the next verb, which belongs to this step; empty: the step's own work."""
         _, meaning = WAYS.get(verb, (self.STEP, "go"))
         for binding in type(self).BINDINGS:
             if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
@@ -144,18 +143,18 @@ class DayScreen(Screen[None]):
                 return
 
     def leave_field(self) -> None:
-        """Leave a field in which a text is typed: what is pressed next is a key."""
+        """Leave a text field: the next key is a command."""
         self.set_focus(None)
 
     def open_folder(self) -> Path | None:
-        """Folder of the run that is open; without one, a sentence says what to do."""
+        """Return the folder of the open run; if there is none, say what to do and return None."""
         if no_run := self.state.no_run:
             self.say(no_run, "warning")
             return None
         return self.workspace.folder
 
     def calibrated_run(self) -> tuple[Path, RunResults, CalibrateResult] | None:
-        """The run that is open with what it holds, if it is calibrated; else a sentence says what to do."""
+        """Return the open run with its content if it is calibrated; else say what to do and return None."""
         folder, results = self.open_folder(), self.workspace.results
         if folder is None:
             return None
@@ -169,16 +168,16 @@ class DayScreen(Screen[None]):
         self.cell_app.say(text, severity)
 
     def on_resize(self, event: Resize) -> None:
-        """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
+        """Draw a sentence instead of the body if the terminal is too small; a subclass's handler runs as well."""
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
     def on_mount(self) -> None:
-        """Note by what its widgets find their styles as they are made."""
+        """Store the state on which the styles of the new widgets depend."""
         self._look = self._present_look
 
     def on_screen_resume(self, event: ScreenResume) -> None:
-        """Draw what changed while another screen was shown; find styles anew only where they can have changed."""
+        """Draw what changed while another screen was shown; refresh styles only if they may have changed."""
         look = self._present_look
-        event.refresh_styles = look != self._look  # all widgets against all rules: half of a switch
+        event.refresh_styles = look != self._look  # it matches all widgets against all rules: half the time of a switch
         self._look = look
         self.call_after_refresh(self.cell_app.draw_all)

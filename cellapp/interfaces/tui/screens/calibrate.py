@@ -46,7 +46,7 @@ _PLOTS = ("stages", "errors", "joints", "space")
 
 
 class DataRead(Message):
-    """The readings and models of the run of a workspace were read; None where there is nothing to draw."""
+    """The readings and models of a workspace's run were read; None if there is nothing to draw."""
 
     def __init__(self, workspace: Workspace, data: ReportData | None) -> None:
         super().__init__()
@@ -115,18 +115,18 @@ tables; chapter *exports*.
     # -- keys ----------------------------------------------------------------------------------------------------------
 
     def action_begin(self) -> None:
-        """Calibrate the run that is open."""
+        """Calibrate the open run."""
         if folder := self.open_folder():
             job = work.job_of(request.VERB, folder=folder)
             offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
 
     def action_begin_in_batches(self) -> None:
-        """Calibrate the run that is open with a residual network from all readings and recordings."""
+        """Calibrate the open run with a residual network from all readings and recordings."""
         if (folder := self.open_folder()) is not None:
             self.start(work.job_of(request.VERB, folder=folder, network="batches"))
 
     def action_begin_with_prior(self) -> None:
-        """Ask for an earlier run, and calibrate the run that is open with it as prior."""
+        """Ask for an earlier run, and calibrate the open run with it as prior."""
         if (folder := self.open_folder()) is None:
             return
         from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
@@ -155,13 +155,13 @@ tables; chapter *exports*.
         self._draw_plots()
 
     def action_turn(self) -> None:
-        """Look from above or from the side."""
+        """Switch between the views from above and from the side."""
         self._from_above = not self._from_above
         self.query_one("#calibration", TabbedContent).active = "space"
         self._draw_plots()
 
     def action_plots(self) -> None:
-        """Show a tab with plots; where one is shown, the next."""
+        """Show a tab with plots; if one is shown, the next."""
         show_next_of(self.query_one("#calibration", TabbedContent), _PLOTS)
 
     def action_next_tab(self) -> None:
@@ -185,7 +185,7 @@ tables; chapter *exports*.
         self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms), WRITE), write)
 
     def show_result(self, result: Result) -> None:
-        """Show what was exported, and what the files do not hold."""
+        """Show what was exported, and what the files do not contain."""
         if isinstance(result, ExportResult) and self.app.screen is self:
             from cellapp.cell.exports.words import export_lines
 
@@ -231,7 +231,7 @@ tables; chapter *exports*.
         self.post_message(DataRead(workspace, work.report_data(workspace.folder)))
 
     def on_data_read(self, event: DataRead) -> None:
-        """Draw the plots of what was read, unless something else was opened meanwhile."""
+        """Draw the plots of the data, unless another workspace was opened meanwhile."""
         if event.workspace is self._drawn:
             self._data = event.data
             self._draw_plots()

@@ -1,4 +1,4 @@
-"""The screen Cell: which profile, what it says, what its devices say, what would be refused."""
+"""The screen Cell: the profile and its content, the state of its devices, what the doctor refuses."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
     from cellapp.ground.results import Result
 
 _REFRESH_S = 5.0
-"""Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
+"""Interval of device queries: slow enough for any controller, fast enough to show that a stop was released."""
 _TODAY_AFTER_S = 0.6
-"""The first screen is drawn before."""
+"""Delay of reading today's work, so that the first screen is drawn before it."""
 _NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
-"""Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
+"""Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
 
 HELP = """\
 # Cell
@@ -77,7 +77,7 @@ class DevicesProbed(Message):
 
 
 class TodayRead(Message):
-    """The folder of runs was read, for what waits today."""
+    """The folder of runs was read, for the work that waits today."""
 
     def __init__(self, found: RunsResult) -> None:
         super().__init__()
@@ -85,7 +85,7 @@ class TodayRead(Message):
 
 
 class CellScreen(DayScreen):
-    """Choose a profile, read what it says, see its devices, ask the doctor."""
+    """Choose a profile, read its content, see its devices, ask the doctor."""
 
     STEP: ClassVar[Step] = "cell"
     HELP: ClassVar[str] = HELP
@@ -151,14 +151,14 @@ class CellScreen(DayScreen):
             yield CellMap("above", id="cell-side-map")
 
     def on_mount(self) -> None:
-        """List the profiles; the first one is opened."""
+        """List the profiles and open the first one."""
         self._found = offered_profiles(self.cell_app.profiles)
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
         explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
-            self.call_after_refresh(self._highlight_first)  # which is read beside the screen, once that is drawn
+            self.call_after_refresh(self._highlight_first)  # it is read in a thread, once the screen is drawn
         else:
             self.say(
                 f"No profile is in {self.cell_app.profiles}: {SHOWN['open']} opens one by its path,"
@@ -177,7 +177,7 @@ class CellScreen(DayScreen):
 
     @on(OptionList.OptionHighlighted, "#profiles")
     def look_at(self, event: OptionList.OptionHighlighted) -> None:
-        """Open the highlighted profile; not where that would close a run, which needs Enter."""
+        """Open the highlighted profile, unless that would close a run, which needs Enter."""
         if self.workspace.folder is None:
             self._open(self._found[event.option_index])
 
@@ -192,12 +192,12 @@ class CellScreen(DayScreen):
         self.app.push_screen(picker, lambda path: None if path is None else self._open_listed(path))
 
     def _open_listed(self, path: Path) -> None:
-        """Open a profile from anywhere; it joins the list."""
+        """Open a profile from anywhere and add it to the list."""
         self._list(path)
         self._open(path)
 
     def _list(self, path: Path) -> None:
-        """Highlight a profile in the list; it joins the list where it is not there yet."""
+        """Highlight a profile in the list; add it if it is missing."""
         profiles = self.query_one("#profiles", OptionList)
         if path not in self._found:
             self._found.append(path)
@@ -225,14 +225,14 @@ class CellScreen(DayScreen):
         write_profile(self.cell_app)
 
     def action_own_readings(self) -> None:
-        """Make a profile and a run of readings that were recorded elsewhere."""
+        """Create a profile and a run from external readings."""
         from cellapp.interfaces.tui.dialogs.first_run import take_own_readings
 
         take_own_readings(self.cell_app)
 
     @property
     def _has_runs(self) -> bool:
-        """Whether something is in the folder of runs: what waits is shown first then."""
+        """Whether the folder of runs is not empty: waiting work is then shown first."""
         with suppress(OSError):
             return any(self.cell_app.logs.iterdir())
         return False
@@ -250,7 +250,7 @@ class CellScreen(DayScreen):
 
     @on(TodayRead)
     def show_today(self, event: TodayRead) -> None:
-        """Draw what waits."""
+        """Draw the work that waits."""
         from cellapp.commands.runs.today import today_sentences, today_tables
 
         now = datetime.now(UTC)
@@ -279,7 +279,7 @@ class CellScreen(DayScreen):
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
     def action_refresh_devices(self) -> None:
-        """Ask every device for its state."""
+        """Query the state of every device."""
         profile = self.workspace.profile
         if profile is None:
             self.say("No profile is open: choose one in the list.", "warning")
@@ -290,7 +290,7 @@ class CellScreen(DayScreen):
             self._ask(profile, devices_of(profile))
 
     def _tick(self) -> None:
-        """Draw ages anew; ask the devices that may be asked again and again, while no job uses them."""
+        """Redraw ages; query the devices that allow repeated probes, while no job uses them."""
         if not self.is_current:
             return
         self._draw_doctor()
@@ -314,14 +314,14 @@ class CellScreen(DayScreen):
 
         try:
             result = probe_devices(profile, names)
-        except (CellappError, OSError, ValueError) as error:  # an answer that no driver foresees must not end all
+        except (CellappError, OSError, ValueError) as error:  # an unforeseen answer must not end everything
             failed = [Finding(subject=name, status="failed", text=f"could not be asked: {error}") for name in names]
             result = DoctorResult(findings=tuple(failed))
         self.post_message(DevicesProbed(profile, result))
 
     @on(DevicesProbed)
     def show_probed(self, event: DevicesProbed) -> None:
-        """Draw what the devices said, unless another profile was opened meanwhile."""
+        """Draw the answers of the devices, unless another profile was opened meanwhile."""
         self._probing = False
         if event.profile is self._profile:
             self._take_states(event.result)
@@ -365,7 +365,7 @@ class CellScreen(DayScreen):
         self._draw_detail()
 
     def show_job(self, record: JobRecord) -> None:
-        """The maps show what is measured by now."""
+        """Mark measured stops on the maps."""
         for drawn in self.query(CellMap):
             drawn.follow(record if self.state.collecting else None)
 
@@ -393,7 +393,7 @@ class CellScreen(DayScreen):
         line.set_classes(kind)
 
     def _verdict(self) -> tuple[str, str]:
-        """The doctor's verdict in words, and the class that colours them."""
+        """Return the doctor's verdict in words, and the class that colours it."""
         if self.workspace.profile is None:
             if self.state.reading:
                 return self.state.reading, "old"
@@ -416,7 +416,7 @@ class CellScreen(DayScreen):
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
-        """The selected row of the table in front, in full."""
+        """Draw the full text of the selected row of the front table."""
         active = self.query_one("#cell-tabs", TabbedContent).active
         words: DataTable[Text] = self.query_one("#cell-words", DataTable)
         text = ""
@@ -435,7 +435,7 @@ def _tipped(widget: OptionList | DataTable[Text], tooltip: str) -> OptionList | 
 
 
 def _written_ns(path: Path | None) -> int:
-    """When a file was last written; 0 where there is none."""
+    """Return when a file was last written; 0 if there is none."""
     try:
         return 0 if path is None else path.stat().st_mtime_ns
     except OSError:

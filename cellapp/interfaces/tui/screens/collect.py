@@ -56,13 +56,13 @@ View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
 _PLOTS = ("residuals", "errors", "drift", "sweep")
 _TALL = 50
-"""Lines of a terminal that has room for one line for each part of a day."""
+"""Smallest number of lines of a terminal with one line for each part of a day."""
 _PLOTTING_S = 0.2
-"""Time between the drawings of two plots: a stop takes seconds, and a plot of a large screen some 10 ms."""
+"""Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
 
 
 class StoredLog(Message):
-    """The log that a run stores was read, or the sentence why not."""
+    """The log stored in a run was read; else a sentence why not."""
 
     def __init__(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
         super().__init__()
@@ -171,7 +171,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         yield WrappedTables(id="collected")
 
     def on_mount(self) -> None:
-        """Begin with the log."""
+        """Set the tooltips, and focus the log."""
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
@@ -180,13 +180,13 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(LogPane).view.focus()
 
     def on_resize(self, event: Resize) -> None:
-        """One line for all parts, where lines are scarce."""
+        """Use one line for all parts in a low terminal."""
         self.query_one(ProgressBars).compact = event.size.height < _TALL
 
     # -- begin, resume, accept -----------------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Offer only what is possible now."""
+        """Enable only actions that are possible now."""
         idle, state = not self.cell_app.jobs.running, self.state
         free = idle and state.left > 0 and not (state.in_use or state.read_only or state.no_run)
         drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
@@ -195,7 +195,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         return {"begin": free, "accept_drift": drift, "measure_again": again}.get(action, True)
 
     def action_begin(self) -> None:
-        """Collect the planned run that is open, or what an interrupted one lacks."""
+        """Collect the open planned run, or the remaining stops of an interrupted one."""
         left, measured = self.state.left, self.state.measured
         if measured:
             self._collect("Resume?", f"the {counted(left, 'stop')} that are left; {measured} are measured", resume=True)
@@ -203,9 +203,9 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self._collect("Begin to collect?", counted(left, "stop"), resume=False)
 
     def action_accept_drift(self) -> None:
-        """Let drift count from new first measurements."""
+        """Accept the drift: it is then relative to new first measurements."""
         if self.cell_app.jobs.running:
-            self.cell_app.action_resume()  # the job measures its references anew
+            self.cell_app.action_resume()  # the job measures its references again
             return
         what = f"{counted(self.state.left, 'stop')}; drift of the references counts from new first measurements"
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
@@ -220,7 +220,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self._collect("Measure again?", what, again=listed.replace(" ", ""))
 
     def _collect(self, title: str, what: str, **asked: bool | str) -> None:
-        """Ask, then start. Real arms ask themselves, with the first path, before they move."""
+        """Ask, then start. A job with real arms itself asks, with the first path, before they move."""
         folder, kind = self.workspace.folder, self.workspace.kind
         if folder is None:
             return
@@ -240,9 +240,9 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     # -- views ---------------------------------------------------------------------------------------------------------
 
     def action_view(self, view: View) -> None:
-        """Show log, plots or what is stored; plots that are shown already, the next one."""
+        """Show the log, the plots or the stored data; if plots are already shown, the next one."""
         if view == "plots" and self.has_class("plots"):
-            shown = len(_PLOTS) - self.query_one("#sweep").has_class("empty")  # without sweeps it has no room
+            shown = len(_PLOTS) - self.query_one("#sweep").has_class("empty")  # without sweeps it is hidden
             self._plot = (self._plot + 1) % shown
         for number, name in enumerate(_PLOTS):
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
@@ -251,7 +251,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.set_focus({"log": log, "stops": stops, "collected": self.query_one(WrappedTables)}.get(view))
 
     def action_next_tab(self) -> None:
-        """From the log to the plots, to the stops one by one, and to the tables of what is stored."""
+        """Switch from the log to the plots, to the list of stops, and to the tables of stored data."""
         shown = next(view for view in _VIEWS if self.has_class(view))
         self.action_view(_VIEWS[(_VIEWS.index(shown) + 1) % len(_VIEWS)])
 
@@ -261,16 +261,16 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(LogPane).ask("search")
 
     def leave_field(self) -> None:
-        """Close the field of the log."""
+        """Close the input field of the log."""
         self.query_one(LogPane).leave()
 
     def action_filter(self) -> None:
-        """Show only lines of the log with a text."""
+        """Show only log lines that contain a text."""
         self.action_view("log")
         self.query_one(LogPane).ask("filter")
 
     def action_next_match(self, step: int) -> None:
-        """Go to the next match in the log, or to the one before; where plots are shown, to another stop."""
+        """Go to the next or previous match in the log; in the other views, to another stop."""
         if self.has_class("plots") or self.has_class("stops"):
             self.query_one(CollectedStops).step(step)
         else:
@@ -281,7 +281,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(LogPane).show_from(level_of(level))
 
     def action_save(self) -> None:
-        """Save the lines of the log that are marked, else those that are shown."""
+        """Save the marked lines of the log, or else the shown ones."""
         rows = self.query_one(LogPane).view.chosen()
         proposed = (self.workspace.folder or Path()) / "log.txt"
 
@@ -294,7 +294,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     # -- the stored log ------------------------------------------------------------------------------------------------
 
     def action_other_log(self) -> None:
-        """Go from the log of this session to the stored one, and back."""
+        """Switch between the log of this session and the stored one."""
         pane, folder = self.query_one(LogPane), self.workspace.folder
         if not pane.shows_session:
             pane.show_session(self.cell_app.record)
@@ -318,7 +318,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
 
     @on(StoredLog)
     def show_stored(self, event: StoredLog) -> None:
-        """Draw the log that a run stores, where it is still wanted."""
+        """Draw the log stored in a run, if it is still wanted."""
         pane = self.query_one(LogPane)
         if event.folder != self.workspace.folder or self.cell_app.jobs.running:
             return
@@ -332,7 +332,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw what the run has stored."""
+        """Draw the stored data of the run."""
         if workspace is not self._tabled:
             self._tabled = workspace
             state = workspace.collection
@@ -345,7 +345,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
                 self._read_log(workspace.folder)
 
     def show_state(self, state: RunState) -> None:
-        """Say what is collected where no table does."""
+        """Say what is collected, if no table does."""
         self.query_one(WrappedTables).say_empty(state.not_collected)
         self.query_one(CollectedStops).say_empty(state.not_collected)
 
@@ -361,23 +361,23 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
-        told = running or "collect" in record.progress  # of another job that has ended its own screen tells
+        told = running or "collect" in record.progress  # the result of another finished job is on its own screen
         self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
         line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
         self.query_one("#residual-line", Static).update(line)
         unheard = record.state is None and not record.arms
-        # at once: each change styles the whole screen again
+        # at once: each change restyles the whole screen
         self.update_classes({"measured": bool(line), "unheard": unheard})
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
-        """A job was begun: its log is what people look at."""
+        """Show the log of a job that has just started."""
         self.query_one(LogPane).show_session(record)
         if self.has_class("collected") or self.has_class("stops"):
             self.action_view("log")
         self._job = job
-        self._opened = job.folder or self._opened  # what it stores is heard already
+        self._opened = job.folder or self._opened  # its stored log is received anyway
 
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.state, record, self.cell_app.jobs.control.request)
@@ -404,7 +404,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         return list(dict.fromkeys((*known, *record.arms)))
 
     def _draw_suspicions(self, record: JobRecord) -> None:
-        """The newest suspicion in words, and how many there were."""
+        """Draw the newest suspicion in words, and how many there were before."""
         if len(record.suspicions) == self._suspicions:
             return
         self._suspicions = len(record.suspicions)
@@ -418,7 +418,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
     def _draw_plots(self, record: JobRecord) -> None:
-        """Draw the plots whose data are new; while a job runs, one at a time, because drawing delays keys."""
+        """Draw the plots with new data; while a job runs, one at a time, because drawing delays keys."""
         if self._plot_waits:
             return
         chosen = self.query_one(CollectedStops).chosen
@@ -445,7 +445,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
 
     @on(ChartPlot.PointClicked, "#residuals")
     def choose_clicked(self, event: ChartPlot.PointClicked) -> None:
-        """Put the cursor of the stops on the residual that was clicked."""
+        """Move the cursor of the stops to the clicked residual."""
         self.query_one(CollectedStops).choose_near(round(event.x) - 1, event.y)
 
     def _draw_next_plot(self, record: JobRecord) -> None:
@@ -453,7 +453,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self._draw_plots(record)
 
     def _chart(self, name: str, record: JobRecord) -> Chart:
-        """A chart of the job; of what the run stores, where the job has no stop or no reference."""
+        """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
         collection = self.workspace.collection
         if name == "sweep":
             if record.sweep is not None and (record.state is not None or collection is None):

@@ -1,4 +1,4 @@
-"""What the screen Collect says in large letters: the state, and what can be done now. Draws nothing."""
+"""The headline of the screen Collect: the state, and what can be done now. Draws nothing."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _DOING: dict[JobState, tuple[Look, str]] = {
 
 @dataclass(frozen=True)
 class Headline:
-    """A word, a sentence with what can be done, and how they look."""
+    """A word, a sentence with what can be done, and their style."""
 
     word: str
     sentence: str
@@ -37,7 +37,7 @@ class Headline:
 
 
 def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
-    """The state of the job, else of the run; ``request`` is what a person asked of the job."""
+    """Return the state of the job, else of the run; ``request`` is the last request of a person to the job."""
     if record.state is None:
         return _of_run(run)
     if record.is_replay:
@@ -47,7 +47,7 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
         return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
-    if record.lost and state != "stopped":  # a stopped job says why, and what a person may do; the strip shows the ages
+    if record.lost and state != "stopped":  # a stopped job gives the reason and what to do; the strip shows the ages
         text = f"from {', '.join(record.lost)}: what is shown of it is old. {_STOP} brakes all arms."
         return Headline("NO DATA", text, "halted")
     if state == "running" and request != "none":
@@ -61,7 +61,7 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
 
 
 def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline:
-    """A replay; the states that it plays back are those of the recorded job."""
+    """Return the headline of a replay; the replayed states are those of the recorded job."""
     word = f"REPLAY{record.name.removeprefix('replay')}, nothing moves"
     if request == "pause":
         return Headline(f"{word}, PAUSED", f"{_RESUMES}; {_STOP} or {_ENDS}", "replay")

@@ -1,4 +1,4 @@
-"""The screen Discover: how the gap shrinks, names with their probabilities, pictures, what to check, proposed stops."""
+"""The screen Discover: error after each step, effects with probabilities, pictures, what to check, proposed stops."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PLOTS = ("gap", "pictures")
 _EMPTY = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
 _NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
 _PROPOSED = 20
-"""Stops that are proposed at a time: about a quarter of an hour of measuring."""
+"""Number of stops proposed at a time: about a quarter of an hour of measuring."""
 
 
 class DiscoverScreen(DayScreen):
@@ -92,7 +92,7 @@ The handbook explains each effect.
     # -- keys ----------------------------------------------------------------------------------------------------------
 
     def action_begin(self) -> None:
-        """Search the run that is open."""
+        """Search the open run."""
         if folder := self.open_folder():
             job = work.job_of(request.VERB, folder=folder)
             offer_again(self, "Search again?", self._result, DISCOVER, partial(self.start, job))
@@ -105,7 +105,7 @@ The handbook explains each effect.
             offer_again(self, title, self._result, DISCOVER, partial(self.start, job))
 
     def action_collect(self) -> None:
-        """Ask, then measure what is planned and not measured yet."""
+        """Ask, then measure the planned stops that are not measured yet."""
         folder, left = self.open_folder(), self.state.left
         if folder is None:
             return
@@ -133,7 +133,7 @@ The handbook explains each effect.
         self._draw_plots()
 
     def action_plots(self) -> None:
-        """Show a tab with plots; where one is shown, the next."""
+        """Show a tab with plots; if one is shown, the next."""
         show_next_of(self.query_one("#discovery", TabbedContent), _PLOTS)
 
     def action_next_tab(self) -> None:
@@ -169,7 +169,7 @@ The handbook explains each effect.
         self._draw_plots()
 
     def show_state(self, state: RunState) -> None:
-        """Say why nothing was found, where nothing is stored."""
+        """Say why there is no discovery, if none is stored."""
         if self._result is None:
             empty = state.nothing(self.STEP, _EMPTY)
             self.query_one("#name-tables", WrappedTables).say_empty(empty)

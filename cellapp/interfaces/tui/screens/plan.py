@@ -1,4 +1,4 @@
-"""The screen Plan: what constrains it, where its stops are, how long it takes, what it can show, whether it is safe."""
+"""The screen Plan: constraints of the plan, its stops, its duration, what it can show, whether it is safe."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected e
 
 
 class Drawn(Message):
-    """What one of the views shows was made in a thread: charts, tables and sentences; ``of`` is what they are about."""
+    """The content of a view was made in a thread: charts, tables and sentences; ``of`` is the object they describe."""
 
     def __init__(
         self, of: StopsResult | ViewResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
@@ -75,7 +75,7 @@ class Drawn(Message):
 
 
 class PlanScreen(PlanEdits):
-    """Plan a run, look at its plan, check it, foresee what it gives."""
+    """Plan a run, look at its plan, check it, forecast its results."""
 
     STEP: ClassVar[Step] = "plan"
     HELP: ClassVar[str] = HELP
@@ -154,7 +154,7 @@ class PlanScreen(PlanEdits):
     # -- actions -------------------------------------------------------------------------------------------------------
 
     def action_plan(self) -> None:
-        """Ask for the folder, then make a new run."""
+        """Ask for the folder, then create a new run."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
             self.say(self.state.no_profile, "warning")
@@ -175,7 +175,7 @@ class PlanScreen(PlanEdits):
         self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
 
     def action_view(self) -> None:
-        """Look at what the tracker sees."""
+        """Compute and show what the tracker sees."""
         if self.workspace.file_profile is None or self.workspace.profile_path is None:
             self.say(self.state.no_profile, "warning")
             return
@@ -187,7 +187,7 @@ class PlanScreen(PlanEdits):
             self.start(verbs.check_plan(folder))
 
     def action_forecast(self) -> None:
-        """Foresee what the plan of the open run gives."""
+        """Forecast the results of the open run's plan."""
         if folder := self.planned_folder():
             self.start(verbs.forecast_plan(folder))
 
@@ -196,7 +196,7 @@ class PlanScreen(PlanEdits):
         self.query_one(StopsTable).mark()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Stops can be marked where they are listed."""
+        """Enable marking only where stops are listed."""
         if action not in ("mark", "freeze"):
             return True
         return any(tabs.active == "tab-stops" for tabs in self.query("#plan-tabs").results(TabbedContent))
@@ -262,7 +262,7 @@ class PlanScreen(PlanEdits):
         self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
 
     def show_job(self, record: JobRecord) -> None:
-        """The maps show what is measured by now."""
+        """Mark measured stops on the maps."""
         for drawn in self.query(CellMap):
             drawn.follow(record if self.state.collecting else None)
 
@@ -285,14 +285,14 @@ class PlanScreen(PlanEdits):
         self._make_charts(workspace)
 
     def _draw_stops(self) -> None:
-        """List the stops where they are seen: thousands take half a second."""
+        """List the stops only while their tab is shown: thousands take half a second."""
         if self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
             stops = () if self._stops is None else self._stops.stops
             self.query_one(StopsTable).show(stops, self.workspace.ways)
 
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
-        """Draw the design: the mathematics that this needs takes half a second to load."""
+        """Make the charts of the design in a thread: the numerics take half a second to load."""
         from cellapp.commands.plan.design_view import load_sentences
         from cellapp.commands.plan.section import design_charts_of, design_tables_of
         from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
@@ -323,7 +323,7 @@ class PlanScreen(PlanEdits):
             view.focus()
 
     def _draw_results(self) -> None:
-        """Draw check and forecast, or what to press for them."""
+        """Draw check and forecast, or which keys start them."""
         has_plan = self._stops is not None and bool(self._stops.stops)
         self._draw_constraints()
         self._draw_check(has_plan=has_plan)
@@ -345,7 +345,7 @@ class PlanScreen(PlanEdits):
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
-        """The verdict on the open run's plan; what is refused of it, or of the edited plan that was checked last."""
+        """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
         line, check = self.query_one("#plan-safety", Static), self._check
         line.update(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "")
         line.display = has_plan
@@ -359,7 +359,7 @@ class PlanScreen(PlanEdits):
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
-        """The selected row of the table in front, in full."""
+        """Draw the full text of the selected row of the front table."""
         self._draw_stops()
         pane = self.query_one("#plan-tabs", TabbedContent).active_pane
         text = ""
@@ -375,12 +375,12 @@ class PlanScreen(PlanEdits):
 
 
 def _planned(stops: StopsResult | None) -> tuple[object, ...]:
-    """What a check and a forecast rest on: the joint positions of all stops."""
+    """Return what a check and a forecast depend on: the joint positions of all stops."""
     return () if stops is None else tuple(stop.q for stop in stops.stops)
 
 
 def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
-    """The verdict of a check, and what it refuses as rows."""
+    """Return the verdict of a check, and its refusals as rows."""
     from cellapp.commands.plan.check_view import check_sentences
 
     verdict, *refusals = check_sentences(check)
@@ -392,7 +392,7 @@ def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
 
 
 def _state_words(state: RunState, workspace: Workspace) -> str:
-    """How much is planned and measured, or what to do."""
+    """Return how much is planned and measured, or what to do."""
     if state.no_run or workspace.overview is None:
         return state.no_run
     if not state.planned:

@@ -22,9 +22,9 @@ from cellapp.interfaces.tui.workspace import new_folder
 
 NO_PLAN = f"This run has no plan: its readings were imported. {SHOWN['go']} plans a new run."
 _PLAN_FILE = "plan.csv"
-"""What a plan as a table is called unless a person says otherwise."""
+"""Default file name of a plan as a table."""
 _FURTHER = 50
-"""Stops that are appended unless a person says otherwise."""
+"""Default number of stops that are appended."""
 _TAKE = (Answer("take", "Take", "t", "success"), Answer("no", "Close", "c"))
 
 
@@ -32,7 +32,7 @@ class PlanEdits(DayScreen):
     """A screen with the stops of the open run's plan; subclasses show them."""
 
     def planned_folder(self) -> Path | None:
-        """Folder of the open run with a plan; None with a sentence why there is none."""
+        """Return the folder of the open run if it has a plan; else say why not and return None."""
         folder = self.open_folder()
         if folder is not None and not self.state.planned:
             self.say(NO_PLAN, "warning")
@@ -40,7 +40,7 @@ class PlanEdits(DayScreen):
         return folder
 
     def action_freeze(self) -> None:
-        """Let later designs leave the marked stops; without marks, none."""
+        """Exclude the marked stops from later designs; without marks, none."""
         if folder := self.planned_folder():
             marked = ",".join(map(str, sorted(self.query_one(StopsTable).marked)))
             self.start(verbs.job_of(PLAN, folder=folder, freeze=marked or "none"))
@@ -60,7 +60,7 @@ class PlanEdits(DayScreen):
         self.app.push_screen(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed), begin)
 
     def action_replan(self) -> None:
-        """Ask, then design again what is not measured."""
+        """Ask, then design the unmeasured stops again."""
         folder = self.planned_folder()
         if folder is None:
             return

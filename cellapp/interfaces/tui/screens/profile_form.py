@@ -1,4 +1,4 @@
-"""The form of a profile, section by section: judged while typing, drawn as a map, saved as commented YAML."""
+"""The form of a profile, section by section: checked while typing, drawn as a map, saved as commented YAML."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 from cellapp.interfaces.tui.widgets.stop import StopButton
 
 _PAUSE_S = 0.2
-"""Rest after the last key before the fields are judged, which takes about 0.1 s of another thread."""
+"""Pause after the last key before the fields are checked, which takes about 0.1 s in another thread."""
 _NO_OBSTACLES = "No obstacles: tables, pillars, guards, cables on an arm. F7 adds one."
 
 
 class Judged(Message):
-    """The draft was judged by the profile's rules; ``chart`` is its map, None where it could not be read."""
+    """The draft was checked by the profile's rules; ``chart`` is its map, None if it could not be read."""
 
     def __init__(self, draft: ProfileDraft, problems: tuple[FieldProblem, ...], chart: Chart | None = None) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class Judged(Message):
 
 
 class ProfileForm(Question[Path]):
-    """Write or edit a profile. Returns the path of what was saved; None if nothing was.
+    """Write or edit a profile. Returns the path of the saved file; None if nothing was saved.
 
     Parameters
     ----------
@@ -132,12 +132,12 @@ class ProfileForm(Question[Path]):
         yield Footer(compact=True)
 
     def _titles(self) -> dict[str, str]:
-        """Sections and their titles."""
+        """Return the sections and their titles."""
         arms = {f"arm-{index}": arm.name or "arm" for index, arm in enumerate(self._draft.arms)}
         return {"cell": "Cell", **arms, "tracker": "Tracker", "obstacles": "Obstacles"}
 
     def _section_rows(self, section: str) -> Iterator[FieldRow]:
-        """The fields of a section; those that its driver or shape does not have are hidden."""
+        """Yield the fields of a section; those that its driver or shape does not have are hidden."""
         if section.startswith("arm-"):
             index = int(section.removeprefix("arm-"))
             rows = self._arm_rows(index, self._draft.arms[index])
@@ -180,7 +180,7 @@ class ProfileForm(Question[Path]):
 
     @on(TabbedContent.TabActivated)
     async def begin_section(self, event: TabbedContent.TabActivated) -> None:
-        """Make the fields of a section when it is first shown: all at once would hold up the keys."""
+        """Create the fields of a section when it is first shown: all at once would delay the keys."""
         self._section = str(event.pane.id)
         if not event.pane.query(FieldRow):
             rows: list[Widget] = [*self._section_rows(self._section.removeprefix("section-"))]
@@ -192,7 +192,7 @@ class ProfileForm(Question[Path]):
         self._focus_field(event.pane)
 
     def _focus_field(self, pane: TabPane) -> None:
-        """Go to the field that is wanted, else to the first of the section."""
+        """Focus the wanted field, or else the first one of the section."""
         rows = [row for row in pane.query(FieldRow) if row.display]
         wanted = next((row for row in rows if row.field_id == self._wanted), None)
         if not rows:
@@ -205,7 +205,7 @@ class ProfileForm(Question[Path]):
 
     @on(Input.Changed)
     def take_text(self, event: Input.Changed) -> None:
-        """Take what was typed into the draft; keys in one field are one step of undo."""
+        """Apply typed text to the draft; keys in one field are one undo step."""
         event.stop()
         row = event.input.parent
         if not isinstance(row, FieldRow) or self._text_of(row.field_id) == event.value:
@@ -233,11 +233,11 @@ class ProfileForm(Question[Path]):
         self._timer = self.set_timer(_PAUSE_S, self._judge)
 
     async def action_undo(self) -> None:
-        """Take back the last edit."""
+        """Undo the last edit."""
         await self._step(self._before, self._after, "Nothing to undo.")
 
     async def action_redo(self) -> None:
-        """Make the edit again that was taken back."""
+        """Redo the last undone edit."""
         await self._step(self._after, self._before, "Nothing to redo.")
 
     async def _step(self, taken: list[ProfileDraft], kept: list[ProfileDraft], nothing: str) -> None:
@@ -248,7 +248,7 @@ class ProfileForm(Question[Path]):
         await self._show_draft(taken.pop())
 
     async def _show_draft(self, draft: ProfileDraft) -> None:
-        """Draw another draft in the fields."""
+        """Show another draft in the fields."""
         before = (len(self._draft.arms), len(self._draft.obstacles))
         self._draft, self._typing_in = draft, ""
         if (len(draft.arms), len(draft.obstacles)) != before:
@@ -259,7 +259,7 @@ class ProfileForm(Question[Path]):
         self._changed()
 
     async def action_add(self) -> None:
-        """Add an obstacle in their section, else an arm like the last one; what differs is empty."""
+        """Add an obstacle in the section Obstacles, else an arm like the last one with its individual fields empty."""
         arms, obstacles = self._draft.arms, self._draft.obstacles
         if self._section == "section-obstacles":
             new_obstacle = ObstacleDraft(shape="box", fixed_to="cell", position="0, 0, 0", rpy="0, 0, 0 deg")
@@ -272,7 +272,7 @@ class ProfileForm(Question[Path]):
         await self._replace(replace(self._draft, arms=(*arms, new)))
 
     async def action_remove(self) -> None:
-        """Remove the obstacle with the present field, or the arm whose section is shown."""
+        """Remove the obstacle of the focused field, or the arm whose section is shown."""
         if self._section == "section-obstacles":
             await self._remove_obstacle()
             return
@@ -301,7 +301,7 @@ class ProfileForm(Question[Path]):
         await self._show_draft(draft)
 
     def action_points(self) -> None:
-        """Find the base of the shown arm from tracker points."""
+        """Compute the base pose of the shown arm from tracker points."""
         index = self._present_arm()
         if index is None:
             self.notify("Show the section of an arm first (F6).")
@@ -331,7 +331,7 @@ class ProfileForm(Question[Path]):
 
     @on(Judged)
     def show_judged(self, event: Judged) -> None:
-        """Draw the problems beside their fields, and the map, if they are those of the draft as it is now."""
+        """Draw the problems beside their fields, and the map, if they belong to the current draft."""
         if event.draft is not self._draft:
             return
         self._judged = event.draft
@@ -343,7 +343,7 @@ class ProfileForm(Question[Path]):
         self._draw_help()
 
     def _draw_problems(self) -> None:
-        """What is wrong, beside the fields that are made."""
+        """Draw the problems beside the existing fields."""
         words: dict[str, str] = {}
         for problem in self._problems:
             words.setdefault(problem.field, problem.words)
@@ -351,7 +351,7 @@ class ProfileForm(Question[Path]):
             row.show_problem(words.get(row.field_id, ""))
 
     def _draw_titles(self) -> None:
-        """Name, state and number of problems, above all and on each section."""
+        """Draw name, state and number of problems, in total and for each section."""
         counts = Counter(self._section_of(problem.field) for problem in self._problems)
         sections = self.query_one("#sections", TabbedContent)
         for name, title in self._titles().items():
@@ -363,7 +363,7 @@ class ProfileForm(Question[Path]):
         self.query_one("#form-title", Static).update(f"{self._target().path} · {state} · {problems}")
 
     def _draw_help(self) -> None:
-        """What belongs into the present field, or what is wrong with it."""
+        """Draw the help of the focused field, and what is wrong with it."""
         row = self.focused.parent if self.focused is not None else None
         if not isinstance(row, FieldRow):
             return
@@ -374,7 +374,7 @@ class ProfileForm(Question[Path]):
         self.query_one("#form-help", Static).update(f"{help_text}\n{wrong}" if wrong else help_text)
 
     def _draw_kinds(self) -> None:
-        """Show the fields that the chosen kinds of devices have."""
+        """Show only the fields that the chosen kinds of devices have."""
         shown = self._shown_ids()
         for row in self.query(FieldRow):
             row.display = row.field_id in shown
@@ -385,12 +385,12 @@ class ProfileForm(Question[Path]):
         return names | {item.id for item in fields_of(self._draft)}
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Explain the field; the next key in it is a new step of undo."""
+        """Explain the field; the next key in it begins a new undo step."""
         self._typing_in = ""
         self._draw_help()
 
     def action_map(self) -> None:
-        """Show the map alone, or the fields again."""
+        """Switch between the map alone and the fields."""
         self.toggle_class("map")
 
     def action_next_section(self) -> None:
@@ -399,7 +399,7 @@ class ProfileForm(Question[Path]):
         self.query_one("#sections", TabbedContent).active = panes[(panes.index(self._section) + 1) % len(panes)]
 
     def action_next_problem(self) -> None:
-        """Go to the next field that has to be corrected."""
+        """Go to the next field with a problem."""
         wrong = list(dict.fromkeys(problem.field for problem in self._problems if problem.field))
         if not wrong:
             self.notify("Every field holds.")
@@ -417,7 +417,7 @@ class ProfileForm(Question[Path]):
 
     @work(exclusive=True, group="save")
     async def action_save(self) -> None:
-        """Save; before anything is replaced or lost, ask."""
+        """Save; ask before anything is replaced or lost."""
         opened, draft = self._target(), self._draft
         try:
             new = await asyncio.to_thread(new_text, opened, draft)
@@ -440,7 +440,7 @@ class ProfileForm(Question[Path]):
         return await self.app.push_screen_wait(Choice("Save?", text, answers)) == "save"
 
     def action_close(self) -> None:
-        """Close; what is not saved is asked about."""
+        """Close; ask if there are unsaved changes."""
         if self._draft == self._opened.draft:
             self.dismiss(self._saved)
             return
@@ -456,7 +456,7 @@ class ProfileForm(Question[Path]):
     # -- small questions -----------------------------------------------------------------------------------------------
 
     def _target(self) -> OpenProfile:
-        """The file to write: that of a new profile is named after the cell until it is saved."""
+        """Return the file to write; until it is saved, a new profile's file is named after the cell."""
         if self._opened.text is not None or not self._draft.name.strip():
             return self._opened
         return replace(self._opened, path=self._opened.path.with_name(file_name(self._draft)))

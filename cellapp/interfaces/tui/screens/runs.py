@@ -1,6 +1,6 @@
 """The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume, replay.
 
-Runs are read and compared in threads; packages for that are loaded there, too.
+Runs are read and compared in threads, which also load the packages for it.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 
 _MARK, _OPEN = "●", "▸"
 _MARKS = "marks"
-"""Key of the column that shows which runs are open and marked; the others have their place as key."""
+"""Key of the column that shows which runs are open and marked; the keys of the others are their indices."""
 _PAIR = 2
-"""Two runs are compared in every value; of more, the history of each arm is shown."""
+"""Number of runs that are compared in every value; for more, the history of each arm is shown."""
 _BEGAN = 1
-"""Column by which the list is sorted at first."""
+"""Column by which the list is sorted initially."""
 HELP = """\
 # Runs
 
@@ -69,7 +69,7 @@ Whether a result still holds is judged by the number of readings here; opening t
 
 
 class RunsListed(Message):
-    """The folder was read, or the sentence why not."""
+    """The folder was read; else a sentence why not."""
 
     def __init__(self, found: RunsResult | str) -> None:
         super().__init__()
@@ -77,7 +77,7 @@ class RunsListed(Message):
 
 
 class RunsCompared(Message):
-    """Two runs or more were compared, or the sentence why not."""
+    """Two or more runs were compared; else a sentence why not."""
 
     def __init__(self, found: Result | str) -> None:
         super().__init__()
@@ -85,7 +85,7 @@ class RunsCompared(Message):
 
 
 class PageOpened(Message):
-    """A report was opened in a browser, or the sentence says where it is."""
+    """A report was opened in a browser; else the sentence says where it is."""
 
     def __init__(self, sentence: str) -> None:
         super().__init__()
@@ -133,7 +133,7 @@ class RunsScreen(DayScreen):
             yield Static(READING_RUNS, id="about", markup=False)
 
     def on_mount(self) -> None:
-        """Draw the headings."""
+        """Create the columns."""
         table = self._table
         table.add_column("  ", key=_MARKS)
         for place in range(len(self._columns)):
@@ -152,21 +152,21 @@ class RunsScreen(DayScreen):
         return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
 
     def _heading(self, place: int) -> Text:
-        """Title of a column, with the order where the list is sorted by it."""
+        """Return the title of a column, with an arrow if the list is sorted by it."""
         order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
         return Text(f"{self._columns[place].title} {order}")
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Read the folder again where a run may have changed."""
+        """Read the folder again if a run may have changed."""
         if workspace is not self._workspace:
             self._workspace = workspace
             self._list_runs(self.cell_app.logs)
 
     @on(ScreenResume)
     def forget_list(self) -> None:
-        """Read the folder again where a job goes on storing: the list must not say what was true before it."""
+        """Discard the list if a running job continues to store data: the list would be out of date."""
         if self.cell_app.jobs.running:
             self._workspace = None
 
@@ -183,12 +183,12 @@ class RunsScreen(DayScreen):
             found = list_runs(folder) if os.path.isdir(folder) else RunsResult(folder=str(folder), runs=())
         except CellappError as error:
             found = str(error)
-        if not get_current_worker().is_cancelled:  # else a later reading is under way
+        if not get_current_worker().is_cancelled:  # else a later reading is in progress
             self.post_message(RunsListed(found))
 
     @on(RunsListed)
     def show_list(self, event: RunsListed) -> None:
-        """Draw the list; what was marked stays marked."""
+        """Draw the list; marks are kept."""
         if isinstance(event.found, str):
             self.say(event.found, "error")
             return
@@ -199,7 +199,7 @@ class RunsScreen(DayScreen):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def _draw(self) -> None:
-        """Draw the rows that pass the filter, in order; the cursor stays on its run."""
+        """Draw the rows that pass the filter, sorted; the cursor stays on its run."""
         table, present, wanted = self._table, self._run, self.query_one("#filter", Input).value
         chosen = [run for run in self._found.runs if contains(run, self._columns, wanted)]
         chosen.sort(key=self._columns[self._sorted].order, reverse=self._reverse)
@@ -230,13 +230,13 @@ class RunsScreen(DayScreen):
 
     @on(DataTable.RowHighlighted)
     def show_run(self) -> None:
-        """Say more about the run under the cursor."""
+        """Show details of the run under the cursor."""
         self._draw_about()
 
     # -- sort and filter -----------------------------------------------------------------------------------------------
 
     def action_filter(self) -> None:
-        """Type a filter."""
+        """Focus the filter field."""
         self.query_one("#filter").focus()
 
     @on(Input.Changed, "#filter")
@@ -245,12 +245,12 @@ class RunsScreen(DayScreen):
         self._draw()
 
     def leave_field(self) -> None:
-        """Go back to the list; what is typed stays."""
+        """Return to the list; the typed text stays."""
         self._table.focus()
 
     @on(Input.Submitted, "#filter")
     def leave_filter(self) -> None:
-        """Go back to the list."""
+        """Return to the list."""
         self._table.focus()
 
     def action_clear_filter(self) -> None:
@@ -264,7 +264,7 @@ class RunsScreen(DayScreen):
 
     @on(DataTable.HeaderSelected)
     def sort_by(self, event: DataTable.HeaderSelected) -> None:
-        """Sort by the column whose heading was clicked; a second click turns the order round."""
+        """Sort by the column whose heading was clicked; a second click reverses the order."""
         if event.column_key.value != _MARKS:
             self._sort(int(event.column_key.value or 0), again=True)
 
@@ -281,7 +281,7 @@ class RunsScreen(DayScreen):
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Compare marked runs only."""
+        """Enable comparing only if enough runs are marked."""
         return action != "compare" or len(self._marked) >= _PAIR
 
     @on(DataTable.RowSelected)
@@ -290,7 +290,7 @@ class RunsScreen(DayScreen):
         self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
 
     def action_mark(self) -> None:
-        """Mark the run under the cursor, or take its mark away."""
+        """Mark or unmark the run under the cursor."""
 
         def mark(run: RunSummary) -> None:
             if run.run in self._marked:
@@ -312,7 +312,7 @@ class RunsScreen(DayScreen):
         self._compare(tuple(Path(name) for name in self._marked))
 
     def action_fleet(self) -> None:
-        """Show the history of each arm over the runs of the list."""
+        """Show the history of each arm over the listed runs."""
         listed = tuple(Path(name) for name, run in self._shown.items() if not run.problem)
         if not listed:
             self.say("The list has no run that can be read.", "warning")
@@ -334,7 +334,7 @@ class RunsScreen(DayScreen):
 
     @on(RunsCompared)
     def show_comparison(self, event: RunsCompared) -> None:
-        """Show what was found, unless another screen or dialog is shown meanwhile."""
+        """Show the comparison, unless another screen or dialog is shown meanwhile."""
         if isinstance(event.found, str):
             self.say(event.found, "error")
         elif self.app.screen is self:
@@ -347,7 +347,7 @@ class RunsScreen(DayScreen):
                 self.app.push_screen(Comparison(event.found))
 
     def action_report(self) -> None:
-        """Open the report; write it first where there is none."""
+        """Open the report; write it first if there is none."""
 
         def report(run: RunSummary) -> None:
             page = Path(run.run) / REPORT_FILE
@@ -371,12 +371,12 @@ class RunsScreen(DayScreen):
 
     @on(PageOpened)
     def say_opened(self, event: PageOpened) -> None:
-        """Say it twice: the message line may have news of the job that wrote the page."""
+        """Show the sentence twice: the message line may get news of the job that wrote the page."""
         self.say(event.sentence)
         self.notify(event.sentence)
 
     def action_resume_run(self) -> None:
-        """Offer to go on with the run under the cursor."""
+        """Offer to resume the run under the cursor."""
 
         def resume(run: RunSummary) -> None:
             if run.resumable:
@@ -401,7 +401,7 @@ class RunsScreen(DayScreen):
         self._with_run(replay)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
-        """Do something with the run under the cursor if it can be read."""
+        """Call ``act`` with the run under the cursor if it can be read."""
         run = self._run
         if run is None:
             self.say("No run is under the cursor.", "warning")

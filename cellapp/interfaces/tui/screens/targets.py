@@ -1,4 +1,4 @@
-"""The screen Targets: the list with what the run says about each, edited, compensated, pushed and verified."""
+"""The screen Targets: the list with the run's results for each, edited, compensated, pushed and verified."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 _NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
 _WIDEST = 26
-"""Letters of a cell of the list; the sentence below the list is whole."""
+"""Longest text of a cell in the list [characters]; the sentence below the list is complete."""
 _BESIDE = 6
 """Columns of the terminal beside the list: padding and a scroll bar."""
 LIST_SUFFIXES = (".yaml", ".yml", ".csv")
 
 
 class ListRead(Message):
-    """A list was read, or why it cannot be."""
+    """A list was read; else why it cannot be read."""
 
     def __init__(self, path: Path, targets: tuple[Target, ...], problem: str = "") -> None:
         super().__init__()
@@ -168,7 +168,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @property
     def unsaved(self) -> str:
-        """The edits of the list."""
+        """The unsaved edits of the list, in words."""
         return f"{counted(len(self._edits.targets), 'target')} with edits" if self._edits.edited else ""
 
     @property
@@ -177,13 +177,13 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @property
     def _index(self) -> int:
-        """The place of the target under the cursor; -1 where no target is shown."""
+        """Index of the target under the cursor; -1 if no target is shown."""
         return self._rows[min(self._grid.cursor_row, len(self._rows) - 1)] if self._rows else -1
 
     # -- the list ------------------------------------------------------------------------------------------------------
 
     def action_open_list(self) -> None:
-        """Ask for a file, and before that about what is not saved."""
+        """Ask for a file; if there are unsaved edits, ask about them first."""
         if self.workspace.profile is None:
             self.say(self.state.no_run, "warning")
         elif not self._edits.edited:
@@ -214,7 +214,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @on(ListRead)
     def show_list(self, event: ListRead) -> None:
-        """Draw the list that was read; a broken one leaves the present list."""
+        """Draw the list that was read; an invalid one leaves the current list."""
         if event.problem:
             self.say(f"{event.problem}. {SHOWN['open']} opens another list.", "error")
             return
@@ -232,7 +232,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             self.app.push_screen(form, lambda typed: self._take(index, typed))
 
     def action_add(self) -> None:
-        """Type a new target, beginning with the one under the cursor."""
+        """Add a target in a form, with the values of the one under the cursor."""
         profile, targets = self.workspace.profile, self._edits.targets
         if profile is None:
             self.say(self.state.no_run, "warning")
@@ -258,11 +258,11 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             self.notify(f"Target {name} removed; Ctrl+Z brings it back.")
 
     def action_undo(self) -> None:
-        """Take back the last edit."""
+        """Undo the last edit."""
         self._step(self._edits.undone(), "Nothing to undo.")
 
     def action_redo(self) -> None:
-        """Make the edit again that was taken back."""
+        """Redo the last undone edit."""
         self._step(self._edits.redone(), "Nothing to redo.")
 
     def _step(self, edits: TargetEdits | None, nothing: str) -> None:
@@ -278,7 +278,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         self._grid.move_cursor(row=index)
 
     def action_attention(self) -> None:
-        """Show only the targets that are refused, out of tolerance, undecided or not measured; again: all."""
+        """Show only targets that are refused, out of tolerance, undecided or not measured; the second time, all."""
         self._attention = not self._attention
         self.query_one("#targets", TabbedContent).active = "list"
         self._draw_list()
@@ -302,7 +302,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     # -- the jobs ------------------------------------------------------------------------------------------------------
 
     def action_compensate(self) -> None:
-        """Compute commands for the list as it is shown."""
+        """Compute commands for the shown list."""
         targets_jobs.begin_compensate(self, self._edits.targets)
 
     def action_push(self) -> None:
@@ -314,15 +314,15 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         targets_jobs.ask_verify(self, self._edits.targets)
 
     def action_locate(self) -> None:
-        """Ask, then measure where the tracker stands after it was moved."""
+        """Ask, then measure the pose of the tracker after it was moved."""
         targets_jobs.ask_locate(self)
 
     def action_correct(self) -> None:
-        """Ask for a program and where its corrected copy is written."""
+        """Ask for a program and the file of its corrected copy."""
         targets_jobs.ask_correct(self)
 
     def show_result(self, result: Result) -> None:
-        """Show where the tracker stands, or the targets of a program that was corrected, and why some were not."""
+        """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
         if isinstance(result, LocateResult) and self.app.screen is self:
             from cellapp.commands.locate.view import location_sentences, location_tables
             from cellapp.commands.view.table import markdown
@@ -343,7 +343,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     # -- tabs and plots ------------------------------------------------------------------------------------------------
 
     def action_plots(self) -> None:
-        """Show the charts of what was measured; again: the next one."""
+        """Show the charts of measured targets; the second time, the next one."""
         tabs = self.query_one("#targets", TabbedContent)
         if tabs.active == "measured":
             self.action_next_chart(1)
@@ -387,12 +387,12 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @on(Resize)
     def draw_for_size(self) -> None:
-        """Draw as many columns as there is room for."""
+        """Draw as many columns as fit."""
         if self._drawn is not None:
             self._draw_list()
 
     def _draw_list(self) -> None:
-        """Draw all rows; the cursor stays in its line."""
+        """Draw all rows; the cursor stays in its row."""
         results, edits = self._results, self._edits
         outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
         reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
@@ -416,7 +416,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @on(DataTable.RowHighlighted, "#grid")
     def _draw_target(self) -> None:
-        """What is known about the target under the cursor."""
+        """Draw what is known about the target under the cursor."""
         words = target_words(self._edits.targets[self._index], self._results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
         if self.query_one("#targets", TabbedContent).active == "target":
@@ -424,7 +424,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     @on(TabbedContent.TabActivated, "#targets")
     async def _draw_details(self) -> None:
-        """All about the target under the cursor, while its tab is shown."""
+        """Draw all details of the target under the cursor, while its tab is shown."""
         view = self.query_one("#details", ChartsView)
         if self.query_one("#targets", TabbedContent).active != "target":
             return
@@ -436,7 +436,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         await view.show(details.charts, details.tables, [*place_lines(target), *details.sentences])
 
     def _shown_rows(self) -> list[int]:
-        """The places of the targets that are shown."""
+        """Return the indices of the shown targets."""
         states = target_states(self._edits.targets, self._results)
         return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
@@ -456,7 +456,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         view.show([*program, *measured, *commands], words, notes)
 
     def _draw_plots(self) -> None:
-        """Draw two of the charts of what was measured, beginning with the present one."""
+        """Draw two of the charts of measured targets, beginning with the current one."""
         results, profile = self._results, self.workspace.profile
         calibrated = None if results is None else results.calibrate
         charts = []
@@ -470,7 +470,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:
-    """How many columns fit whole; the sentence below the list says what the others would."""
+    """Return how many columns fit completely; the sentence below the list replaces the others."""
     fitting = [count for count in COLUMN_GROUPS if sum(widths[:count]) + 2 * count <= room]
     return max(fitting, default=COLUMN_GROUPS[0])
 

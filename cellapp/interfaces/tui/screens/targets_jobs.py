@@ -1,4 +1,4 @@
-"""The jobs of the screen Targets: what is asked before each of them begins."""
+"""The jobs of the screen Targets, with the questions before each."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
 
 
 def ask_locate(screen: DayScreen) -> None:
-    """Ask how, then measure where the tracker stands after it was moved."""
+    """Ask how, then measure the pose of the tracker after it was moved."""
     ask_of_calibrated(screen, LOCATE, LOCATE.summary)
 
 
 def ask_correct(screen: DayScreen) -> None:
-    """Ask for a program and where its corrected copy is written."""
+    """Ask for a program and the file of its corrected copy."""
     if (calibrated := screen.calibrated_run()) is None:
         return
     folder, _, calibration = calibrated
@@ -94,7 +94,7 @@ def ask_correct(screen: DayScreen) -> None:
 
 
 def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
-    """Folder of the run if commands can be computed for a list; else a sentence says why not."""
+    """Return the run's folder if commands can be computed for a list; else say why not and return None."""
     if reason := why_not(screen.workspace, screen.state, targets):
         screen.say(reason, "warning")
         return None
@@ -102,7 +102,7 @@ def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
 
 
 def _pushed(screen: DayScreen, targets: Sequence[Target], *, verify: bool) -> dict[str, Any] | None:
-    """What a push of a list is asked for, but what the question asks; None with a sentence if it cannot be pushed."""
+    """Return the request values of a push except those of the question; None with a sentence if it cannot be pushed."""
     if (folder := _ready(screen, targets)) is None:
         return None
     stale = bool(_stale(screen))
@@ -115,7 +115,7 @@ def _stale(screen: DayScreen) -> str:
 
 
 def _push_words(screen: DayScreen, targets: Sequence[Target], measured: str, stale: str) -> str:
-    """What a push drives to, and what a person must know."""
+    """Return where a push drives to, and what a person must know."""
     counts = Counter(arm for target in targets for arm in target.arms)
     where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
     pairs = any(target.partner is not None for target in targets)

@@ -1,4 +1,4 @@
-"""The list of targets that the screen Targets edits, with what is needed to undo. Draws nothing."""
+"""The list of targets that the screen Targets edits, with its undo history. Draws nothing."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML), {SHOWN['add']} adds a
 
 @dataclass(frozen=True)
 class TargetEdits:
-    """A list, the file that it came from, and the lists before and after it.
+    """A list, its file, and its undo history.
 
     Attributes
     ----------
     path : Path or None
         None for a list that has no file yet.
     saved, targets : tuple of Target
-        What the file holds, and what it is now.
+        The list in the file, and the current list.
     before, after : tuple of lists
-        For undo and redo; the last one is taken first.
+        For undo and redo; the last one is used first.
     """
 
     path: Path | None = None
@@ -40,37 +40,37 @@ class TargetEdits:
 
     @property
     def edited(self) -> bool:
-        """Whether something is not saved."""
+        """Whether there are unsaved edits."""
         return self.targets != self.saved
 
     def changed(self, targets: Sequence[Target]) -> Self:
-        """Another list, after an edit."""
+        """Return the edits with another list, after an edit."""
         return replace(self, targets=tuple(targets), before=(*self.before, self.targets), after=())
 
     def with_target(self, index: int, target: Target) -> Self:
-        """One target replaced; one behind the last is added."""
+        """Return the edits with one target replaced; an index behind the last appends it."""
         return self.changed((*self.targets[:index], target, *self.targets[index + 1 :]))
 
     def without(self, index: int) -> Self:
-        """One target removed."""
+        """Return the edits with one target removed."""
         return self.changed((*self.targets[:index], *self.targets[index + 1 :]))
 
     def undone(self) -> Self | None:
-        """The list before the last edit; None without one."""
+        """Return the edits before the last edit; None if there is none."""
         if not self.before:
             return None
         *before, targets = self.before
         return replace(self, targets=targets, before=tuple(before), after=(*self.after, self.targets))
 
     def redone(self) -> Self | None:
-        """The edit made again that was undone; None without one."""
+        """Return the edits with the last undone edit redone; None if there is none."""
         if not self.after:
             return None
         *after, targets = self.after
         return replace(self, targets=targets, before=(*self.before, self.targets), after=tuple(after))
 
     def saved_as(self, path: Path, targets: tuple[Target, ...]) -> Self:
-        """After ``targets`` were written to a file."""
+        """Return the edits after ``targets`` were written to a file."""
         return replace(self, path=path, saved=targets)
 
     @property
@@ -90,14 +90,14 @@ class TargetEdits:
 
 
 def listed_path(workspace: Workspace) -> Path | None:
-    """The target list that the profile names."""
+    """Return the path of the target list that the profile names; None if it names none."""
     if workspace.profile is None or workspace.profile_path is None or workspace.profile.targets is None:
         return None
     return workspace.profile_path.parent / workspace.profile.targets
 
 
 def new_name(like: str, targets: Sequence[Target]) -> str:
-    """A name that no target has: the next number after ``like``."""
+    """Return a name that no target has: ``like`` with the next free number."""
     stem, number = re.fullmatch(r"(.*?)(\d*)", like, re.DOTALL).groups()  # type: ignore[union-attr]
     taken = {target.name for target in targets}
     count = int(number or 1) + 1
@@ -107,7 +107,7 @@ def new_name(like: str, targets: Sequence[Target]) -> str:
 
 
 def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) -> str:
-    """Why commands cannot be computed for the list, and what to do; empty if they can."""
+    """Return why commands cannot be computed for the list, and what to do; empty if they can."""
     if state.not_calibrated or workspace.profile is None:
         return state.not_calibrated
     if not targets:
@@ -116,7 +116,7 @@ def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) ->
 
 
 def _unfit(targets: Sequence[Target], profile: Profile) -> str:
-    """The first target that does not fit the cell of the run."""
+    """Return the problem of the first target that does not fit the cell of the run; empty if there is none."""
     first = next(list_problems(targets, profile), None)
     if first is None:
         return ""

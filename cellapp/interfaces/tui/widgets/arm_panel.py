@@ -1,4 +1,4 @@
-"""One arm, and the tracker, while a job runs: the newest that is known, in a few lines."""
+"""Panels of one arm and of the tracker while a job runs: the newest known state, in a few lines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _STYLES: Mapping[Activity, str] = {
 }
 _UNKNOWN = "not reported yet"
 _BARS = "▁▂▃▄▅▆▇█"
-"""From the smallest to the largest residual of those that are shown."""
+"""Characters from the smallest to the largest of the shown residuals."""
 
 
 class ArmPanel(Widget):
@@ -50,14 +50,14 @@ class ArmPanel(Widget):
         )
 
     def render(self) -> Content:
-        """The lines of the panel."""
+        """Return the lines of the panel."""
         width = self.content_size.width
         first = Content.assemble((self.arm_name, "bold"), " ", (activity_words(self.arm), _STYLES[self.arm.activity]))
         return Content("\n").join([first, *(Content(line) for line in arm_lines(self.arm, width))])
 
 
 def activity_words(arm: ArmRecord) -> str:
-    """What an arm does: ``MOVING to stop 13, 4 s``."""
+    """Return what an arm does: ``MOVING to stop 13, 4 s``."""
     stop = "" if arm.stop is None else f" stop {arm.stop + 1}"
     match arm.activity:
         case "unknown":
@@ -74,7 +74,7 @@ def activity_words(arm: ArmRecord) -> str:
 
 
 def arm_lines(arm: ArmRecord, width: int) -> list[str]:
-    """Joint positions [deg], joint temperatures [degC] and errors [mm] in lines of at most ``width`` characters."""
+    """Return joint positions [deg], temperatures [degC] and errors [mm] in lines of at most ``width`` characters."""
     degrees = None if arm.q is None else [math.degrees(q) for q in arm.q]
     report = arm.report
     error = _UNKNOWN
@@ -88,7 +88,7 @@ def arm_lines(arm: ArmRecord, width: int) -> list[str]:
 
 
 def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
-    """Values with one decimal where there is room, else rounded, then the unit."""
+    """Format values with one decimal if they fit, else rounded, followed by the unit."""
     if values is None:
         return _UNKNOWN
     with_decimal = " ".join(f"{value:6.1f}" for value in values) + f" {unit}"
@@ -96,7 +96,7 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
 
 
 def residual_line(stops: Mapping[str, Sequence[StopReport]], width: int) -> str:
-    """The newest residuals of each arm as bars in one line of ``width`` characters, with the length of the full bar."""
+    """Return each arm's newest residuals as bars in one line of ``width`` characters, with the largest value."""
     shown = {name: reports for name, reports in stops.items() if reports}
     if not shown:
         return ""
@@ -113,7 +113,7 @@ def residual_line(stops: Mapping[str, Sequence[StopReport]], width: int) -> str:
 
 
 class TrackerPanel(Widget):
-    """At which arm the tracker points, the newest point with its uncertainty, the air."""
+    """The arm at which the tracker points, the newest point with its uncertainty, the air."""
 
     DEFAULT_CSS = """
     TrackerPanel { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
@@ -130,16 +130,16 @@ class TrackerPanel(Widget):
         )
 
     def watch_tracker(self, before: TrackerRecord, now: TrackerRecord) -> None:
-        """A sweep has more to tell."""
+        """Set the class of a sweep, which has more to show."""
         self.set_class(now.sweep is not None, "sweep")
 
     def render(self) -> Content:
-        """The line of the tracker."""
+        """Return the line of the tracker."""
         return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
 
 
 def tracker_words(tracker: TrackerRecord) -> str:
-    """Arm, newest point [mm], uncertainty [mm] and air in one line; while it follows a sweep, what has come of that."""
+    """Return arm, newest point [mm], uncertainty [mm] and air in one line; during a sweep, its progress."""
     if tracker.sweep is not None:
         return f"→ {tracker.sweep.arm}, sweep {' · '.join(tracker.sweep.words())}"
     parts = []

@@ -1,4 +1,4 @@
-"""Tables of the screen Cell: what the doctor found, and what each device says now."""
+"""Tables of the screen Cell: the doctor's findings, and the current state of each device."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class FindingsTable(TextTable):
     """The doctor's checks, failed ones first. The text of the row under the cursor is in ``selected_text``."""
 
     def on_mount(self) -> None:
-        """Make the columns."""
+        """Create the columns."""
         self.cursor_type = "row"
         self._texts: list[str] = []
         self.add_columns("status", "what", "found")
 
     def show(self, result: DoctorResult | None) -> None:
-        """Draw what was found; None: nothing yet."""
+        """Draw the findings; None: nothing yet."""
         self.clear()
         findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
         self._texts = [f"{finding.subject}: {finding.text}" for finding in findings]
@@ -46,7 +46,7 @@ class FindingsTable(TextTable):
 
 @dataclass(frozen=True)
 class DeviceState:
-    """What one device said, and when; None: it was not asked yet."""
+    """Answer of one device, and its time; None if it was not asked yet."""
 
     name: str
     status: str = ""
@@ -57,17 +57,17 @@ class DeviceState:
 
 
 def devices_of(profile: Profile) -> tuple[str, ...]:
-    """Devices of a cell, as they are called in findings."""
+    """Return the devices of a cell, with their names in findings."""
     air = () if profile.sensors.air is None else ("sensor air",)
     return (*(f"arm {name}" for name in profile.arms), "tracker", *air)
 
 
 def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> DeviceState | None:
-    """The state of a device from what was found of it; None where nothing was."""
+    """Return the state of a device from its findings; None if it has none."""
     from cellapp.commands.doctor.profile_view import device_words
 
     own = [finding for finding in findings if finding.subject == name or finding.subject.startswith(f"{name}: ")]
-    own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a question of placement, not of devices
+    own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a matter of placement, not of devices
     if not own:
         return None
     worst = min(own, key=lambda finding: _ORDER[finding.status])
@@ -79,10 +79,10 @@ def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> Dev
 
 
 class DevicesTable(TextTable):
-    """The devices of the profile with what they said last, and when."""
+    """The devices of the profile with their last answers and their times."""
 
     def on_mount(self) -> None:
-        """Make the columns."""
+        """Create the columns."""
         self.cursor_type = "row"
         self._states: list[DeviceState] = []
         self.add_columns("device", "status", "asked", "serial", "temperatures", "state")
@@ -107,7 +107,7 @@ class DevicesTable(TextTable):
 
     @property
     def selected_text(self) -> str:
-        """All that is known of the device under the cursor."""
+        """All that is known about the device under the cursor."""
         if self.cursor_row >= len(self._states):
             return ""
         state = self._states[self.cursor_row]
@@ -116,7 +116,7 @@ class DevicesTable(TextTable):
 
 
 def age_words(seconds: float) -> str:
-    """How long ago: "now", "12 s ago", "3 min ago"."""
+    """Format an age: "now", "12 s ago", "3 min ago"."""
     if seconds < 2.0:
         return "now"
     return f"{seconds:.0f} s ago" if seconds < 90.0 else f"{seconds / 60.0:.0f} min ago"

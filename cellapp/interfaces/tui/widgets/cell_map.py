@@ -1,4 +1,4 @@
-"""A map of the cell. The chart is made in a thread: the mathematics of the arms takes half a second to load."""
+"""A map of the cell. The chart is made in a thread: the kinematics of the arms takes half a second to load."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.job_record import JobRecord
 
 _FOLLOWS_S = 2.0
-"""Time between two drawings while a job collects: each is made anew."""
+"""Interval of redrawing while a job collects: each map is made from scratch."""
 
 
 class CellMap(ChartPlot):
-    """Bases, tracker and stops from above, or as the tracker sees them."""
+    """Bases, tracker and stops, seen from above or from the tracker."""
 
     class Made(Message):
-        """The chart for the request of this number was made."""
+        """The chart for the request with this number was made."""
 
         def __init__(self, number: int, chart: Chart) -> None:
             super().__init__()
@@ -46,7 +46,7 @@ class CellMap(ChartPlot):
         self._draw_cell()
 
     def follow(self, record: JobRecord | None) -> None:
-        """Mark what the job that collects has measured by now, every few seconds; None if none collects."""
+        """Mark the stops measured so far by a collecting job, every few seconds; None if no job collects."""
         self._record = record
         reports = () if record is None else record.stops.values()
         measured = frozenset(report.stop for arm in reports for report in arm)
@@ -57,7 +57,7 @@ class CellMap(ChartPlot):
 
     def _follow_again(self) -> None:
         self._waits = False
-        self.follow(self._record)  # by now there may be none, or another one
+        self.follow(self._record)  # by now there may be no record, or another one
 
     def _draw_cell(self) -> None:
         self._number += 1
@@ -78,7 +78,7 @@ class CellMap(ChartPlot):
 
     @on(Made)
     def take_chart(self, event: Made) -> None:
-        """Draw the chart, unless another one was asked for meanwhile."""
+        """Draw the chart, unless another one was requested meanwhile."""
         event.stop()
         if event.number == self._number:
             self.chart = event.chart

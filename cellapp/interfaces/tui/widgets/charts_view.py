@@ -1,4 +1,4 @@
-"""Sentences, tables and charts below one another, to scroll through: what a small terminal cannot show at once."""
+"""Scrollable sentences, tables and charts below one another, more than a small terminal can show at once."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.plots import ChartPlot
 
 LEAST_COLUMNS = 56
-"""Width of a chart: two stand side by side in a terminal of 120 columns."""
+"""Width of a chart: two fit side by side into a terminal of 120 columns."""
 _ROWS = 16
-"""Lines of a chart with axes: half of a usual terminal."""
+"""Lines of a chart with axes: half of a typical terminal."""
 _WORDS = 5
 """Lines of title and message around bars."""
 
 
 class ScrolledPlot(ChartPlot):
-    """A chart as high as it needs."""
+    """A chart as high as it needs to be."""
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
-        """Lines of the drawing."""
+        """Return the number of lines of the drawing."""
         bars = 0 if self.chart is None else len(self.chart.categories)
         return bars + _WORDS if bars else _ROWS
 
 
 class ChartsView(VerticalScroll):
-    """Parameters
+    """Scrollable view of sentences, charts and tables.
+
+    Parameters
     ----------
     empty : str
-        What it says while there is nothing to show.
+        Text while there is nothing to show.
     """
 
     DEFAULT_CSS = """
@@ -50,7 +52,7 @@ class ChartsView(VerticalScroll):
         self.tooltip = "up, down, Page Up, Page Down scroll"
 
     async def show(self, charts: Sequence[Chart], tables: Sequence[Table] = (), sentences: Sequence[str] = ()) -> None:
-        """Draw sentences, charts and tables in the place of those before."""
+        """Replace the content by these sentences, charts and tables."""
         await self.remove_children()
         grid = [ItemGrid(*map(ScrolledPlot, charts), min_column_width=LEAST_COLUMNS)] if charts else []
         await self.mount(
@@ -61,5 +63,5 @@ class ChartsView(VerticalScroll):
         self.scroll_home(animate=False)
 
     async def say(self, sentence: str) -> None:
-        """Draw a sentence alone."""
+        """Show only a sentence."""
         await self.show((), (), (sentence,))

@@ -1,4 +1,4 @@
-"""The stops of a collection one by one: sorted, filtered, with a cursor that the plot of the residuals follows."""
+"""List of the stops of a collection: sorted, filtered, with a cursor that the plot of the residuals follows."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 
 _NAMES = ("stop", "arm")
-"""Columns that are sorted upwards; of the others the largest come first."""
+"""Columns that are sorted in ascending order; the others in descending order."""
 
 
 class CollectedStops(Vertical):
-    """Stops of a run as its file was read; what is normal for a residual stands above them."""
+    """Stops of a run as read from its file; the normal range of residuals is stated above them."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("sort", "sort", "Sort", "sort by the next column"),
@@ -41,7 +41,7 @@ class CollectedStops(Vertical):
     """
 
     class Chosen(Message):
-        """The cursor went to another stop."""
+        """The cursor moved to another stop."""
 
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id)
@@ -58,7 +58,7 @@ class CollectedStops(Vertical):
         yield TextTable(cursor_type="row", zebra_stripes=True)
 
     def on_mount(self) -> None:
-        """Say what its keys do."""
+        """Set the tooltip with its keys."""
         self.table.tooltip = f"{SHOWN['sort']} sorts by the next column, {SHOWN['filter']} shows only suspicious stops"
 
     @property
@@ -68,17 +68,17 @@ class CollectedStops(Vertical):
 
     @property
     def again(self) -> list[int]:
-        """The stops that are marked, else that under the cursor."""
+        """The marked stops, or else the one under the cursor."""
         under_cursor = [] if self.chosen is None else [self.chosen.stop]
         return sorted(self._marked) or under_cursor
 
     @property
     def shown(self) -> Table:
-        """The table as it is sorted and filtered."""
+        """The table as sorted and filtered."""
         return stops_table(self._shown)
 
     def show(self, state: CollectionResult | None) -> None:
-        """Draw the stops of a run; None is no collection."""
+        """Draw the stops of a run; None if there is no collection."""
         stops = () if state is None else state.stops
         if stops == self._stops and state is not None and residual_range_words(state) == self._range:
             return
@@ -91,17 +91,17 @@ class CollectedStops(Vertical):
         self._draw()
 
     def say_empty(self, sentence: str) -> None:
-        """What it says while there is no stop."""
+        """Set the text while there is no stop."""
         if sentence != self._empty:
             self._empty = sentence
             self._say()
 
     def step(self, by: int) -> None:
-        """Move the cursor by some rows: from a plot, the next point or the one before."""
+        """Move the cursor by some rows; in a plot, to the next or previous point."""
         self.table.move_cursor(row=self.table.cursor_row + by)
 
     def choose_near(self, stop: int, residual_mm: float) -> None:
-        """Put the cursor on the arm at a stop whose residual is nearest; nothing where no arm of it is shown."""
+        """Move the cursor to the arm at a stop with the nearest residual; do nothing if none of them is shown."""
         rows = [row for row, one in enumerate(self._shown) if one.stop == stop and one.residual_mm is not None]
         if rows:
             self.table.move_cursor(
@@ -130,7 +130,7 @@ class CollectedStops(Vertical):
 
     @on(DataTable.RowHighlighted)
     def choose(self, event: DataTable.RowHighlighted) -> None:
-        """The cursor is on another stop."""
+        """Note that the cursor is on another stop."""
         event.stop()
         row = event.cursor_row
         chosen = self._shown[row] if event.row_key.value is not None and row < len(self._shown) else None
@@ -139,22 +139,22 @@ class CollectedStops(Vertical):
             self.post_message(self.Chosen())
 
     def _replaced(self, stop: int) -> int:
-        """How many readings of a stop were replaced: more once it is measured again."""
+        """Return how many readings of a stop were replaced; the number grows when it is measured again."""
         return sum(one.again for one in self._stops if one.stop == stop)
 
     def action_mark(self) -> None:
-        """Mark the stop under the cursor, or take its mark away."""
+        """Mark or unmark the stop under the cursor."""
         if self.chosen is not None and self._marked.pop(self.chosen.stop, None) is None:
             self._marked[self.chosen.stop] = self._replaced(self.chosen.stop)
         self._draw()
 
     def action_copy(self) -> None:
-        """Copy the stops that are shown."""
+        """Copy the shown stops."""
         self.app.copy_to_clipboard(markdown((self.shown,), (self._range,)))
         self.notify(f"{counted(len(self._shown), 'row')} copied")
 
     def action_save(self) -> None:
-        """Save the stops that are shown."""
+        """Save the shown stops."""
 
         def say(path: Path | None) -> None:
             if path is not None:
@@ -163,7 +163,7 @@ class CollectedStops(Vertical):
         self.app.push_screen(SaveAs("stops", markdown((self.shown,), (self._range,)), Path("stops.md")), say)
 
     def _draw(self) -> None:
-        """Sort and filter, and draw; the cursor stays on its stop where that is still shown."""
+        """Sort, filter and draw; the cursor stays on its stop if that is still shown."""
         kept = [one for one in self._stops if one.suspicion or not self._only_suspicious]
         whole = stops_table(kept)
         place = next(number for number, column in enumerate(whole.columns) if column.title == self._sorted)
@@ -190,7 +190,7 @@ class CollectedStops(Vertical):
         self._say()
 
     def _say(self) -> None:
-        """What is normal, and how many stops are shown; or why there are none."""
+        """Show the normal range and the number of shown stops, or why there are none."""
         words = self._empty
         if self._stops:
             count = f"{len(self._shown)} of {len(self._stops)}, suspicious only" if self._only_suspicious else ""
@@ -201,7 +201,7 @@ class CollectedStops(Vertical):
 
 
 def _rank(cell: Cell) -> tuple[bool, float, str]:
-    """Order of a cell: empty ones below all others."""
+    """Return the sort key of a cell: empty cells come below all others."""
     if isinstance(cell, int | float):
         return True, float(cell), ""
     return bool(cell), 0.0, str(cell or "")

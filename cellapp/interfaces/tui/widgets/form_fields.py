@@ -1,4 +1,4 @@
-"""A field of a form on one line: its label, its text, and what is wrong with it beside it."""
+"""A form field on one line: its label, its text, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class FieldRow(Horizontal):
         As ``draft.Filled.id``.
     form : FormField
     text : str
-        What it begins with.
+        Initial text.
     choices : sequence of str
         Texts that the right arrow completes.
     begins : bool
@@ -64,6 +64,6 @@ class FieldRow(Horizontal):
             self.input.value = text
 
     def show_problem(self, words: str) -> None:
-        """Draw what is wrong; empty where nothing is."""
+        """Show what is wrong; empty if nothing is."""
         self.set_class(bool(words), "wrong")
         self._problem.update(f"◂ {words}" if words else "")

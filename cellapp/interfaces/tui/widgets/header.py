@@ -1,4 +1,4 @@
-"""The two lines on top of every screen: which cell, which run, STOP; the steps of the day."""
+"""The two top lines of every screen: the cell, the run, STOP; the steps of the day."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class DayHeader(Horizontal):
         self._drawn: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
-        yield Static("", classes="badge", markup=False)  # whose arms they are is not known yet
+        yield Static("", classes="badge", markup=False)  # unknown yet whose arms they are
         yield Static("", classes="where", markup=False)
         yield Static("", classes="job", markup=False)
         yield StopButton()
 
     def show(self, state: RunState, kind: str, record: JobRecord) -> None:
-        """Draw what is open and what runs; ``kind`` is that of the cell's arms."""
+        """Draw the open run and the running job; ``kind`` is that of the cell's arms."""
         job = state.job
         kind = "replay" if job is not None and job.replays else kind
         attached = job is not None and job.attached
@@ -58,7 +58,7 @@ class DayHeader(Horizontal):
         self.query_one(".where", Static).update(state.where)
         line = self.query_one(".job", Static)
         line.update(words)
-        line.styles.width = cell_len(words) + 2  # said outright: its container does not always ask again
+        line.styles.width = cell_len(words) + 2  # set explicitly: its container does not always ask again
         line.set_classes(f"job {record.state or 'idle'}")
         self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")
@@ -66,23 +66,23 @@ class DayHeader(Horizontal):
 
 
 class StepLine(Horizontal):
-    """The steps of the day with their keys and states; the present screen is marked, a click shows another."""
+    """The steps of the day with their keys and states; the current screen is marked, a click shows another."""
 
     def compose(self) -> ComposeResult:
         for entry in SCREENS:
             yield StepTab(entry.step)
 
     def show(self, marks: Mapping[Step, Mark], present: Step) -> None:
-        """Draw the marks; short titles where the line is narrow."""
+        """Draw the marks; use short titles if the line is narrow."""
         for tab in self.query(StepTab):
             tab.show(marks[tab.step], present=tab.step == present)
 
 
 class StepTab(Static):
-    """One step: a click shows its screen."""
+    """One step; a click shows its screen."""
 
     class Chosen(Message):
-        """The screen of a step is asked for."""
+        """The screen of a step is requested."""
 
         def __init__(self, step: Step) -> None:
             super().__init__()
@@ -111,7 +111,7 @@ class StepTab(Static):
 
 
 def job_words(record: JobRecord) -> str:
-    """The present job in a few words: "collect 12/400, 3 min left"; empty without a job."""
+    """Return the current job in a few words: "collect 12/400, 3 min left"; empty without a job."""
     latest = record.latest
     if record.state is None:
         return ""

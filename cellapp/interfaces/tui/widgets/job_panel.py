@@ -1,4 +1,4 @@
-"""The live job on every screen: its parts with bars, rate and time left, what each arm does, the newest lines."""
+"""The live job on every screen: its parts with bars, rate and remaining time, each arm's activity, the newest lines."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cellapp.interfaces.tui.widgets.arm_panel import activity_words
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 
 _TALL, _HUGE = 34, 50
-"""Lines of a terminal from which more of the job is shown."""
+"""Numbers of terminal lines from which more of the job is shown."""
 _LEVEL_STYLES = {"warning": "$text-warning", "error": "bold $text-error"}
 
 
 class JobPanel(Vertical):
-    """Hidden while no job runs."""
+    """Panel of the live job, hidden while no job runs."""
 
     DEFAULT_CSS = """
     JobPanel { height: auto; background: $panel; padding: 0 1; display: none; }
@@ -41,18 +41,18 @@ class JobPanel(Vertical):
         yield Static("", classes="newest", markup=False)
 
     def on_mount(self) -> None:
-        """Draw a job that runs already."""
+        """Draw a job that is already running."""
         self.show(cast(Host, self.app).record)
 
     def show(self, record: JobRecord) -> None:
-        """Draw the job as far as it is known now."""
+        """Draw the current state of the job."""
         self.set_class(record.state is not None, "shown")
-        if record.state is None or not self.children:  # its own widgets come a moment after it
+        if record.state is None or not self.children:  # its own widgets are mounted a moment later
             return
         height = self.app.size.height
         bars = self.query_one(ProgressBars)
         bars.compact, bars.parts = height < _HUGE, parts_of(record)
-        bars.styles.height = bars.lines  # said outright: its container does not ask again
+        bars.styles.height = bars.lines  # set explicitly: its container does not ask again
         arms = "   ".join(
             f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"
         )

@@ -1,7 +1,7 @@
-"""The keys that are possible now, at the bottom of every screen; a click does what the key does.
+"""The keys that are possible now, at the bottom of every screen; a click has the effect of the key.
 
-Textual's own footer makes a widget of each key and makes all of them anew whenever a key becomes possible: 60 ms of a
-switch of screens, measured with Textual 8.2. This one is a single text.
+Textual's own footer has a widget for each key and recreates all of them whenever a key becomes possible: 60 ms of a
+screen switch, measured with Textual 8.2. This one is a single text.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from textual.widgets import Static
 
 
 class KeyLine(Static):
-    """Keys and what they do, in as many lines as they need, at most two."""
+    """Keys and their effects, in as many lines as they need, at most two."""
 
     DEFAULT_CSS = """
     KeyLine {
@@ -33,7 +33,7 @@ class KeyLine(Static):
         self._shown: tuple[Entry, ...] = ()
 
     def on_mount(self, event: Mount) -> None:
-        """Listen to changes of what is possible."""
+        """Subscribe to changes of the possible keys."""
         self.screen.bindings_updated_signal.subscribe(self, self._change)
 
     def _change(self, screen: Screen[object]) -> None:
@@ -41,7 +41,7 @@ class KeyLine(Static):
             self.call_after_refresh(self._draw)
 
     def on_resize(self) -> None:
-        """Lay the keys out anew."""
+        """Lay the keys out again."""
         self._lay_out()
 
     def _draw(self) -> None:
@@ -67,7 +67,7 @@ class KeyLine(Static):
 
 @dataclass(frozen=True)
 class Entry:
-    """A key, what it does, the action of a click; ``general`` ones are the same on every screen."""
+    """A key, its effect, the action of a click; ``general`` entries are the same on every screen."""
 
     key: str
     words: str
@@ -76,18 +76,18 @@ class Entry:
 
     @property
     def width(self) -> int:
-        """Cells that it takes."""
+        """Width of the entry in cells."""
         return cell_len(self.key) + cell_len(self.words) + 4
 
     @property
     def parts(self) -> tuple[tuple[str, Style], ...]:
-        """Key and words; both do the action when they are clicked."""
+        """Key and words; a click on either runs the action."""
         click = Style.from_meta({"@click": self.action}) if self.action else Style.null()
         return (f" {self.key}", click + Style(bold=True)), (f" {self.words}  ", click)
 
 
 def key_lines(entries: Sequence[Entry], width: int, most: int = 2) -> list[list[Entry]]:
-    """Entries in lines, none of them broken. Where not all fit, the last ones of the screen go: help lists them."""
+    """Distribute entries over lines without breaking any. If not all fit, the last ones of the screen are omitted."""
     left = list(entries)
     while True:
         lines: list[list[Entry]] = [[]]

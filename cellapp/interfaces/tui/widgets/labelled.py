@@ -1,4 +1,4 @@
-"""A field of a dialog with its name before it."""
+"""A dialog field with its label."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Labelled(Horizontal):
 
 
 class Box(Checkbox):
-    """A box that is empty until it is ticked: without colours, too, one sees which it is."""
+    """A check box that is empty until it is ticked, so that its state is visible without colours."""
 
     def render(self) -> Content:
-        """The mark, then the label."""
+        """Return the mark and the label."""
         self.BUTTON_INNER = "X" if self.value else " "
         return super().render()
 
@@ -36,14 +36,14 @@ class Box(Checkbox):
 def text_field(
     label: str, name: str, text: str = "", hint: str = "", *, choices: Sequence[str] = (), hidden: bool = False
 ) -> Labelled:
-    """A field for a text with its label.
+    """Return a text field with its label.
 
     Parameters
     ----------
     label, name : str
-        What stands before the field; its id.
+        Text before the field; its id.
     text, hint : str
-        What it begins with, and what it shows while it is empty.
+        Initial text; text that is shown while the field is empty.
     choices : sequence of str
         Texts that the right arrow completes.
     hidden : bool

@@ -1,4 +1,4 @@
-"""The strip below the header of every screen: how old the data of arms, tracker and job are, and how far a halt is."""
+"""The strip below the header of every screen: age of the data of arms, tracker and job, and the progress of a halt."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STYLES: Mapping[Look, str] = {"fresh": "$text-success", "late": "bold $text-war
 class LiveStrip(Vertical):
     """Ages in one line while a cell is open; above them, in red, a stop or an arm that counts as moving.
 
-    It asks by itself, so that no job that hangs and no event that is missing keeps it as it was.
+    It queries the state itself, so that neither a job that hangs nor a missing event leaves it out of date.
     """
 
     DEFAULT_CSS = """
@@ -42,17 +42,17 @@ class LiveStrip(Vertical):
         yield Static("", classes="ages", markup=False)
 
     def on_mount(self) -> None:
-        """Look again and again."""
+        """Start the periodic update."""
         self.set_interval(DRAWN_EVERY_S, self.look)
 
     def look(self) -> None:
-        """Ask what is known now, and draw what has changed."""
+        """Query the current state, and draw what has changed."""
         app = cast(Host, self.app)
         if self.screen in app.screen_stack:
             self.show(app.live(), app.workspace.unseen)
 
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
-        """Draw what is known, and the arms that the run counts as moving, arm -> why."""
+        """Draw the state, and the arms that the run counts as moving, arm -> why."""
         banner, parts = banner_of(live, unseen), () if live is None else tuple(strip_of(live))
         if (banner, parts) == self._drawn:
             return

@@ -1,4 +1,4 @@
-"""A log with levels: filter, search, follow the end, copy. Lines are drawn as they come into view."""
+"""A log with levels: filter, search, follow the end, copy. Lines are drawn when they come into view."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _STYLES = (*LEVELS, "marked", "match")
 class LogView(ScrollView, can_focus=True):
     """The rows of a log, wrapped to the width.
 
-    It follows the end until somebody goes up, and again from the end. A cursor, moved by keys and clicks, marks rows
-    to copy; text selected with the mouse is copied, too.
+    It follows the end until somebody scrolls up, and again once scrolled to the end. A cursor, moved by keys and
+    clicks, marks rows to copy; text selected with the mouse can also be copied.
     """
 
     ALLOW_SELECT = True
@@ -52,7 +52,7 @@ class LogView(ScrollView, can_focus=True):
     ]
 
     class Changed(Message):
-        """What is shown has changed: rows, filter, search, or whether the end is followed."""
+        """The display has changed: rows, filter, search, or whether the end is followed."""
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
@@ -60,7 +60,7 @@ class LogView(ScrollView, can_focus=True):
         self.follows = True
         """Whether new rows scroll the view."""
         self.wanted = ""
-        """The text that is searched for."""
+        """The search text."""
         self._cursor: LogRow | None = None
         self._anchor: LogRow | None = None
         self._marked = range(0)
@@ -72,7 +72,7 @@ class LogView(ScrollView, can_focus=True):
     # -- rows ----------------------------------------------------------------------------------------------------------
 
     def show_rows(self, rows: Sequence[LogRow], *, dated: bool = False) -> None:
-        """Show another log, from its end."""
+        """Show another log, scrolled to its end."""
         self._cursor = self._anchor = None
         self.follows = True
         self.rows.replace(rows, dated=dated)
@@ -87,12 +87,12 @@ class LogView(ScrollView, can_focus=True):
         self.post_message(self.Changed())
 
     def set_filter(self, wanted: LogFilter) -> None:
-        """Show only what a filter passes."""
+        """Show only rows that pass a filter."""
         self.rows.arrange(wanted=wanted)
         self._arranged()
 
     def search(self, text: str) -> int:
-        """Mark a text wherever it is shown and go to its last place; return in how many rows it stands."""
+        """Highlight a text and go to its last occurrence; return the number of rows that contain it."""
         self.wanted = text
         found = self.rows.matches(text)
         if found:
@@ -102,7 +102,7 @@ class LogView(ScrollView, can_focus=True):
         return len(found)
 
     def next_match(self, step: int) -> None:
-        """Go to the next row (``step`` 1) or the one before (-1) that holds the text; at the end, begin again."""
+        """Go to the next row (``step`` 1) or the previous one (-1) that contains the text; wrap around at the ends."""
         found = self.rows.matches(self.wanted)
         if not found:
             return
@@ -115,7 +115,7 @@ class LogView(ScrollView, can_focus=True):
             self._go_to(next((number for number in reversed(found) if number < place), found[-1]))
 
     def match_words(self) -> str:
-        """Which of the matches is marked: ``match 3 of 17``; empty without a search."""
+        """Which match is marked: ``match 3 of 17``; empty without a search."""
         if not self.wanted:
             return ""
         found, place = self.rows.matches(self.wanted), self.rows.place(self._cursor)
@@ -124,11 +124,11 @@ class LogView(ScrollView, can_focus=True):
         return f"match {found.index(place) + 1} of {len(found)}" if place in found else f"{len(found)} matches"
 
     def chosen(self) -> list[LogRow]:
-        """The marked rows, else all that are shown."""
+        """Return the marked rows, or else all shown rows."""
         return [self.rows.shown[number] for number in self._marked] or list(self.rows.shown)
 
     def _arranged(self) -> None:
-        """Adapt size, marks and scrolling to the lines."""
+        """Update size, marks and scrolling for the lines."""
         self.virtual_size = Size(self.rows.width, self.rows.height)
         self._mark()
         if self.follows:
@@ -139,7 +139,7 @@ class LogView(ScrollView, can_focus=True):
     # -- cursor --------------------------------------------------------------------------------------------------------
 
     def action_move(self, step: int, marks: bool = False) -> None:
-        """Move the cursor; with ``marks`` the rows between stay marked."""
+        """Move the cursor; with ``marks`` the rows in between stay marked."""
         count = len(self.rows.shown)
         if not count:
             return
@@ -194,7 +194,7 @@ class LogView(ScrollView, can_focus=True):
         self.post_message(self.Changed())
 
     def _mark(self) -> None:
-        """The marked rows, by their present numbers."""
+        """Update the indices of the marked rows."""
         cursor = self.rows.place(self._cursor) if self._cursor is not None else None
         anchor = self.rows.place(self._anchor) if self._anchor is not None else None
         if cursor is None:
@@ -206,7 +206,7 @@ class LogView(ScrollView, can_focus=True):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def watch_scroll_y(self, old_value: float, new_value: float) -> None:
-        """Follow from the end on; not while somebody looks at what is above."""
+        """Follow the end when scrolled to it; stop when scrolled away."""
         super().watch_scroll_y(old_value, new_value)
         if self.size.height and self._cursor is None:
             follows = new_value >= self.max_scroll_y
@@ -222,14 +222,14 @@ class LogView(ScrollView, can_focus=True):
         self._arranged()
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """Lines of the view; their styles are asked for once, because that takes as long as drawing a line."""
+        """Return lines of the view; query their styles only once, which takes as long as drawing a line."""
         own = self.rich_style
         self._styles = {name: self.get_component_rich_style(f"log--{name}", partial=True) for name in _STYLES}
         self._styles.update({level: own + self._styles[level] for level in LEVELS}, own=own)
         return super().render_lines(crop)
 
     def render_line(self, y: int) -> Strip:
-        """One line of the view."""
+        """Return one line of the view."""
         place, width = y + self.scroll_offset.y, self.size.width
         line = self.rows.line(place)
         if line is None:
@@ -242,7 +242,7 @@ class LogView(ScrollView, can_focus=True):
         return strip.apply_offsets(0, place)
 
     def _with_match(self, line: LogLine, style: Style) -> list[Segment]:
-        """The text of a line, with what is searched for marked."""
+        """Return the text of a line with the search text highlighted."""
         start = line.text.lower().find(self.wanted.lower()) if self.wanted else -1
         if start < 0:
             return [Segment(line.text, style)]
@@ -252,7 +252,7 @@ class LogView(ScrollView, can_focus=True):
         return [Segment(text, look) for text, look in parts if text]
 
     def _with_selection(self, segments: list[Segment], y: int) -> list[Segment]:
-        """What is selected with the mouse is marked."""
+        """Highlight the text selected with the mouse."""
         selection = self.text_selection
         span = None if selection is None else selection.get_span(y)
         if span is None:
@@ -264,7 +264,7 @@ class LogView(ScrollView, can_focus=True):
         return [*before, *(Segment(one.text, (one.style or Style()) + chosen) for one in middle), *after]
 
     def get_selection(self, selection: Selection) -> tuple[str, str] | None:
-        """The text that is selected with the mouse."""
+        """Return the text selected with the mouse."""
         return selection.extract("\n".join(self.rows.lines())), "\n"
 
     def selection_updated(self, selection: Selection | None) -> None:

@@ -22,7 +22,7 @@ THIS_SESSION = "Log of this session"
 
 
 class LogField(Input):
-    """Where a text is typed; Enter and, while no job runs, Escape go back to the log."""
+    """Input field of the log; Enter and, while no job runs, Escape return to the log."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,up,down", "submit", "Back to the log", show=False)]
 
@@ -31,19 +31,19 @@ class LogHeading(Static):
     """Which log is shown, and how many rows each level has; a click on a level shows it."""
 
     class Chosen(Message):
-        """A level is asked for."""
+        """A level is requested."""
 
         def __init__(self, level: Level) -> None:
             super().__init__()
             self.level = level
 
     def action_choose(self, level: Level) -> None:
-        """Ask for a level."""
+        """Request a level."""
         self.post_message(self.Chosen(level))
 
 
 class LogPane(Vertical):
-    """The log of this session, or one that a run stores."""
+    """The log of this session, or one stored in a run."""
 
     DEFAULT_CSS = """
     LogPane { height: 1fr; }
@@ -64,7 +64,7 @@ class LogPane(Vertical):
         yield LogView(id="log-view")
 
     def on_mount(self) -> None:
-        """Begin with an empty log."""
+        """Set the tooltips and the heading."""
         heading = self.query_one(LogHeading)
         heading.tooltip = "Which log is shown. Click a level, or D, I, W, E, to show it and the more important ones."
         self.query_one(LogField).tooltip = "The text to search for, or to filter by. Enter goes back to the log."
@@ -72,7 +72,7 @@ class LogPane(Vertical):
 
     @property
     def view(self) -> LogView:
-        """The rows."""
+        """The view of the rows."""
         return self.query_one(LogView)
 
     @property
@@ -91,14 +91,14 @@ class LogPane(Vertical):
             self.view.add_rows(new)
 
     def show_stored(self, title: str, rows: Sequence[LogRow]) -> None:
-        """Show the log that a run stores."""
+        """Show a log stored in a run."""
         self._title, self._written = title, None
         self.view.show_rows(rows, dated=True)
 
     # -- search and filter ---------------------------------------------------------------------------------------------
 
     def ask(self, what: Literal["search", "filter"]) -> None:
-        """Open the field for the text to search or to filter for."""
+        """Open the input field for the text to search or to filter by."""
         self._asked = what
         self.add_class("asking")
         field = self.query_one(LogField)
@@ -110,7 +110,7 @@ class LogPane(Vertical):
 
     @on(Input.Changed)
     def take_text(self, event: Input.Changed) -> None:
-        """Search or filter as it is typed."""
+        """Search or filter while typing."""
         event.stop()
         if self._asked == "search":
             if event.value != self.view.wanted:
@@ -120,17 +120,17 @@ class LogPane(Vertical):
 
     @on(Input.Submitted)
     def end_text(self, event: Input.Submitted) -> None:
-        """Back to the log."""
+        """Return to the log."""
         event.stop()
         self.leave()
 
     def leave(self) -> None:
-        """Close the field; the log has the keys."""
+        """Close the field and focus the log."""
         self.remove_class("asking")
         self.view.focus()
 
     def next_match(self, step: int) -> None:
-        """Go to the next row that holds the text, or to the one before."""
+        """Go to the next or previous row that contains the text."""
         if self.view.wanted:
             self.view.next_match(step)
         else:

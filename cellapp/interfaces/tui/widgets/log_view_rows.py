@@ -1,4 +1,4 @@
-"""Rows of a log as lines of a given width: which are shown, where each begins, which hold a text. Draws nothing."""
+"""Rows of a log as lines of a given width: which are shown, where each begins, which contain a text. Draws nothing."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from functools import lru_cache
 from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, Level, LogRow
 
 MARKS: dict[Level, str] = {"debug": "·", "info": " ", "warning": "!", "error": "✖"}
-"""One character for each level, beside its colour."""
+"""One character for each level, in addition to its colour."""
 _SPARE_ROWS = 500
-"""Rows beyond the most that are kept until the oldest ones are dropped, all at once."""
+"""Rows beyond the limit that are kept until the oldest are dropped in one batch."""
 
 _HEAD, _DATED_HEAD = 11, 17
 """Characters of time and mark, without and with the date."""
 _LEAST_WIDTH = 8
-"""Characters of a line of text, however narrow the view is."""
+"""Smallest length of a line of text [characters], however narrow the view is."""
 
 
 @dataclass(frozen=True)
 class LogFilter:
-    """Which rows are shown: from a level upwards, and only those that hold a text, in any case."""
+    """Filter of rows: from a level upwards, and only those that contain a text, case-insensitive."""
 
     least: Level = "info"
     text: str = ""
 
     def passes(self, row: LogRow) -> bool:
-        """Whether a row is shown."""
+        """Return whether a row is shown."""
         return LEVELS.index(row.level) >= LEVELS.index(self.least) and self.text.lower() in row.text.lower()
 
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line on the screen: the number of its row among the shown ones, its text, whether the row begins here."""
+    """One line on the screen: the index of its row among the shown ones, its text, whether the row begins here."""
 
     number: int
     row: LogRow
@@ -77,12 +77,12 @@ class LogRows:
         return self._height
 
     def replace(self, rows: Sequence[LogRow], *, dated: bool) -> None:
-        """Show another log."""
+        """Replace the rows by those of another log."""
         self.rows, self.dated = list(rows[-MOST_LINES:]), dated
         self.arrange()
 
     def add(self, rows: Iterable[LogRow]) -> None:
-        """Add newer rows; the oldest are dropped where there are too many."""
+        """Add newer rows; drop the oldest if there are too many."""
         new = list(rows)
         self.rows += new
         self._append(new)
@@ -90,7 +90,7 @@ class LogRows:
             self._drop(len(self.rows) - MOST_LINES)
 
     def arrange(self, width: int | None = None, wanted: LogFilter | None = None) -> None:
-        """Filter and lay out all rows again, for another width or filter where one is given."""
+        """Filter and lay out all rows again, for a new width or filter if given."""
         self.width = self.width if width is None else width
         self.filter = self.filter if wanted is None else wanted
         self.shown, self._starts, self._height, self.counts = [], [], 0, Counter()
@@ -105,7 +105,7 @@ class LogRows:
                 self._height += len(self._parts(row))
 
     def _drop(self, count: int) -> None:
-        """Forget the oldest rows; all others stay as they are laid out."""
+        """Drop the oldest rows; the layout of the others is kept."""
         dropped = self.rows[:count]
         del self.rows[:count]
         self.counts.subtract(row.level for row in dropped)
@@ -116,7 +116,7 @@ class LogRows:
         self._height -= top
 
     def line(self, y: int) -> LogLine | None:
-        """The line at a height; None below the last."""
+        """Return the line at height ``y``; None below the last."""
         if not 0 <= y < self._height:
             return None
         number = bisect_right(self._starts, y) - 1
@@ -124,23 +124,23 @@ class LogRows:
         return LogLine(number, self.shown[number], self._texts(self.shown[number])[part], part == 0)
 
     def extent(self, number: int) -> tuple[int, int]:
-        """First line and number of lines of a shown row."""
+        """Return first line and number of lines of a shown row."""
         return self._starts[number], len(self._parts(self.shown[number]))
 
     def lines(self) -> list[str]:
-        """The text of all lines."""
+        """Return the text of all lines."""
         return [text for row in self.shown for text in self._texts(row)]
 
     def matches(self, text: str) -> list[int]:
-        """Numbers of the shown rows that hold a text, in any case; none for an empty one."""
+        """Return the indices of the shown rows that contain a text, case-insensitive; none for an empty text."""
         return [number for number, row in enumerate(self.shown) if text.lower() in row.text.lower()] if text else []
 
     def place(self, row: LogRow | None) -> int | None:
-        """Number of a row among the shown ones; None where it is not shown."""
+        """Return the index of a row among the shown ones; None if it is not shown."""
         return next((number for number, one in enumerate(self.shown) if one is row), None)
 
     def _texts(self, row: LogRow) -> list[str]:
-        """The lines of a row: time and mark, then the text, which later lines continue below itself."""
+        """Return the lines of a row: time and mark, then the text, with continuation lines aligned below it."""
         head = f"{row.at:{'%m-%d ' if self.dated else ''}%H:%M:%S} {MARKS[row.level]} "
         return [(head if number == 0 else " " * len(head)) + part for number, part in enumerate(self._parts(row))]
 
@@ -150,11 +150,11 @@ class LogRows:
 
 @lru_cache(maxsize=2 * (MOST_LINES + _SPARE_ROWS))
 def _wrapped(text: str, width: int) -> tuple[str, ...]:
-    """A text in lines of a width; kept, because a filter lays out all rows again at every key."""
+    """Wrap a text to a width; cached, because a filter lays out all rows again at every key."""
     line = " ".join(text.split())
     return (line,) if len(line) <= width else tuple(textwrap.wrap(line, width))
 
 
 def as_text(rows: Iterable[LogRow]) -> str:
-    """Rows as they are copied and saved: date, time, level, text."""
+    """Return rows as text for copying and saving: date, time, level, text."""
     return "".join(f"{row.at:%Y-%m-%d %H:%M:%S} {row.level:<7} {' '.join(row.text.split())}\n" for row in rows)

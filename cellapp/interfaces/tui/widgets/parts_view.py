@@ -18,7 +18,7 @@ from cellapp.interfaces.tui.widgets.tables import TablesView
 
 
 class PartsView(TablesView):
-    """Parts of a view below one another: in each section sentences, then charts, tables, and the sections inside."""
+    """Parts of a view below one another: in each section sentences, charts, tables, then its subsections."""
 
     DEFAULT_CSS = """
     PartsView ItemGrid { height: auto; grid-rows: auto; grid-gutter: 0 2; }
@@ -26,7 +26,7 @@ class PartsView(TablesView):
     """
 
     def show_parts(self, parts: Parts, before: Sequence[str] = ()) -> None:
-        """Draw the parts of a view in the place of what is there; ``before`` are marks that stand above them."""
+        """Replace the content by the parts of a view; ``before`` are marks above them."""
         shown = (*before, *parts)
         lines = list(printed(shown))
         drawn = (
@@ -40,7 +40,7 @@ class PartsView(TablesView):
 
 
 def widgets_of(parts: Parts) -> Iterator[Widget]:
-    """The widgets of parts in the order in which they are read on a screen."""
+    """Yield the widgets of parts in reading order on a screen."""
     for part in parts:
         if isinstance(part, str):
             yield Static(with_keys(part), markup=False)

@@ -18,24 +18,24 @@ if TYPE_CHECKING:
     from cellapp.commands.plan.result import PlannedStop
 
 _BAR_CELLS = 24
-"""Width of the bar of a joint's range: 15 degrees a cell over one turn."""
+"""Width of the bar of a joint's range: 15 degrees per cell over one turn."""
 
 
 class _RowTable(TextTable):
-    """A table of which the row under the cursor has a sentence."""
+    """A table with a sentence for the row under the cursor."""
 
     COLUMNS: ClassVar[tuple[str, ...]]
     TIP: ClassVar[str]
 
     def on_mount(self) -> None:
-        """Make the columns."""
+        """Create the columns."""
         self.cursor_type = "row"
         self.tooltip = self.TIP
         self._texts: list[str] = []
         self.add_columns(*self.COLUMNS)
 
     def draw(self, rows: Sequence[tuple[tuple[str, ...], str]]) -> None:
-        """Draw rows of cells, each with its sentence; the cursor stays where it was if nothing changed."""
+        """Draw rows of cells, each with its sentence; the cursor stays if nothing changed."""
         texts = [text for _, text in rows]
         if texts == self._texts:
             return
@@ -51,18 +51,18 @@ class _RowTable(TextTable):
 
 
 class PairsTable(_RowTable):
-    """Names with words."""
+    """Names with texts."""
 
     COLUMNS = ("what", "how")
     TIP = "The selected row stands below in full"
 
     def show(self, rows: Sequence[tuple[str, str]]) -> None:
-        """Draw names with words."""
+        """Draw names with texts."""
         self.draw([((name, words), f"{name}: {words}") for name, words in rows])
 
 
 class StopsTable(_RowTable):
-    """The stops in their order, and which of them a person marked; first those that are frozen."""
+    """The stops in their order, with the person's marks; initially the frozen stops are marked."""
 
     COLUMNS = ("stop", "marked", "frozen", "state", "part", "how")
     TIP = "Space marks the selected stop"
@@ -74,7 +74,7 @@ class StopsTable(_RowTable):
         self.marked: set[int] = set()
 
     def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
-        """Draw the stops of a plan, unless they stand there already; marks that were not stored go."""
+        """Draw the stops of a plan, unless they are already shown; marks that were not stored are lost."""
         if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
             return
         self._stops, self._ways = stops, ways
@@ -82,7 +82,7 @@ class StopsTable(_RowTable):
         self.draw([_stop_row(stop, ways) for stop in stops])
 
     def mark(self) -> None:
-        """Mark the selected stop, or take its mark away; then go to the next one."""
+        """Mark or unmark the selected stop, then go to the next one."""
         if self.cursor_row >= len(self._stops):
             return
         stop = self._stops[self.cursor_row].configuration
@@ -92,14 +92,14 @@ class StopsTable(_RowTable):
 
 
 def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
-    """Whether two plans with the same joint positions have the same data of their stops, and so the same ways."""
+    """Return whether the data of two plans with the same joint positions are equal, and so the ways to their stops."""
     if one is None or other is None:
         return one is other
     return bool((one.frozen == other.frozen).all() and (one.block == other.block).all())
 
 
 def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
-    """Cells and sentence of one stop, counted from 1."""
+    """Return cells and sentence of one stop, counted from 1."""
     from cellapp.commands.plan.check_view import stop_words
 
     number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
@@ -146,13 +146,13 @@ class CoverageTable(_RowTable):
 
 
 class EffectsTable(_RowTable):
-    """For each effect whether the plan can show it."""
+    """For each effect, whether the plan can show it."""
 
     COLUMNS = ("arm", "visible", "from mm", "scatter", "effect")
     TIP = "Smallest rms displacement of the SMR that would be seen: tracker alone, and with 0.1 mm scatter"
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
-        """Draw the effects of all arms, those that cannot be seen first."""
+        """Draw the effects of all arms, invisible ones first."""
         from cellapp.commands.plan.check_view import effect_sentence, effect_title
 
         entries = [(name, one) for name, arm in arms.items() for one in arm.effects]

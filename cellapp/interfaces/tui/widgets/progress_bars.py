@@ -1,4 +1,4 @@
-"""Bars of the parts of a job, each with its count and the time it still takes."""
+"""Bars of the parts of a job, each with its count and remaining time."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cellapp.ground.progress import Progress
 from cellapp.interfaces.tui.job_record import JobRecord, Pace
 
 WHOLE_DAY = ("plan", "collect", "calibrate", "discover", "push")
-"""Parts of a whole day, in their order."""
+"""Parts of a whole day, in order."""
 _NAME, _COUNT = 10, 9
 """Columns of the name and of the count."""
 _WHOLE = 100.0
-"""Steps per minute from which a rate is a whole number: three digits would make it a power of ten."""
+"""Steps per minute from which a rate is shown as a whole number: three digits would make it a power of ten."""
 _WIDEST_BAR = 40
 
 
@@ -33,14 +33,14 @@ class Part:
     waits: bool = False
 
     def left_s(self, now_s: float) -> float | None:
-        """Time that is left now: the estimate less the time since it was made; None of one that waits."""
+        """Return the remaining time: the estimate minus its age; None if the job waits."""
         if self.progress is None or not self.progress.eta_s or self.waits:
             return None
         return self.progress.eta_s - (0.0 if self.pace is None else now_s - self.pace.heard_s)
 
 
 def parts_of(record: JobRecord) -> tuple[Part, ...]:
-    """The parts of a job in the order of the day; those that are to come too, where a whole day runs."""
+    """Return the parts of a job in the order of the day; during a whole day, also the parts to come."""
     expected = WHOLE_DAY if record.name == "run" else ()
     known = sorted(record.progress, key=lambda name: WHOLE_DAY.index(name) if name in WHOLE_DAY else len(WHOLE_DAY))
     names = dict.fromkeys((*expected, *known))
@@ -49,13 +49,13 @@ def parts_of(record: JobRecord) -> tuple[Part, ...]:
 
 
 def present_part(record: JobRecord) -> Part | None:
-    """The part that reported last; None before the first report."""
+    """Return the part that reported last; None before the first report."""
     latest = record.latest
     return next((part for part in parts_of(record) if latest is not None and part.name == latest.job), None)
 
 
 def ending_words(eta_s: float | None, now: datetime) -> str:
-    """An estimated time in words and as clock time: ``12 min left, at 14:32``."""
+    """Return an estimated time in words and as clock time: ``12 min left, at 14:32``."""
     if eta_s is None:
         return ""
     if eta_s <= 0.0:
@@ -66,7 +66,7 @@ def ending_words(eta_s: float | None, now: datetime) -> str:
 
 
 class ProgressBars(Widget):
-    """One line for each part; where ``compact``, one line for the present part."""
+    """One line for each part; if ``compact``, one line for the current part."""
 
     DEFAULT_CSS = """
     ProgressBars { height: auto; }
@@ -81,21 +81,21 @@ class ProgressBars(Widget):
         self.tooltip = "The parts of the job: steps done, what is done now, the time that is left, when it will end."
 
     def on_mount(self) -> None:
-        """Let the time that is left go down between two events."""
+        """Start the timer that updates the remaining time between events."""
         self.set_interval(1.0, self._tick)
 
     def _tick(self) -> None:
-        """Draw again where the words have changed: a terminal at the end of a slow line gets nothing else."""
+        """Redraw only if the words have changed, to save output on a slow terminal line."""
         if self.parts and self._bars().plain != self._words:
             self.refresh()
 
     def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
-        """More parts need more lines; all else is only drawn."""
+        """Lay out again if the number of lines has changed."""
         if self._lines(before) != self._lines(now):
             self.refresh(layout=True)
 
     def render(self) -> Content:
-        """The bars."""
+        """Return the bars."""
         drawn = self._bars()
         self._words = drawn.plain
         return drawn
@@ -112,12 +112,12 @@ class ProgressBars(Widget):
         return Content.assemble(_line(present, width - len(which), now), (which, "$text-muted"))
 
     def get_content_height(self, container: object, viewport: object, width: int) -> int:
-        """One line, or one for each part."""
+        """Return one line, or one for each part."""
         return self._lines(self.parts)
 
     @property
     def lines(self) -> int:
-        """Lines that the present parts need."""
+        """Number of lines that the current parts need."""
         return self._lines(self.parts)
 
     def _lines(self, parts: tuple[Part, ...]) -> int:
@@ -130,7 +130,7 @@ def _done(part: Part) -> bool:
 
 
 def _line(part: Part, width: int, now: datetime) -> Content:
-    """Name, bar, count, time left, note; what does not fit is left out from the end."""
+    """Return name, bar, count, remaining time, note; what does not fit is omitted from the end."""
     progress = part.progress
     if progress is None:
         return Content.assemble((f"{part.name:<{_NAME}}", "$text-muted"), ("to come", "$text-muted"))

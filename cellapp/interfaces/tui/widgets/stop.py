@@ -13,10 +13,10 @@ from cellapp.interfaces.tui.host import Host
 
 
 class StopButton(Static):
-    """Brakes all arms when it is pressed with the mouse; the keys Escape and Ctrl-C do the same.
+    """Button that brakes all arms when pressed with the mouse; the keys Escape and Ctrl-C do the same.
 
-    It takes no focus, so that Enter, pressed for something else, never stops a job by accident, and Tab does not pass
-    it. It reacts to the press of the mouse button, not to its release.
+    It takes no focus, so that Enter, pressed for something else, never stops a job by accident, and Tab skips it. It
+    reacts to the press of the mouse button, not to its release.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class StopButton(Static):
         self.tooltip = "Brake all arms now. Escape and Ctrl-C do the same."
 
     def on_resize(self) -> None:
-        """Say where it is, for presses that are seen before the event loop gets them."""
+        """Store its position, for presses that are handled before the event loop gets them."""
         cast(Host, self.app).presses.region = self.region
 
     async def on_mouse_down(self) -> None:
@@ -32,12 +32,12 @@ class StopButton(Static):
         await self.run_action("app.stop_job")
 
     def on_click(self, event: Click) -> None:
-        """The press was handled; a dialog below must not take the click."""
+        """Consume the click of a handled press: a dialog below must not get it."""
         event.stop()
 
 
 class StopCorner(Container):
-    """The corner of a dialog that holds STOP, where all screens have it."""
+    """The corner of a dialog with STOP, at the same position as on all screens."""
 
     def compose(self) -> ComposeResult:
         yield StopButton()

@@ -26,7 +26,7 @@ class TablesView(VerticalScroll):
     Parameters
     ----------
     empty : str
-        What it says while there is nothing to show.
+        Text while there is nothing to show.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -48,7 +48,7 @@ class TablesView(VerticalScroll):
         self.tooltip = f"up, down, Page Up, Page Down scroll; {SHOWN['copy']} copies, {SHOWN['save']} saves"
 
     def show(self, tables: Sequence[Table], before: Sequence[str] = (), after: Sequence[str] = ()) -> None:
-        """Draw tables and sentences in the place of those before."""
+        """Replace the content by these tables and sentences."""
         before, after = tuple(map(with_keys, before)), tuple(map(with_keys, after))
         drawn = (tuple(tables), (*before, *after))
         if drawn == (self._tables, self._sentences):
@@ -63,16 +63,16 @@ class TablesView(VerticalScroll):
         )
 
     def say_empty(self, sentence: str) -> None:
-        """What it says while there is nothing to show."""
+        """Set the text while there is nothing to show."""
         if sentence != self._empty:
             self._empty = sentence
             if not self._tables and not self._sentences:
                 self.put(tuple)
 
     def put(self, make: Callable[[], Iterable[Widget]]) -> None:
-        """Draw what ``make`` gives in the place of what is there, the sentence where it gives nothing.
+        """Replace the content by the widgets of ``make``, or by the empty text if it gives none.
 
-        A screen may be drawn while it is being made: what is not attached yet draws it when it is mounted.
+        A screen may be drawn before it is mounted: what is not attached yet is drawn when it is mounted.
         """
         self._late = None if self.is_attached else make
         if self.is_attached:
@@ -81,12 +81,12 @@ class TablesView(VerticalScroll):
             self.scroll_home(animate=False)
 
     def on_mount(self) -> None:
-        """Draw what came before there was a place for it."""
+        """Draw the content that was given before the widget was attached."""
         if self._late is not None:
             self.put(self._late)
 
     def draw(self, table: Table) -> Widget:
-        """A widget for one table."""
+        """Return a widget for one table."""
         return draw_table(table)
 
     def action_copy(self) -> None:
@@ -105,15 +105,15 @@ class TablesView(VerticalScroll):
 
 
 class WrappedTables(TablesView):
-    """Tables whose cells hold sentences: these are broken into lines, and no column is cut off."""
+    """Tables whose cells contain sentences: these are wrapped, and no column is cut off."""
 
     def draw(self, table: Table) -> Widget:
-        """A table as the command line prints it."""
+        """Return a table as the command line prints it."""
         return Static(rich_table(table_with_keys(table)), classes="table")
 
 
 def draw_table(table: Table) -> Vertical:
-    """A table with its title. Cells are plain text: Textual would read a unit in brackets as markup."""
+    """Return a table with its title. Cells are plain text: Textual would interpret a unit in brackets as markup."""
     grid = TextTable(cursor_type="none", zebra_stripes=True)
     grid.can_focus = False  # the pane scrolls all tables together
     sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]

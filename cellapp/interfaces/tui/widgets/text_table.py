@@ -7,11 +7,12 @@ from textual.widgets import DataTable
 
 
 class TextTable(DataTable[Text]):
-    """A ``DataTable`` that measures its rows when it is mounted and forgets drawn cells when its size changes.
+    """A ``DataTable`` that measures its rows when it is mounted and clears its cell cache when its size changes.
 
     Textual measures new rows when the table has handled a message and is idle. On a busy computer two things go wrong
-    in Textual 8. A table whose place is asked for before the screen is laid out is taken for shown already: it gets no
-    message and stays empty. One that is drawn before it is measured keeps columns as narrow as their headings.
+    in Textual 8. If the position of a table is queried before the screen is laid out, Textual takes the table for shown
+    already: it gets no message and stays empty. A table drawn before it is measured keeps columns as narrow as their
+    headings.
     """
 
     def on_mount(self) -> None:
@@ -19,5 +20,5 @@ class TextTable(DataTable[Text]):
         self.check_idle()
 
     def watch_virtual_size(self) -> None:
-        """Draw all cells again with the columns' present widths."""
+        """Redraw all cells with the columns' current widths."""
         self.notify_style_update()

@@ -1,4 +1,4 @@
-"""The judgements at a glance: each error with its expanded uncertainty against its tolerance, as a bar with a mark."""
+"""Overview of the judgements: each error with its expanded uncertainty against its tolerance, as a bar with a mark."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _NUMBERS = 26
 """Columns of "0.049 ± 0.051 / 0.100 mm"."""
 _LEAST_BAR, _MOST_BAR = 10, 60
 _SCALE = 1.5
-"""End of a bar in tolerances: an error beyond it is drawn to the end."""
+"""Length of a bar in tolerances: a larger error is drawn up to the end."""
 
 
 class VerdictBars(Widget):
-    """One line for each judgement: mark, name, bar, numbers. The line of the tolerance stands at two thirds."""
+    """One line for each judgement: mark, name, bar, numbers. The tolerance is at two thirds of the bar."""
 
     DEFAULT_CSS = """
     VerdictBars { height: auto; padding: 1 0 0 0; }
@@ -37,16 +37,16 @@ class VerdictBars(Widget):
         self.tooltip = "━ the error, ─ its expanded uncertainty, │ the tolerance"
 
     def get_content_height(self, container: object, viewport: object, width: int) -> int:
-        """A line for each."""
+        """Return one line for each judgement."""
         return len(self.judgements)
 
     def render(self) -> Content:
-        """The bars."""
+        """Return the bars."""
         return Content("\n").join(verdict_lines(self.judgements, self.content_size.width))
 
 
 def verdict_lines(judgements: Sequence[Judgement], width: int) -> list[Content]:
-    """A line for each judgement, at most ``width`` cells wide."""
+    """Return a line for each judgement, at most ``width`` cells wide."""
     names = [f"{one.characteristic.replace('_', ' ')}, {one.where}" for one in judgements]
     longest = min(max(map(len, names), default=0), max(width - _NUMBERS - _LEAST_BAR - 6, 8))
     cells = max(min(width - longest - _NUMBERS - 6, _MOST_BAR), _LEAST_BAR)
@@ -62,7 +62,7 @@ def verdict_lines(judgements: Sequence[Judgement], width: int) -> list[Content]:
 
 
 def error_bar(one: Judgement, cells: int) -> str:
-    """``━`` up to the error, ``─`` as far as its uncertainty may take it, ``│`` at the tolerance."""
+    """Return ``━`` up to the error, ``─`` as far as its uncertainty extends it, ``│`` at the tolerance."""
     value, more = one.value, one.expanded or 0.0
 
     def place(amount: float) -> int:
