@@ -58,7 +58,7 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
     )
 
 
-_STREAMS_APART_S = 0.05
+STREAMS_APART_S = 0.05
 """Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
 _REST_DWELL_S = 0.05
 
@@ -82,7 +82,7 @@ class Unrest:
 
     def end(self, now: float) -> None:
         """Note that the motion has ended, was stopped or failed; the arm may still be braking."""
-        self._from_s, self._still_since_s = now + _STREAMS_APART_S, None
+        self._from_s, self._still_since_s = now + STREAMS_APART_S, None
 
     def look(self, sample: UrSample, now: float, rest_speed: float, *, running: bool) -> None:
         """Evaluate a new state; ``running``: a motion is in progress."""

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, Protocol
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import STILL_MOVING, Kicks, Motion, RestCriterion, Unrest, leading_rates
+from drivers.arms.ur_motion import STILL_MOVING, STREAMS_APART_S, Kicks, Motion, RestCriterion, Unrest, leading_rates
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_safety import not_ready
 from drivers.arms.ur_states import SILENT_S, States
@@ -30,8 +30,6 @@ _STOP_SEEN_WITHIN_S = 0.05
 program over another connection; without a ``brake`` in this time something else stopped it."""
 _STANDING_S = 1.0
 """If a motion is reported as running while the arm rests for this long, the link is at fault."""
-_STREAMS_APART_S = 0.05
-"""Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
 _CUT_SHORT_S = 0.5
 """An arm that rests away from its goal for this long after the end of a motion will not reach it."""
 _STANDS_RAD_S = 1e-4
@@ -455,7 +453,7 @@ class Supervisor:
             return {"error": "stopped", "text": self._stopped().text}
         motion, first = self._motion, self._resting_since
         ended_for_s = math.inf if motion is None else now - motion.ended_s
-        if not news or ended_for_s < _STREAMS_APART_S:
+        if not news or ended_for_s < STREAMS_APART_S:
             return None
         if first is None or sample.time_s - first.time_s < self._rest.dwell_s:
             return None

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.lines import carry, inverse, rigid
 from drivers.plant.mechanism import Mechanism
+from drivers.plant.transforms import inverse, rigid, transform_points
 
 
 def zero_shifted(mechanism: Mechanism, joint: int, angle: float) -> Mechanism:
@@ -33,8 +33,8 @@ def _beyond(mechanism: Mechanism, joint: int, motion: Array) -> Mechanism:
     """Return the mechanism with everything after ``joint`` moved by ``motion`` (4, 4) in B, at the zero position."""
     points, directions = mechanism.points.copy(), mechanism.directions.copy()
     centers, frames = mechanism.centers.copy(), mechanism.frames.copy()
-    points[joint + 1 :] = carry(motion, points[joint + 1 :])
+    points[joint + 1 :] = transform_points(motion, points[joint + 1 :])
     directions[joint + 1 :] = directions[joint + 1 :] @ motion[:3, :3].T
-    centers[joint:] = carry(motion, centers[joint:])
+    centers[joint:] = transform_points(motion, centers[joint:])
     frames[joint + 1 :] = motion @ frames[joint + 1 :]
     return replace(mechanism, points=points, directions=directions, centers=centers, frames=frames)

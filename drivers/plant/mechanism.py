@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from drivers.plant.config import ArmConfig, Array, CapsuleConfig, GeometryErrors
-from drivers.plant.lines import across, carry, cross_matrix, inverse, rigid
+from drivers.plant.transforms import across, cross_matrix, inverse, rigid, transform_points
 
 STANDARD_GRAVITY = 9.80665
 
@@ -222,7 +222,9 @@ class Posture:
     def load_moment(self) -> Array:
         """First moment of the load, (n, 3) [kg m]."""
         center = self.mechanism.payload_center if self.load is None else self.load.center
-        moment: Array = self.load_mass[:, None] * carry(self.placements[-1] @ self.mechanism.frames[-1], center)
+        moment: Array = self.load_mass[:, None] * transform_points(
+            self.placements[-1] @ self.mechanism.frames[-1], center
+        )
         return moment
 
     @cached_property
@@ -260,7 +262,7 @@ class Posture:
 
     def pull_moment(self, about: Array) -> Array:
         """Return the moment of the pull about points (..., n, 3) or (3,), with shape (..., n, 3) [Nm]."""
-        flange = carry(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
+        flange = transform_points(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
         moment: Array = np.cross(flange - about, self.pull)
         return moment
 
@@ -287,17 +289,17 @@ class Posture:
     @cached_property
     def smr(self) -> tuple[Array, Array]:
         """SMR centre and viewing direction, (n, 3) each."""
-        return carry(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
+        return transform_points(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
 
     def nest(self, name: str) -> tuple[Array, Array]:
         """Return centre and viewing direction of a further SMR, (n, 3) each."""
-        return carry(self.flange, self.mechanism.nests[name]), self.smr[1]
+        return transform_points(self.flange, self.mechanism.nests[name]), self.smr[1]
 
     def segments(self) -> tuple[Array, Array]:
         """Return the ends of the capsules' segments, (k, n, 3) each."""
         capsules = self.mechanism.capsules
         motions = np.concatenate([self.base[None], self.placements])[capsules.frames]
-        return carry(motions, capsules.starts[:, None]), carry(motions, capsules.ends[:, None])
+        return transform_points(motions, capsules.starts[:, None]), transform_points(motions, capsules.ends[:, None])
 
 
 def _torques(directions: Array, moments: Array, gravity: Array) -> Array:
@@ -322,8 +324,8 @@ def _capsules_at_zero(capsules: Sequence[CapsuleConfig], frames: Array) -> Capsu
     ends = np.array([capsule.end for capsule in capsules]).reshape(-1, 3)
     return Capsules(
         frames=numbers,
-        starts=carry(frames[numbers], starts),
-        ends=carry(frames[numbers], ends),
+        starts=transform_points(frames[numbers], starts),
+        ends=transform_points(frames[numbers], ends),
         radii=np.array([capsule.radius for capsule in capsules]),
     )
 
@@ -337,7 +339,7 @@ def nominal(arm: ArmConfig) -> Mechanism:
         zeros=np.zeros(arm.joints),
         frames=frames,
         masses=arm.masses,
-        centers=carry(frames[1:], arm.centers_of_mass),
+        centers=transform_points(frames[1:], arm.centers_of_mass),
         payload_mass=arm.payload_mass,
         payload_center=arm.payload_center,
         smr=arm.smr_offset,

@@ -13,14 +13,14 @@ from drivers.plant.climate import Air, joint_rise
 from drivers.plant.conditions import Conditions
 from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
-from drivers.plant.executed import Executed, executed_clearance
-from drivers.plant.lines import carry, inverse
+from drivers.plant.executed_clearance import Executed, executed_clearance
 from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, Posture, combined
 from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
 from drivers.plant.trail import Phase, note_phase, phase_of
+from drivers.plant.transforms import inverse, transform_points
 from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
@@ -123,7 +123,7 @@ class Plant:
     ) -> tuple[Array, Array]:
         """Return the apparent position of an SMR and its viewing direction, (n, 3) each, in M."""
         p_B, normal_B = posture.nest(nest) if nest else posture.smr
-        p_M, normal_M = carry(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
+        p_M, normal_M = transform_points(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
         for effect in arm.effects:
             p_M = effect.apparent_position(p_M, normal_M, situation)
         return p_M, normal_M

@@ -201,7 +201,7 @@ def _points(
     turns = [0, *_turns(q).tolist(), len(q) - 1]
     points = np.empty((len(seen), 3))
     segment = np.searchsorted(time_s[turns[1:-1]], seen, side="right")
-    for number, first in enumerate(turns[:-1]):
+    for number, end in enumerate(turns[1:]):
         rows = np.flatnonzero(segment == number)
         phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
@@ -211,7 +211,7 @@ def _points(
             points[some], _ = smr_in(
                 plant, arm, phase, q_seen[some], at_s, here, moving=True, inertia=turn, response=more
             )
-        _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
+        _note_turn(arm, q[end], q[min(end + 1, len(q) - 1)])
     return points
 
 
@@ -226,7 +226,7 @@ def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Arra
     return inertia_torques(arm.mechanism, before, now, after, _BEND_S), added
 
 
-def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
+def _note_turn(arm: TrueArm, turned: Array, after: Array) -> None:
     """Update memories of the joints that reversed at ``turned`` (N,); the other joints continue their motion."""
     step = turned - arm.q
     reverses = (after - turned) * step < 0.0
@@ -242,7 +242,7 @@ def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
 def _remember(arm: TrueArm, q: Array) -> None:
     """Update the memories of an arm that moved along ``q`` (n, N), up to its last reversal."""
     for turn in _turns(q).tolist():
-        _note_turn(arm, q[0], q[turn], q[turn + 1])
+        _note_turn(arm, q[turn], q[turn + 1])
 
 
 def _end(plant: Plant, moving: Mapping[TrueArm, Array], seconds: float) -> None:

@@ -12,7 +12,6 @@ from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.config import ArmConfig, Array, PlantConfig
 from drivers.plant.effect import Effect
-from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import (
     NO_DEFLECTION,
     STANDARD_GRAVITY,
@@ -25,6 +24,7 @@ from drivers.plant.mechanism import (
 )
 from drivers.plant.motion import AnyMotion
 from drivers.plant.trail import LONGEST, Phase
+from drivers.plant.transforms import rigid, transform_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: 
         q = np.broadcast_to(arm.q, (len(times_s), arm.config.joints))
         if arm.motion is not None:
             q = arm.motion.position(times_s)
-        ends = [carry(arm.T_C_B, end) for end in Posture(arm.mechanism, q, arm.gravity).segments()]
+        ends = [transform_points(arm.T_C_B, end) for end in Posture(arm.mechanism, q, arm.gravity).segments()]
         radii = arm.mechanism.capsules.radii
         bodies.append((ends[0], ends[1], radii))
         # capsules of the base itself may touch the floor

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.lines import carry, rigid
+from drivers.plant.transforms import rigid, transform_points
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Imperfections:
     def pointed(self, p_M: Array, face: int, cold: float) -> Array:
         """Return the point (3,) [m] at which the head points in a face; ``cold`` is the share of the warm-up left."""
         if any(self.warm_up_rad) and cold > 0.0:
-            p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *self.warm_up_rad]) * cold), p_M)
+            p_M = transform_points(rigid(np.array([0.0, 0.0, 0.0, *self.warm_up_rad]) * cold), p_M)
         if self.collimation_rad or self.index_rad:
             sign = 1.0 if face == 1 else -1.0
             flat = math.hypot(p_M[0], p_M[1])

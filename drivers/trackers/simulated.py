@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant import Plant
-from drivers.plant.lines import quaternion, rigid
 from drivers.plant.sweep import DYNAMIC_M
+from drivers.plant.transforms import quaternion, rigid
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
     Face,

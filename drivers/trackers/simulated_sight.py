@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
-from drivers.plant.lines import carry
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
 from drivers.plant.recent import recent_smr
+from drivers.plant.transforms import transform_points
 
 Vector = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class Sight:
         if name not in self._placed or self._placed[name][0] != key:
             posture = Posture(self._bodies[name], q[None], np.zeros(3))
             T_M_B = self._plant.true_T_M_B(name)
-            start, end = (carry(T_M_B, ends[:, 0]) for ends in posture.segments())
+            start, end = (transform_points(T_M_B, ends[:, 0]) for ends in posture.segments())
             self._placed[name] = (key, (start, end))
         return self._placed[name][1]
 

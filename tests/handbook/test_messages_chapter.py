@@ -13,7 +13,7 @@ from cellapp.commands.docs.handbook import chapter_text
 pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).parents[2]
-SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/driving", "cellapp/cell/safety")
+SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/safety")
 """Folders whose messages the chapter explains."""
 OTHERS = ("cellapp/commands/out_of_date.py", "cellapp/interfaces/cli/program.py")
 GAP = "..."

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.details import motion_ended, vectors
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.step_reports import motion_ended, vectors
 from cellapp.cell.driving.together import answers_of_all
-from cellapp.cell.run.in_order import MOVED_RAD
+from cellapp.cell.run.measurement_order import MOVED_RAD
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.cell.safety.path_gate import refuse_path, refuse_paths

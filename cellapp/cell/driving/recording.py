@@ -17,8 +17,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of, vectors
 from cellapp.cell.driving.motion import motion_s
+from cellapp.cell.driving.step_reports import missed_sentence, point_measured, record_sentence, state_of, vectors
 from cellapp.cell.run import Event, Outcome, ReferenceRow, RunFile, Session
 from cellapp.cell.run.collected import reference_drifts
 from cellapp.cell.safety.cell_bodies import home_positions

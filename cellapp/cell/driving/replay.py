@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from cellapp.cell.driving.practice import LiveModel
+from cellapp.cell.driving.live_model import LiveModel
 from cellapp.cell.driving.recording import Recording, ReferenceGroup, Visit, What, read_recording
 from cellapp.cell.driving.records import ReplayResult
 from cellapp.cell.driving.reference_watch import ReferenceWatch

@@ -12,17 +12,17 @@ from typing import TypeVar
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell, start_tracker
-from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
 from cellapp.cell.driving.driven_sweep import SweepDriver
 from cellapp.cell.driving.forbidden import forbidden_stops
+from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.loads import other_loads
 from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.nests import Nests
-from cellapp.cell.driving.practice import AirTemperature, LiveModel
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import End
 from cellapp.cell.driving.references import References
+from cellapp.cell.driving.step_reports import missed_sentence, point_measured, record_sentence, state_of
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.driving.sweeping import Sweeps
 from cellapp.cell.driving.travel import Travel

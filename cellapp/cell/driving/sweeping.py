@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.details import sweep_sentence
 from cellapp.cell.driving.driven_sweep import SweepDriver, SweepPart, why_no_sweeps
 from cellapp.cell.driving.live_sweep import LiveSweep
+from cellapp.cell.driving.step_reports import sweep_sentence
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording

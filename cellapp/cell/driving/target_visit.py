@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.cell.driving.driving_targets import Driver, arrival
-from cellapp.cell.driving.iteration import (
+from cellapp.cell.driving.measured_correction import (
     REPEATS,
     CorrectionRefused,
     corrected_command,

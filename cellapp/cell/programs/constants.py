@@ -115,8 +115,6 @@ def _assigned_names(statement: Statement) -> list[str]:
 
 
 def _operation(sign: str, values: Sequence[Value]) -> Value:
-    if sign == "(":
-        return values[0]
     if any(len(value.numbers) != 1 for value in values):
         raise Unresolved(f"'{sign}' of lists or poses {_RUNNING}")
     numbers = [value.numbers[0] for value in values]

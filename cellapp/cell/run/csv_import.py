@@ -31,7 +31,7 @@ from cellapp.cell.run.distances import (
 )
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, flange_touches_text, read_flange_touches
-from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.stations import (

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.driving.practice import LiveModel
+from cellapp.cell.driving.live_model import LiveModel
 from cellapp.cell.driving.records import (
     CollectedStop,
     CollectionResult,

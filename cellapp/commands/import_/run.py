@@ -9,7 +9,7 @@ from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_import import readings_from_csv
-from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
 from cellapp.commands.import_.request import ImportRequest
 from cellapp.commands.record import Work

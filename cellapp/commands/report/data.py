@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.rows import Event
 from cellapp.cell.run.samples import known_readings

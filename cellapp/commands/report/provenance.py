@@ -7,7 +7,7 @@ import platform
 import numpy as np
 
 from cellapp.cell.profile import profile_to_json
-from cellapp.cell.run.in_order import order_sentences
+from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.basis import readings_digest, sha256_of
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.stages import CALIBRATION_FILE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.unseen_arms import unseen_arms
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.out_of_date import complaints_of

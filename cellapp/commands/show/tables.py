@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from cellapp.cell.profile import profile_to_json
-from cellapp.cell.run.in_order import order_sentences
+from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile

@@ -26,7 +26,7 @@ from textual.widgets import Static
 
 from cellapp.cell.driving.requests.attaching import Detached
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui import night
+from cellapp.interfaces.tui import terminal_signals
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.jump import Jump
@@ -48,7 +48,7 @@ from cellapp.interfaces.tui.offers import (
 )
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.slow_passes import SlowPasses
+from cellapp.interfaces.tui.slow_collections import SlowCollections
 from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.header import StepTab
@@ -122,7 +122,7 @@ class CellApp(JobKeys):
         self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
     ) -> None:
         super().__init__(profiles, logs)
-        self.passes = SlowPasses()
+        self.passes = SlowCollections()
         self.leaving = Leaving(self, ends_process=ends_process)
         self.others = JobsOfOthers(self)
         self.message = ""
@@ -450,25 +450,25 @@ class CellApp(JobKeys):
         with contextlib.suppress(NoMatches, StopIteration):
             if self.jobs.running and (screen := self._made_screen) is not None:
                 screen.draw_state()
-        title = night.title_words(self.state, self.record)
+        title = terminal_signals.title_words(self.state, self.record)
         if title != self._titled:
             self._titled = title
-            self.tell(night.title_sequence(title))
+            self.tell(terminal_signals.title_sequence(title))
 
     def tell(self, sequence: str) -> None:
         """Write a control sequence to the terminal, bypassing the screens."""
-        if self._driver is not None and not self.is_headless and night.is_told():
+        if self._driver is not None and not self.is_headless and terminal_signals.is_told():
             self._driver.write(sequence)
 
     def _tell_event(self, word: str, text: str) -> None:
         """Ring the bell and notify the desktop, for somebody who does not look."""
-        self.tell(night.notice_sequence(f"cellapp {word}", text))
+        self.tell(terminal_signals.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line; a replay's state is not a state of these arms."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            since = "" if state == "running" else f" {night.since_words(self.record)}"
+            since = "" if state == "running" else f" {terminal_signals.since_words(self.record)}"
             self.message = (
                 f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}{since or f': {reason}'}"
             )
@@ -476,4 +476,4 @@ class CellApp(JobKeys):
             self._draw_message()
         self.refresh_bindings()
         if state in _WAITING and not self.record.is_replay:
-            self._tell_event(str(state), f"{self.record.name} {night.since_words(self.record)}")
+            self._tell_event(str(state), f"{self.record.name} {terminal_signals.since_words(self.record)}")

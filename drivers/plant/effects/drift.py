@@ -8,9 +8,9 @@ import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
-from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomPaths
+from drivers.plant.transforms import rigid, transform_points
 
 _LAWS = ("linear", "exponential", "creep", "sinusoidal", "wandering")
 
@@ -85,7 +85,7 @@ class TrackerDrift(Effect):
     course: Course
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        return carry(self._motion(situation), p_M)
+        return transform_points(self._motion(situation), p_M)
 
     def apparent_rotation(self, R_M_S: Array, situation: Situation) -> Array:
         return np.asarray(self._motion(situation)[:, :3, :3] @ R_M_S)

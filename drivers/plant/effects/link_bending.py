@@ -8,8 +8,8 @@ import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
-from drivers.plant.lines import carry, inverse, rigid
 from drivers.plant.mechanism import Deflection, Posture
+from drivers.plant.transforms import inverse, rigid, transform_points
 
 _SEGMENTS = 12
 
@@ -58,7 +58,7 @@ class ShearingLinkBending(Effect):
 def _shear_shift(posture: Posture, link: int, shear: float) -> Array:
     """Return the shift (n, 3) of a beam's tip by shear, in the D-H frame of the tip."""
     mechanism = posture.mechanism
-    root = carry(inverse(mechanism.frames[link + 1]), mechanism.frames[link, :3, 3])
+    root = transform_points(inverse(mechanism.frames[link + 1]), mechanism.frames[link, :3, 3])
     length = float(np.linalg.norm(root))
     if length == 0.0:
         return np.zeros((len(posture.q), 3))
@@ -76,7 +76,7 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     """Return the twist (n, 6) of a beam's tip, the origin of its D-H frame, in that frame."""
     mechanism = posture.mechanism
     home = inverse(mechanism.frames[link + 1])
-    root = carry(home, mechanism.frames[link, :3, 3])
+    root = transform_points(home, mechanism.frames[link, :3, 3])
     length = float(np.linalg.norm(root))
     if length == 0.0:
         return np.zeros((len(posture.q), 6))
@@ -85,7 +85,7 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     places = root * (1.0 - share)[:, None]  # the middles of the segments
 
     # the link's own mass: linear density along the beam that gives the correct centre of mass
-    mass, center = mechanism.masses[link], carry(home, mechanism.centers[link])
+    mass, center = mechanism.masses[link], transform_points(home, mechanism.centers[link])
     lean = float(np.clip((center - root) @ along / length - 0.5, -1 / 6, 1 / 6))
     masses = mass / _SEGMENTS * (1.0 + 12.0 * lean * (share - 0.5))
     beside = center - along * (center @ along)

@@ -9,9 +9,9 @@ import numpy as np
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters, Situation
-from drivers.plant.lines import carry, inverse
 from drivers.plant.mechanism import Deflection, combined
 from drivers.plant.random_functions import RandomPaths
+from drivers.plant.transforms import inverse, transform_points
 
 _REFERENCE_C = 20.0
 """Default temperature at which the arm has its ideal shape [degC]."""
@@ -71,7 +71,7 @@ class ThermalGrowth(Effect):
         tubes = np.where(np.isnan(memory), now, memory)
         arm = situation.mechanism
         home = inverse(arm.frames[1:])
-        lengths = -carry(home, arm.frames[:-1, :3, 3])
+        lengths = -transform_points(home, arm.frames[:-1, :3, 3])
         axes = (home[:, :3, :3] @ arm.directions[..., None])[..., 0]
         twists = np.zeros((*situation.q.shape, 6))
         twists[..., :3] = self._strain(tubes)[..., None] * lengths

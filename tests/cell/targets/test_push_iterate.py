@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.iteration import (
+from cellapp.cell.driving.measured_correction import (
     FARTHEST_M,
     CorrectionRefused,
     corrected_command,

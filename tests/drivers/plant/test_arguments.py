@@ -7,7 +7,7 @@ import pytest
 
 from drivers.plant import GeometryErrors
 from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
-from drivers.plant.lines import carry, rigid
+from drivers.plant.transforms import rigid, transform_points
 
 pytestmark = pytest.mark.fast
 
@@ -127,7 +127,7 @@ def test_a_moved_tracker_sees_the_same_cell_from_elsewhere(make_plant):
     plant, moved = make_plant(), make_plant()
     T_C_M = rigid(np.array([3.0, 0.7, 0.2, 0.1, -0.2, 2.5]))
     moved.move_tracker(T_C_M)
-    in_cell = carry(plant.config.tracker.T_C_M, plant.smr_positions("left", Q))
-    np.testing.assert_allclose(carry(T_C_M, moved.smr_positions("left", Q)), in_cell, atol=1e-12)
+    in_cell = transform_points(plant.config.tracker.T_C_M, plant.smr_positions("left", Q))
+    np.testing.assert_allclose(transform_points(T_C_M, moved.smr_positions("left", Q)), in_cell, atol=1e-12)
     (found,) = (target for target in moved.targets() if target.arm == "left")
     np.testing.assert_allclose(found.p_M, moved.smr_positions("left", moved.q("left")[None])[0], atol=1e-9)

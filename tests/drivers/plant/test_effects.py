@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.plant.effect import Effect
 from drivers.plant.effects import FACTORIES
-from drivers.plant.lines import carry, rigid
 from drivers.plant.mechanism import Deflection
+from drivers.plant.transforms import rigid, transform_points
 
 pytestmark = pytest.mark.fast
 
@@ -151,10 +151,10 @@ def test_a_twist_of_the_base_moves_the_whole_arm(monkeypatch, make_arm, make_pla
     q = np.random.default_rng(0).uniform(-3, 3, (4, 6))
     ideal = make_plant()
     pose = ideal.true_T_M_B("left")
-    p_B = carry(np.linalg.inv(pose), ideal.smr_positions("left", q))
+    p_B = transform_points(np.linalg.inv(pose), ideal.smr_positions("left", q))
     effects = _with_twist(monkeypatch, "base", np.tile(twist, (4, 1)))
     found = make_plant(make_arm(effects=effects)).smr_positions("left", q)
-    assert np.abs(found - carry(pose, carry(rigid(twist), p_B))).max() < 1e-13
+    assert np.abs(found - transform_points(pose, transform_points(rigid(twist), p_B))).max() < 1e-13
 
 
 def test_a_twist_of_a_link_about_its_z_is_the_next_joint_turned(monkeypatch, make_arm, make_plant):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drivers.plant import CapsuleConfig, GeometryErrors
-from drivers.plant.lines import across, inverse, rigid
 from drivers.plant.mechanism import nominal, with_errors
+from drivers.plant.transforms import across, inverse, rigid
 
 pytestmark = pytest.mark.fast
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.plant import ArmConfig, GeometryErrors, Plant
-from drivers.plant.lines import quaternion
+from drivers.plant.transforms import quaternion
 from drivers.trackers.simulated import SimulatedTracker
 
 pytestmark = pytest.mark.fast

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.plant.lines import carry, rigid
+from drivers.plant.transforms import rigid, transform_points
 
 pytestmark = pytest.mark.fast
 
@@ -22,8 +22,8 @@ def _moved_base(make_plant, shares):
     """SMR (n, 3) with the base gone the given shares (n,) of SHIFT and TURN."""
     ideal = make_plant()
     pose = ideal.true_T_M_B("left")
-    p_B = carry(np.linalg.inv(pose), ideal.smr_positions("left", Q))
-    return carry(pose, carry(rigid(np.outer(shares, SHIFT + TURN)), p_B))
+    p_B = transform_points(np.linalg.inv(pose), ideal.smr_positions("left", Q))
+    return transform_points(pose, transform_points(rigid(np.outer(shares, SHIFT + TURN)), p_B))
 
 
 # -- warmth ------------------------------------------------------------------------------------------------------------

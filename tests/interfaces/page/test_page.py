@@ -18,7 +18,7 @@ from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.in_order import write_in_order
+from cellapp.cell.run.measurement_order import write_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.basis import basis_of

@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from cellapp.cell.driving.details import sweep_sentence
 from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.step_reports import sweep_sentence
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Cancelled, MotionBegun, Progress, StateChange, SweepLive
 

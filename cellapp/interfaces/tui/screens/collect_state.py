@@ -10,8 +10,8 @@ from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN
-from cellapp.interfaces.tui.night import since_words
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
+from cellapp.interfaces.tui.terminal_signals import since_words
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 

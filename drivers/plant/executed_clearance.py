@@ -14,9 +14,9 @@ import numpy as np
 
 from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.config import Array, PlantConfig
-from drivers.plant.lines import carry
 from drivers.plant.mechanism import Mechanism, Posture
 from drivers.plant.motion import AnyMotion
+from drivers.plant.transforms import transform_points
 
 _COARSE_S = 0.1
 _FINE_S = 0.005
@@ -122,7 +122,7 @@ def _placed(plant: MovedArms, name: str, executed: Sequence[Executed], times: Ar
     assert home is not None
     q = _positions(executed, home, times)
     capsules = mechanism.capsules
-    starts, ends = (carry(T_C_B, end) for end in Posture(mechanism, q, np.zeros(3)).segments())
+    starts, ends = (transform_points(T_C_B, end) for end in Posture(mechanism, q, np.zeros(3)).segments())
     ways: Array = _levers(mechanism) @ np.abs(np.diff(q, axis=0)).T
     return _Bodies(starts, ends, capsules.radii, ways, capsules.frames > 0)
 

@@ -41,7 +41,7 @@ def inverse(motion: Array) -> Array:
     return back
 
 
-def carry(motion: Array, point: Array) -> Array:
+def transform_points(motion: Array, point: Array) -> Array:
     """Return points (..., 3) transformed by rigid transforms (..., 4, 4)."""
     moved: Array = (motion[..., :3, :3] @ point[..., None])[..., 0] + motion[..., :3, 3]
     return moved

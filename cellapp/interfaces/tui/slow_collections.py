@@ -18,7 +18,7 @@ _FULL = 2
 """The oldest generation of the garbage collector."""
 
 
-class SlowPasses:
+class SlowCollections:
     """Freezes objects (``gc.freeze``) after a slow full garbage collection; called in any thread."""
 
     def __init__(self) -> None:

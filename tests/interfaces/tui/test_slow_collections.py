@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cellapp.interfaces.tui import slow_passes
-from cellapp.interfaces.tui.slow_passes import SlowPasses
+from cellapp.interfaces.tui import slow_collections
+from cellapp.interfaces.tui.slow_collections import SlowCollections
 
 pytestmark = pytest.mark.fast
 
@@ -25,9 +25,9 @@ def _as_before() -> Iterator[None]:
 def test_what_survives_a_slow_full_pass_is_set_aside(
     monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
 ) -> None:
-    monkeypatch.setattr(slow_passes, "_SLOW_S", slow_s)
+    monkeypatch.setattr(slow_collections, "_SLOW_S", slow_s)
     before = gc.get_freeze_count()
-    SlowPasses().watch()
+    SlowCollections().watch()
     gc.collect(1)
     assert gc.get_freeze_count() <= before
     gc.collect()
@@ -36,8 +36,8 @@ def test_what_survives_a_slow_full_pass_is_set_aside(
 
 @pytest.mark.slow
 def test_garbage_that_was_set_aside_is_collected_after_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slow_passes, "_SLOW_S", -1.0)
-    passes = SlowPasses()
+    monkeypatch.setattr(slow_collections, "_SLOW_S", -1.0)
+    passes = SlowCollections()
     passes.watch()
     cycle: list[object] = []
     cycle.append(cycle)
