@@ -9,11 +9,9 @@ import numpy as np
 
 from cellapp.cell.run.file import RunFile
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.readings import joined
+from cellapp.estimation.readings.readings import FIRST_SAMPLE, joined
 
 _DOCUMENT = "motion_samples"
-_APART = 1_000_000_000
-"""Offset between the configuration numbers of samples of successive arms: their samples are never a common stop."""
 
 
 def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
@@ -39,7 +37,7 @@ def known_readings(run: RunFile, arm: str) -> Readings:
     kept = None if text is None else json.loads(text).get(arm)
     if kept is None:
         return measured
-    first = (1 + [*run.profile.arms].index(arm)) * _APART
+    first = (1 + [*run.profile.arms].index(arm)) * FIRST_SAMPLE  # samples of two arms are never a common stop
     samples = Readings(
         configuration=first + np.arange(len(kept["time_s"])),
         time_s=np.full(len(kept["time_s"]), np.nan),

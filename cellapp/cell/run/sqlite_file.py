@@ -51,7 +51,10 @@ def make_empty_folder(folder: Path) -> list[Path]:
         with sentences(folder):
             names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(UNFINISHED))
         if FILE_NAME in names:
-            raise InputError(f"{folder} already holds a run ({FILE_NAME}); resume that run or choose a new folder")
+            raise InputError(
+                f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {folder}' says what comes next in it;"
+                " for another run choose a new folder"
+            )
         if names:
             shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
             raise InputError(f"{folder} is not empty ({shown}); a run needs an empty or new folder, choose another one")

@@ -10,8 +10,8 @@ _CLOCKS = (
     Column("recording"),
     number_column("offset [s]", ".6f"),
     number_column("standard error [ms]", ".4f"),
-    number_column("rate [ppm]", ".2f"),
-    number_column("standard error [ppm]", ".2f"),
+    number_column("rate [ppm]", ".3f"),
+    number_column("standard error [ppm]", ".3f"),
     number_column("clock steps", "d"),
 )
 _RECORDINGS = (

@@ -71,8 +71,8 @@ def misfit_words(found: AcceptedEffect) -> str:
 
 def also_possible(arm: ArmDiscoveryResult) -> str:
     """Effects that were not accepted and are not improbable, the most probable first."""
-    accepted = {found.effect for found in arm.accepted}
-    others = [(slug, p) for slug, p in arm.candidates.items() if slug not in accepted and p >= _NOT_IMPROBABLE]
+    settled = {found.effect for found in (*arm.accepted, *arm.invisible)}
+    others = [(slug, p) for slug, p in arm.candidates.items() if slug not in settled and p >= _NOT_IMPROBABLE]
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
 

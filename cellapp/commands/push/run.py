@@ -112,6 +112,9 @@ def push_targets(
 
     def store(pushed: VerifyResult) -> VerifyResult:
         result = _judged(pushed, judge, notes, verify=verify)
+        if verify and not result.arms:  # it would take the place of an earlier verification that holds
+            said = "no target was measured; nothing is stored, an earlier verification still counts"
+            return result.model_copy(update={"notes": (*result.notes, said)})
         append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, tuple(targets)))
         return result
 

@@ -122,7 +122,9 @@ class _Hand:
 
     def undo(self) -> str:
         """Take the last touch back."""
-        return _undone(self.folder, self.profile, self.arm)
+        said = _undone(self.folder, self.profile, self.arm)
+        del self.recorded[-1:]
+        return said
 
 
 def _recorded(hand: _Recorder[_T], request: TouchRequest, work: Work) -> str:

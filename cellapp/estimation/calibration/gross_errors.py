@@ -15,7 +15,9 @@ from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.estimation.sockets import measured_positions
+from cellapp.ground.counting import counted
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, turned_rows
@@ -115,9 +117,11 @@ def without(readings: Readings, configurations: Sequence[int]) -> Readings:
 
 
 def left_out_words(configurations: Sequence[int]) -> str:
-    """How many readings were left out, and which."""
+    """Say how many readings were left out, and which: samples of recordings have no number that a person knows."""
     count = len(configurations)
-    named = ", ".join(map(str, configurations[:_MOST_LISTED])) + (", ..." if count > _MOST_LISTED else "")
-    if count == 1:
-        return f"1 reading with a gross error was left out (configuration {named})"
-    return f"{count} readings with gross errors were left out (configurations {named})"
+    stops = [one for one in configurations if one < FIRST_SAMPLE]
+    named = ", ".join(map(str, stops[:_MOST_LISTED])) + (", ..." if len(stops) > _MOST_LISTED else "")
+    places = [f"configuration{'s' if len(stops) > 1 else ''} {named}"] if stops else []
+    places += [f"{counted(count - len(stops), 'sample')} of recordings"] if count > len(stops) else []
+    what = "1 reading with a gross error was" if count == 1 else f"{count} readings with gross errors were"
+    return f"{what} left out ({', '.join(places)})"

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
 from cellapp.estimation.readings.flange_touches import FlangeTouches
 
+FIRST_SAMPLE = 1_000_000_000
+"""Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
 _Floats = NDArray[np.float64]
 
 

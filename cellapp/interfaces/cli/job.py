@@ -171,7 +171,7 @@ class Job:
             else:
                 self.control.leave(ended_by(number))
             what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
-            self._announce(f"stop: {what} and can be resumed. Once more: end at once")
+            self._announce(f"stop: {what}; what is stored stays. Once more: end at once")
         elif number in _SUSPENDS and not arms:
             os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: the default action of Ctrl-Z
         elif self.control.request == "pause":

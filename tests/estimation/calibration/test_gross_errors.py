@@ -17,7 +17,9 @@ from cellapp.commands.report.headlines import warnings
 from cellapp.commands.trials.league.series import Entrant, load_entrant
 from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_arm, calibrate_readings, train_arm
 from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.gross_errors import left_out_words
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.benchmarks.gross_errors import disturbed
 
@@ -177,3 +179,10 @@ def twin_readings() -> tuple:
     rng = np.random.default_rng(2)
     plan = {name: rng.uniform(-2.5, 2.5, (160, len(arm.type.joints))) for name, arm in profile.arms.items()}
     return profile, measured_plan(profile, plan, 1)
+
+
+def test_readings_that_were_left_out_are_named_by_what_a_person_knows():
+    assert left_out_words([7]) == "1 reading with a gross error was left out (configuration 7)"
+    assert left_out_words([7, FIRST_SAMPLE + 3, FIRST_SAMPLE + 4]) == (
+        "3 readings with gross errors were left out (configuration 7, 2 samples of recordings)"
+    )

@@ -347,6 +347,16 @@ def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> N
     assert call("push", "done", "targets.yaml", "--verify").code == 0
 
 
+def test_a_verification_that_measured_nothing_leaves_the_earlier_one(work: Path, call: Any) -> None:
+    before = call("show", "done", "verification", "--json", "-").json
+    text = (work / "targets.yaml").read_text("utf-8")
+    (work / "far.yaml").write_text(re.sub(r"position: \[.*?\]", "position: [4.0, 4.0, 4.0]", text), "utf-8")
+    ended = call("push", "done", "far.yaml", "--verify")
+    assert ended.code == 1
+    assert "nothing is stored, an earlier verification still counts" in ended.out
+    assert call("show", "done", "verification", "--json", "-").json == before
+
+
 def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
     schemas = call("schema", "--json", "-").out
     schemas = json.loads(schemas)
