@@ -109,8 +109,7 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
 def _gathered(
     data: ArmData, fit: JointFit, further: Sequence[Component] = (), gram: Array | None = None
 ) -> NormalMatrix:
-    """Accumulate the normal matrix of a fit's geometry, terms and further components over all readings, linearised
-    there.
+    """Accumulate the normal matrix of a fit and of further components over all readings, linearised there.
 
     ``gram`` is X^T X of a nearby model, None if unknown: it takes most of the time and hardly changes.
     """

@@ -54,8 +54,7 @@ def may_leave_placements_out(data: ArmData) -> bool:
 
 
 def placement_gains(data: ArmData, fit: JointFit, new_rows: Array) -> Array:
-    """Return the decrease of the whitened sum of squares (m,) at each left-out placement of sockets when columns join a
-    fit.
+    """Return the decrease of the whitened sum of squares (m,) at each left-out placement by columns that join a fit.
 
     With few placements, single points are left out instead.
     """

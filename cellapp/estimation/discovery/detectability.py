@@ -32,8 +32,7 @@ class _Detectable:
 
 
 def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
-    """Return the effects that the data cannot show, and those that were not found, with their smallest detectable
-    sizes.
+    """Return effects that the data cannot show, and effects that were not found with their smallest detectable sizes.
 
     ``scan`` covers all effects that the final model lacks.
     """

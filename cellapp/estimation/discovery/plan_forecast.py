@@ -184,8 +184,7 @@ def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedRe
 
 
 def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
-    """Compute standard errors of predicted SMR positions at the stops, and of the parameters that the readings
-    determine.
+    """Compute standard errors of predicted SMR positions at the stops, and of the determined parameters.
 
     ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
     """

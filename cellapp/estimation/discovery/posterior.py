@@ -144,8 +144,7 @@ def posteriors(
     coordinates: float,
     outside: Mapping[str, float] | None = None,
 ) -> Posteriors:
-    """Compute probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside
-    it.
+    """Compute probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects.
 
     ``coordinates`` is the number of coordinates less the parameters of the final set. Several terms of one effect count
     as one, whose score is their sum; each data-driven term is an effect of its own. ``outside`` maps an effect to the
@@ -192,8 +191,7 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
 
 
 def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
-    """Return for each named effect the log odds that the library lacks its cause, from what it removes and what all
-    leave.
+    """Return for each named effect the log odds that the library lacks its cause, from the squares removed and left.
 
     With few readings the evidence of such a cause counts too, relative to the effect's score in ``reviews``. Empty for
     a ball in sockets, which is judged by its prediction elsewhere.
@@ -268,8 +266,8 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
 
 
 def _share_of_a_larger(fit: JointFit, number: int) -> float:
-    """Return a term's sum of squares over that of a larger term with common variables, the least ratio; infinite
-    without one.
+    """Return the least ratio of a term's sum of squares to that of a larger term with common variables; infinite if
+    none.
 
     Such a term may be a residual of the larger one's law. The joint angles do not count as a common variable.
     """

@@ -7,8 +7,6 @@ scatter that varies over the workspace is not taken for structure. Under random 
 is the sum of squared products. The skewness is simulated. The tail is that of the Pearson type III distribution with
 these moments, which needs few simulations (Winkler et al., NeuroImage 141 (2016) 502). A fit makes neighbouring
 residuals slightly less alike, so the one-sided test is conservative.
-
-A fit makes neighbouring residuals slightly less alike, so that the one-sided test is on the safe side.
 """
 
 from __future__ import annotations
@@ -214,8 +212,8 @@ class _Tests:
 
 
 def pearson3_tail(values: Array, skewness: Array) -> Array:
-    """Return the upper tail probability at values (m,) of a Pearson type III variable: mean 0, variance 1, ``skewness``
-    >= 0.
+    """Return the upper tail probability (m,) of a Pearson type III variable of mean 0, variance 1 and ``skewness`` >=
+    0.
 
     It is a shifted and scaled gamma variable of shape 4 / skewness^2, and normal for zero skewness.
     """

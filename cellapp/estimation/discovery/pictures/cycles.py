@@ -18,8 +18,7 @@ _BAND = (0.1, 0.9)
 def dominant_cycles(
     columns: Sequence[EffectColumn], values: Array, covariance: Array | None = None
 ) -> dict[str, CycleBand]:
-    """Return the dominant cycles per revolution of each joint (key: its number), from wave columns with values (m,)
-    [rad].
+    """Return the dominant cycles per revolution by joint (key: its number), from wave columns with values (m,) [rad].
 
     ``covariance`` (m, m) of the values gives the standard error of each joint's rms.
     """

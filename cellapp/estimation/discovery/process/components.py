@@ -147,8 +147,7 @@ def components(data: ArmData, fit: JointFit) -> list[Component]:
 
 
 def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Component | None:
-    """Build a component with one amplitude and, if the law has one, one length scale for all its columns; None if
-    nothing moves.
+    """Build a component with one amplitude and at most one length scale for all its columns; None if nothing moves.
 
     The columns' priors at unit amplitude are the relative variances.
     """

@@ -140,8 +140,8 @@ def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
 def fit_process(
     data: ArmData, fit: JointFit, needed: float, candidates: Sequence[Component] | None = None
 ) -> tuple[StructuredProcess, Excess] | None:
-    """Fit the process that a fit's residuals need; return it and the scatter beyond the stated uncertainty, None if
-    none.
+    """Fit the process that residuals need; return it and the scatter beyond the stated uncertainty, None if none is
+    needed.
 
     ``needed`` is the gain of the score at which a component is kept. ``candidates`` are the components to choose from;
     None for all that the data allow.

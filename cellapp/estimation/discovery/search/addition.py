@@ -54,8 +54,7 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
 
 
 def _acts_as_one_joint(state: SearchState, score: LawScore) -> bool:
-    """Return whether a wobble would tilt an axis in one direction only, which is just an offset of a neighbouring
-    joint.
+    """Return whether a wobble tilts an axis in one direction only, which is just an offset of a neighbouring joint.
 
     The axis of a joint tilts about the axis of the preceding joint when that joint has an offset. Bearings tilt an axis
     in both directions. A tilt in one direction only is an error of that joint that depends on its neighbour's angle.

@@ -37,8 +37,8 @@ def too_few_to_compete(data: ArmData, fit: JointFit) -> bool:
 
 
 def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int]) -> list[float]:
-    """Return for each of some terms twice the log evidence of the best law outside the library in its place, less the
-    price of choosing it.
+    """Return twice the log evidence of the best law outside the library in place of each term, less the price of
+    choosing.
 
     Laws with the term's own cause do not count: functions of variables that the effect depends on, and functions of a
     moved joint's own angle in the same channel.

@@ -81,8 +81,7 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
 
 
 def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
-    """Return whether a named term has the channel and variable of a data-driven law, and its effect has a free
-    function.
+    """Return whether a named term has a data-driven law's channel and variable, and its effect has a free function.
 
     Such a law is the effect in a shape that its other laws lack: a drift to and fro is a drift.
     """

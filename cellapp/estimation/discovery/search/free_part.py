@@ -229,8 +229,7 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 def _best_shares(
     fit: JointFit, projector: NuisanceProjector, parts: Sequence[FreePart]
 ) -> tuple[list[tuple[FreePart, float]], float]:
-    """Choose drivers of a free part and the share of each beside other parameters; return also the gain of 2 ln
-    evidence.
+    """Choose drivers of a free part and their shares beside other parameters; return also the gain of 2 ln evidence.
 
     The best driver joins while the evidence gains enough.
     """

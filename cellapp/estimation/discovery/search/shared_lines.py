@@ -56,8 +56,7 @@ class ChosenLines:
 
 @dataclass(frozen=True, eq=False)
 class _Bands:
-    """Cosines and sines of J joints at c cycle counts: indices ``places`` (c, J, 2) of their columns in ``rows`` (m,
-    d).
+    """Cosines and sines of J joints at c cycle counts; ``places`` (c, J, 2) are their indices in ``rows`` (m, d).
 
     ``own`` (c, J, 2, 2) is the information of each pair. ``alternatives`` (c,) is T of each count: expected counts
     share half of the probability, all others the other half.

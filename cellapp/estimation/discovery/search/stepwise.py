@@ -96,8 +96,7 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
-    """Return for each term, in order, the probability of its name and of the rivals that the data cannot distinguish
-    from it.
+    """Return the probability of each term's name and of the rivals that the data cannot distinguish from it, in order.
 
     The second value tells whether such a rival is more probable than the name.
     """
@@ -312,8 +311,7 @@ def _next_step(
     *,
     refining: bool,
 ) -> SearchStep | None:
-    """Return the best refinement of an effect in the model, else the best new effect that holds; None if nothing
-    passes.
+    """Return the best refinement of an effect in the model, else the best new effect that holds; None if none passes.
 
     Laws that do not hold join ``refused``.
     """
