@@ -5,10 +5,6 @@
 2. Weight the readings by the stated uncertainty and the scatter found; fit the remaining components with all waves.
 3. Remove components that the evidence does not need, the least needed first, and fit the others again.
 4. Turn the rest into smooth terms of the model, which is then fitted jointly with the geometry.
-   maximise the evidence. Amplitudes that do nothing are dropped, and components that lack as much as they would need.
-2. The readings are weighed by the stated uncertainty and the scatter that this finds; the rest is fitted, all waves.
-3. Components that the evidence does not need are removed, the least needed first, and the others fitted again.
-4. The rest become smooth terms of the model, which is then fitted jointly with the geometry.
 """
 
 from __future__ import annotations

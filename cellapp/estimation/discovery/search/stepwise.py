@@ -6,10 +6,6 @@
 3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
 4. Drop a named effect that is more probably absent than present, and search again without it. Withdraw the name of
    a term that is more probably a part of something unknown.
-   free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
-3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
-4. Drop a named effect that is more probably not there than there, and look once more without it. Take the name from
-   what more probably is a part of something unknown.
 """
 
 from __future__ import annotations
