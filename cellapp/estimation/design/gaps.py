@@ -38,8 +38,7 @@ def largest_gaps(q: Array) -> Array:
 
 
 def without_turns(q: Array, candidates: Array) -> Array:
-    """Subtract from ``q`` (n, N) [rad] the whole turns by which it is away from the middle of the ``candidates`` (m,
-    N).
+    """Subtract from ``q`` (n, N) [rad] the whole turns between it and the middle of the ``candidates`` (m, N).
 
     A plan may reach a candidate with joints turned once more: the phase of an error with a period of one turn or less
     is the same.
@@ -118,7 +117,8 @@ def close_gaps(
 
 
 def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, float]]) -> Rows | None:
-    """Return the candidates that close a good part of the longest gap between ``stops``; None if no gap can be closed.
+    """Return the candidates that close the longest gap of ``stops`` (ends included), or a good part of it; None if none
+    can.
 
     ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
     """

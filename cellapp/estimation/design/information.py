@@ -68,8 +68,8 @@ class NuisanceProjector:
         return np.asarray(np.eye(len(self.basis)) - self.basis @ self.basis.T)
 
     def kernel(self, first: Array, second: Array | None = None) -> Array:
-        """Return K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g of n points that move these by u and v
-        (a, n).
+        """Return K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g of n points and their motions u, v (a,
+        n).
 
         ``second`` is v, u itself if None. Many functions share one motion, so K saves their projections.
         """

@@ -30,10 +30,10 @@ _CAPPINGS = 10
 def least_errors(
     candidates: Candidates, count: int, criterion: Criterion, rounds: int, cancel: CancelToken
 ) -> DesignErrors:
-    """Return lower bounds of the errors of any choice of ``count`` candidates, each alone; more rounds make them
-    sharper.
+    """Return lower bounds of the errors of any choice of ``count`` candidates; more ``rounds`` make them sharper.
 
-    The bound for the worst point is that of the power mean, which is below the largest value.
+    Each error is bounded alone. The bound for the worst point is that of the power mean, which is below the largest
+    value.
     """
     return DesignErrors(*(_least(candidates, count, replace(criterion, shares=only), rounds, cancel) for only in _ONLY))
 

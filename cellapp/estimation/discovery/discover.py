@@ -66,7 +66,7 @@ _SUBSET_SEED = 0x5EA
 
 @dataclass(frozen=True)
 class _PairArm:
-    """An arm for the calibration of the pair after discovery."""
+    """Arm for the calibration of the pair after discovery."""
 
     model: ArmModel
     tracker_frame_network: None = None

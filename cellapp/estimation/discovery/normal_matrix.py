@@ -122,7 +122,7 @@ class Solver:
         return Factored(scaled if factor is None else factor, self.scale, is_factor=factor is not None)
 
     def _scaled(self) -> Array:
-        """X^T X + P with each parameter in its scale; not kept, as it is large."""
+        """Return X^T X + P with each parameter in its scale; not cached, as it is large."""
         A = self.normal.gram * (self.scale[:, None] * self.scale)
         A.flat[:: len(A) + 1] += self.precision * self.scale**2
         return A

@@ -93,8 +93,8 @@ some 10 %, but an error has many directions (a hundred of equal variance), and t
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 """Error of a law, as a share of its effect, that may look like another effect of the same variables with any values."""
 _ODDS_OUTSIDE = 1.0 / 9.0
-"""Prior odds that the library lacks a cause that shows. With ``_LEAVES``, from 92 names of the blind runs of seed
-20261126; those that are reported have other seeds."""
+"""Prior odds that the library lacks a visible cause. Estimated together with ``_LEAVES`` from 92 names of the blind
+runs of seed 20261126; the reported runs have other seeds."""
 _FREE_FORM = 3.0
 """Odds that a named free function stands in for something else, relative to other names. Of seven such names, not
 counting functions of a single joint's angle, five were right (seeds 20261226 to 20261128)."""

@@ -150,8 +150,8 @@ def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArra
 def _masked_correlation(
     a: Array, seen_a: NDArray[np.bool_], b: Array, seen_b: NDArray[np.bool_], step: float
 ) -> tuple[Array, Array, Array]:
-    """Return correlation coefficients of ``a[i + k]`` and ``b[i]`` over samples known in both, the delays ``k step``
-    [s], and the numbers of overlapping samples.
+    """Return correlation coefficients of ``a[i + k]`` and ``b[i]``, delays ``k step`` [s], and numbers of common
+    samples.
 
     Coefficients are NaN if the overlap is too short.
     """

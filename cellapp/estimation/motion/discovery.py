@@ -162,8 +162,8 @@ class MotionAtRest:
         return tuple(loop_picture(loop) for loop in self.motion.loops)
 
     def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
-        """Return whether there are effects, and the model at rest with them predicts held-out readings better than the
-        calibrated model and than that of a search of readings.
+        """Return whether the model at rest with effects beats the calibrated and the searched model on held-out
+        readings.
 
         The search runs only if held-out readings are predicted worse than the recordings in motion: some of the motion
         effects may then be no law of poses at rest.

@@ -98,8 +98,7 @@ class JointPath:
         return np.asarray(inside & short & (self.stamps.segment[after] == self.stamps.segment[after - 1]))
 
     def begun(self, time_s: Array) -> NDArray[np.bool_]:
-        """Return a mask of the times (n,) [s] at which the joints have moved since the start of the recording or the
-        last gap.
+        """Return a mask of the times (n,) [s] at which the joints have moved since the recording or its last gap began.
 
         Before that, the side of their lost motion is unknown: a gap hides the last motion. Joints that do not move
         before the next gap are ignored.

@@ -29,7 +29,7 @@ _MOST_BLOCKS = 8000
 @dataclass(frozen=True, eq=False)
 class Stops:
     """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m], the sign
-    of each joint's last motion (n, N), 0 where unknown, and that motion (n, N) [rad], NaN where unknown."""
+    of each joint's last motion (n, N), 0 if unknown, and that motion (n, N) [rad], NaN if unknown."""
 
     q: Array
     p_M: Array

@@ -111,8 +111,9 @@ def _turned(geometry: Geometry, q: Array, left: Array) -> tuple[Array, Array]:
 
 
 def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, shown: float) -> tuple[JointTerm, ...]:
-    """Return time constants of the joints whose acceleration turns them against the sense of a spring: a lag adds ``T^2
-    qdd / 2`` to a delay.
+    """Return time constants of the joints that accelerations turn against the sense of a spring.
+
+    A lag of time constant T adds ``T^2 qdd / 2`` to a delay.
 
     ``terms`` are the terms of ``Law.INERTIA`` with their values [s^2] and standard errors (N,).
     """

@@ -140,8 +140,7 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:
-    """Return the indices of samples that do not repeat the last values while the arm moves: repeats were polled too
-    early.
+    """Return the indices of samples without those polled before the device had new values, while the arm moves.
 
     While the arm moves, a value is repeated a usual number of times, one or a few; a rest is longer.
     """

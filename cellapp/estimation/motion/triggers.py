@@ -44,8 +44,8 @@ class TriggerCheck:
 
 
 def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s: float) -> TriggeredClock | None:
-    """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,), some of which may be missing on
-    either side.
+    """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,); some may be missing on either
+    side.
 
     ``period_s`` is the controller's cycle. None if too few pulses match.
     """

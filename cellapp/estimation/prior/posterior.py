@@ -92,8 +92,7 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
 
 
 def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:
-    """Estimate the scatter of a coordinate [m] and of a component of an orientation [rad] about a model of ``fitted``
-    parameters.
+    """Estimate the scatter of a coordinate [m] and of an orientation component [rad] about ``fitted`` parameters.
 
     The parameters are charged to both kinds in proportion to their numbers of readings.
     """

@@ -141,8 +141,8 @@ class Column:
         return values[:, np.newaxis] if self.shape == "scalar" else values
 
     def from_matrix(self, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Return the column from its ``matrix`` (n, w), the reverse of that method. NaN becomes ``fill`` unless that is
-        None; rounded quaternions are normalised."""
+        """Return the column from its ``matrix`` (n, w), the reverse of the method ``matrix``. NaN becomes ``fill``
+        unless that is None; rounded quaternions are normalised."""
         if self.fill is not None:
             matrix = np.where(np.isnan(matrix), self.fill, matrix)
         matrix = matrix.astype(self.dtype)

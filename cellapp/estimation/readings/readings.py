@@ -311,8 +311,8 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
 
 
 def coordinate_uncertainty(readings: Readings) -> _Floats | None:
-    """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; for a covariance the rms of
-    the three.
+    """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``, for a covariance the rms of
+    three.
 
     None where that is None.
     """

@@ -162,8 +162,7 @@ def _air(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
 
 
 def _repeatability(known: Evidence) -> UncertaintyContribution:
-    """Return the scatter of the readings beyond the tracker's stated one: about the model with effects, else of
-    repeats.
+    """Return the scatter of readings beyond the tracker's stated one: about the model with effects, else of repeats.
 
     The model with effects takes precedence: repeats of an arm with backlash scatter by the side of approach, which a
     compensated command accounts for.

@@ -37,8 +37,8 @@ class Judge:
     def expanded_mm(
         self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
     ) -> float | None:
-        """Return the expanded uncertainty [mm] of the error at measured SMRs, arm -> (3,) [m]; for two arms that of
-        their distance.
+        """Return the expanded uncertainty [mm] of errors at measured SMRs, arm -> (3,) [m]; for two arms that of their
+        distance.
 
         None if a contribution is missing.
         """

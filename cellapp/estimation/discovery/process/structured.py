@@ -43,7 +43,7 @@ _NEXT_EVALUATIONS = 12
 _LEAST_SIGNAL = 0.03
 """Ratio of signal to noise (rms) below which an amplitude is removed at once."""
 _SMALLEST = 1e-300
-"""Guards the precision of columns without any variance."""
+"""Guard for the precision of columns without any variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +136,7 @@ def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
 def fit_process(
     data: ArmData, fit: JointFit, needed: float, candidates: Sequence[Component] | None = None
 ) -> tuple[StructuredProcess, Excess] | None:
-    """Fit the process that residuals need; return it and the scatter beyond the stated uncertainty, None if none is
-    needed.
+    """Fit the process that residuals need; return it and the scatter beyond the stated uncertainty. None if not needed.
 
     ``needed`` is the gain of the score at which a component is kept. ``candidates`` are the components to choose from;
     None for all that the data allow.

@@ -55,7 +55,7 @@ class ChannelScan:
     Attributes
     ----------
     directions : mapping
-        Those of each channel.
+        Directions of each channel.
     residual : ProjectedResidual
     """
 

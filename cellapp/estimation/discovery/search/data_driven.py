@@ -34,7 +34,7 @@ _MOST_TERMS = 3
 """Most data-driven terms in a model: a shift has three directions."""
 _LEAST_SHARE = 0.1
 """Least share of the remaining sum of squares beyond the noise that a term must explain: 5 % of the rms error. A check
-on a hundred held-out stops does not show less: its rms is itself uncertain by 4 %, 1 / sqrt(2 x 300 coordinates)."""
+on a hundred held-out stops cannot show less: its rms has a standard error of 4 %, 1 / sqrt(2 x 300 coordinates)."""
 _PROMISE = 0.67
 """Ratio of a term's scan score to the gain of a fitted model from which the term may be better. The scan weights all
 coordinates alike while the effect is still in the residual, so its scores are up to 30 % too low."""
