@@ -102,8 +102,7 @@ def choose_blocks(
     effort: Effort = Effort(),
     cancel: CancelToken | None = None,
 ) -> Rows:
-    """Choose ``count`` candidates by greedy selection and exchange; return their indices, all of them if there are no
-    more."""
+    """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more."""
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
@@ -138,8 +137,7 @@ def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Crit
 
 
 def _batch(asked: int, chosen: int) -> int:
-    """Return the batch size until gains are computed anew: smaller at the beginning, where each stop changes gains
-    most."""
+    """Return the batch size until gains are computed anew: smaller at the beginning, where gains change most."""
     return min(asked, max(_FIRST_BATCH, chosen))
 
 

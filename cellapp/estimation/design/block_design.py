@@ -185,8 +185,7 @@ def _products(rows: Floats, ahead: Floats) -> Array:
 
 
 def _inverse_root(matrix: Array) -> Array:
-    """Return the inverse Cholesky factor of a matrix (3, 3), in scalar arithmetic: a tenth of the time of library
-    calls."""
+    """Return the inverse Cholesky factor of a matrix (3, 3), in scalar arithmetic: a tenth of the time of calls."""
     (a, _, _), (b, d, _), (c, e, f) = matrix.tolist()
     i = 1.0 / math.sqrt(a)
     b, c = b * i, c * i

@@ -1,5 +1,4 @@
-"""Choice of further stops that discriminate between two models: T-optimality (Atkinson, Fedorov, Biometrika 62 (1975)
-57, 289).
+"""Choice of stops that discriminate between two models: T-optimality (Atkinson, Fedorov, Biometrika 62 (1975) 57, 289).
 
 The true model predicts the whitened signal ``a`` of an effect at every stop. The rival model (geometry, other accepted
 effects, another effect in its place) with columns X and prior precisions P is fitted to that signal. The minimum
@@ -40,8 +39,7 @@ _LAMBDA_OFFSET = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Scaled:
-    """The rival's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix and prior
-    precisions."""
+    """The rival's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix, precisions."""
 
     run: Array
     candidates: Array

@@ -32,8 +32,7 @@ _COMPARED = 8
 
 
 def largest_gaps(q: Array) -> Array:
-    """Return the largest gap between stops in each joint's travelled range (N,), for configurations ``q`` (n, N)
-    [rad]."""
+    """Return the largest gap between stops of each joint (N,), for configurations ``q`` (n, N) [rad]."""
     return np.asarray(np.diff(np.sort(q, axis=0), axis=0).max(axis=0, initial=0.0))
 
 
@@ -49,8 +48,7 @@ def without_turns(q: Array, candidates: Array) -> Array:
 
 
 def gap_limits(q: Array, count: int, asked: float | None) -> Array:
-    """Return the limit of each joint's gaps (N,) [rad]: ``asked``, else what ``count`` stops allow in the range of
-    ``q`` (m, N)."""
+    """Return the limit of each joint's gaps (N,) [rad]: ``asked``, else from ``count`` stops and ``q`` (m, N)."""
     if asked is not None:
         return np.full(q.shape[1], asked)
     steps = np.diff(np.sort(q, axis=0), axis=0)
@@ -139,8 +137,7 @@ def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, flo
 
 
 def _dispensable(stops: Array, limits: Array, staying: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the first stops (those ``staying``) whose removal opens no gap beyond the limits in any
-    joint."""
+    """Return a mask of the first stops (those ``staying``) whose removal opens no gap beyond any limit."""
     order = np.argsort(stops, axis=0)
     ordered = np.take_along_axis(stops, order, axis=0)
     without = np.zeros_like(ordered, dtype=bool)

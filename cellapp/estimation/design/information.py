@@ -23,9 +23,8 @@ from cellapp.estimation.calibration.linear import orthonormal_basis
 from cellapp.robot.kinematics.transforms import Array
 
 VISIBLE = 1e-3
-"""Least share (in norm) of a direction, outside the span of the nuisance parameters, at which it counts as visible. If
-geometry errors of 0.1 mm to 1 mm explain the rest, the visible part is below 1 um: a laser tracker does not resolve
-it."""
+"""Least share (in norm) of a visible direction outside the span of the nuisance parameters. If geometry errors of 0.1
+mm to 1 mm explain the rest, the visible part is below 1 um: a laser tracker does not resolve it."""
 SMALLEST = 1e-300
 """Guard against division by a zero norm; far below any datum, above the smallest float."""
 
@@ -68,8 +67,7 @@ class NuisanceProjector:
         return np.asarray(np.eye(len(self.basis)) - self.basis @ self.basis.T)
 
     def kernel(self, first: Array, second: Array | None = None) -> Array:
-        """Return K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g of n points and their motions u, v (a,
-        n).
+        """Return K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g and motions u, v (a, n) of n points.
 
         ``second`` is v, u itself if None. Many functions share one motion, so K saves their projections.
         """
@@ -85,8 +83,7 @@ class NuisanceProjector:
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """Rows B (m, d) in the complement of a model's parameters, by ``explained`` B Q (m, k): M B^T, as large as B, is
-    not stored."""
+    """Rows B (m, d) in the complement of a model's parameters, by ``explained`` B Q (m, k); M B^T is not stored."""
 
     rows: Array
     explained: Array

@@ -133,8 +133,7 @@ class ArmData:
         conditions: MeasurementConditions,
         prior_sigma: Mapping[str, float] | None,
     ) -> ArmData:
-        """Prepare readings of a ball in sockets: the points are fitted with the geometry and replace measured
-        positions."""
+        """Prepare readings of a ball in sockets: fit points with the geometry; they replace measured positions."""
         settings = profile.calibration
         stated = prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma
         parameters, priors = estimated_in_sockets(settings.parameter_set, model.nominal, stated)
@@ -167,8 +166,7 @@ class ArmData:
         return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
 
     def at(self, model: ArmModel) -> ArmData:
-        """Return the same readings, with effects evaluated at the geometry and the true joint positions of
-        ``model``."""
+        """Return the same readings, with effects at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
         kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
         here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
@@ -225,8 +223,7 @@ class ArmData:
 
 
 def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
-    """Return whether columns are the same at every geometry: joint offsets that depend on measured joint angles
-    only."""
+    """Return whether columns are the same at every geometry: joint offsets by measured joint angles only."""
     return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
 
 

@@ -88,8 +88,7 @@ class LawScore:
 
 
 def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors: Array) -> set[str]:
-    """Return the blocks with a value (m,) outside its column's physical bounds by more than its standard error (m,)
-    allows."""
+    """Return the blocks with a value (m,) outside its column's bounds by more than its standard error (m,) allows."""
     return {
         column.block
         for column, value, error in zip(columns, values.tolist(), errors.tolist(), strict=True)

@@ -121,8 +121,7 @@ def _formula(
 
 
 def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
-    """Return the columns of a formula in the channel of ``basis``, all in one block; for a shift one for each
-    direction."""
+    """Return the columns of a formula in the channel of ``basis``, all in one block; for a shift one a direction."""
     common = ("", text, -np.inf, np.inf, basis.channel, basis.index)
     if basis.channel is Channel.JOINT:
         return tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))

@@ -13,8 +13,7 @@ from cellapp.robot.kinematics.transforms import Array
 _PERIOD_COUNTS = np.arange(0.5, 24.25, 0.25)
 """Numbers of periods of an oscillation in the run, in steps of a quarter: finer than a run of few periods resolves."""
 _DECAY_SHARES = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Time constants of a decay as shares of the run: a shorter one covers too few stops, a longer one is a straight
-line."""
+"""Time constants of a decay as shares of the run: shorter ones cover too few stops, longer ones are straight lines."""
 _HARMONICS = 8
 """Highest harmonic of an angle."""
 _ABSOLUTE_HARMONICS = 4

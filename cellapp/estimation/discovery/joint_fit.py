@@ -71,8 +71,7 @@ class LinearModel:
         R_M_S: Array | None = None,
     ) -> LinearModel:
         """Linearise at configurations ``q`` (n, N) [rad], whitened by ``white`` (3, 3, n), for some geometric
-        parameters and columns of effects. Rows with a measured orientation ``R_M_S`` (n, 3, 3) are those of the
-        orientation."""
+        parameters and columns of effects; where ``R_M_S`` (n, 3, 3) was measured, for the orientation."""
         angles = JointAngles.of(q, R_M_S)
         _, J = jacobian(geometry, angles, parameters)
         _, by_joint = joint_jacobian(geometry, angles)
@@ -179,8 +178,7 @@ class JointFit:
         return self._behind[term]
 
     def removed_square(self, term: int) -> float:
-        """Compute the sum of squares that only this term explains: its signal in the complement of all other
-        parameters."""
+        """Compute the sum of squares that only this term explains: its signal in the complement of all others."""
         kept, signal = self.layout.all_but(term), self.signal(term)
         others = self.rows[kept]
         # one linear solution: a projector of hundreds of smooth columns costs ten times as much
@@ -246,8 +244,7 @@ class JointFit:
 
 
 def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:
-    """Fit geometry and terms to all readings and linearise there; start from ``near``, an earlier fit of the same
-    terms."""
+    """Fit geometry and terms to all readings and linearise there; start from ``near``, a fit of the same terms."""
     return _linearised(data, terms, *_identify(data, terms, near))
 
 
@@ -355,8 +352,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
 
 
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
-    """Add a scatter to the stated uncertainty; return standard uncertainties (n,) [m] or covariances (n, 3, 3)
-    [m^2]."""
+    """Add a scatter to the stated uncertainty: standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
     if data.stated is None:
         return np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
     return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
@@ -408,8 +404,7 @@ def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], st
 
 
 def identification_without(fit: JointFit, term: int) -> Identification:
-    """Predict the fit without one term, as a start: its values set to zero, the others conditioned on that by
-    covariance."""
+    """Predict the fit without one term, as a start: its values set to zero, the others conditioned on that."""
     found, own = fit.identification, fit.layout.parameters(term)
     values = np.concatenate([found.values[: fit.layout.geometric], found.effect_values])
     of_term = solve_psd(found.covariance[own, own], values[own])

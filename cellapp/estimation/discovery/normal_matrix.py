@@ -24,8 +24,7 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class NormalMatrix:
-    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the prediction by the present
-    values."""
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the present prediction."""
 
     gram: Array
     moment: Array

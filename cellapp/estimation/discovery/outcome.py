@@ -35,8 +35,7 @@ class Discovery:
     scatter_m: float = 0.0
 
     def with_model(self, model: ArmModel, held_out: HeldOut, **changes: Any) -> Discovery:
-        """Return the outcome with another final model, its errors on the held-out readings, and other changes of the
-        result."""
+        """Return the outcome with another final model, its errors on held-out readings, and changes of the result."""
         result = self.result
         before, after = result.heldout_position_mm, held_out.position_mm(model)
         turned, turned_after = result.heldout_orientation_mrad, held_out.orientation_mrad(model)

@@ -134,7 +134,7 @@ def nominal_model(profile: Profile, name: str) -> ArmModel:
 
 
 def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
-    """Return the covariance (n, 3, 3) [m^2] of points ``p_M`` (n, 3) [m]; sigma is half of each maximum permissible
+    """Return covariances (n, 3, 3) [m^2] of points ``p_M`` (n, 3) [m]: sigma is half of each maximum permissible
     error."""
     distance = np.linalg.norm(p_M, axis=1)
     beam = p_M / distance[:, None]
@@ -176,8 +176,7 @@ class ArmDesign:
 
 
 def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
-    """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is not for its
-    arm."""
+    """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
     models, readings = expected_readings(profile, plan, expected)
     conditions = conditions_of_arms(models, readings)
     return {name: ArmDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}

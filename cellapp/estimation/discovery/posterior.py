@@ -99,8 +99,7 @@ _FREE_FORM = 3.0
 """Odds that a named free function stands in for something else, relative to other names. Of seven such names, not
 counting functions of a single joint's angle, five were right (seeds 20261226 to 20261128)."""
 _ROW, _SERIES = 8, 4
-"""``_SERIES`` lines of a joint below ``_ROW`` cycles a turn count as a Fourier series: a gear has lines at few
-counts."""
+"""``_SERIES`` lines of a joint below ``_ROW`` cycles a turn are a Fourier series: a gear has lines at few counts."""
 _LEAVES = 5.0
 """Power of the density of the share that a right law leaves. The mean there was 0.06, which would give 15; but a second
 cause or unstated scatter may be left, so the tail is made longer."""
@@ -215,8 +214,7 @@ def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[st
 
 
 def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
-    """Return for each named effect the evidence of a law outside the library over its own; empty if readings
-    suffice."""
+    """Return for each named effect the evidence of a law outside the library over its own; empty if data suffice."""
     data, fit = found.data, found.fit
     named = [number for number, term in enumerate(fit.terms) if term.is_library_effect]
     if not named or not too_few_to_compete(data, fit):
@@ -229,8 +227,7 @@ def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[st
 
 
 def is_free_function(fit: JointFit, number: int) -> bool:
-    """Return whether a named term is a free function: smooth by its prior, or a Fourier series of a joint's lowest
-    cycles."""
+    """Return whether a named term is a free function: smooth by prior, or a Fourier series of a joint's low cycles."""
     term = fit.terms[number]
     if term.law.form != LINES:
         return term.smooth is not None and term.slug != UNKNOWN
@@ -266,8 +263,7 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
 
 
 def _share_of_a_larger(fit: JointFit, number: int) -> float:
-    """Return the least ratio of a term's sum of squares to that of a larger term with common variables; infinite if
-    none.
+    """Return the least ratio of a term's squares to those of a larger term with common variables; infinite if none.
 
     Such a term may be a residual of the larger one's law. The joint angles do not count as a common variable.
     """

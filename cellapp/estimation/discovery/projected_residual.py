@@ -25,8 +25,7 @@ MOST_SHARE = 1.0 - 1e-12
 
 
 def bic_gain(share: float, coordinates: float, parameters: int) -> float:
-    """Return the gain of the Bayesian information criterion by ``parameters`` that explain a ``share`` of the
-    square."""
+    """Return the gain of the BIC (Bayesian information criterion) by ``parameters`` that explain a ``share``."""
     return -coordinates * math.log1p(-min(share, MOST_SHARE)) - parameters * math.log(coordinates)
 
 

@@ -35,13 +35,11 @@ _SIGN_SEED = 0x516
 _NEIGHBOURS = 6
 """Neighbours of each reading: fewer lose power against smooth structure, more lose power against short periods."""
 _MOST_PAIRS = 20_000
-"""Largest number of pairs in one test, drawn at random from more. It bounds time and memory for thousands of
-readings."""
+"""Largest number of pairs in one test, drawn at random. It bounds time and memory for many readings."""
 _LONGEST = 3.0
 """Residual vectors are shortened to this multiple of their median length: an outlier says nothing about structure."""
 _LEAST_SKEWNESS = 1.6e-5
-"""Skewness below which the gamma distribution equals the normal one to double precision, and its shape would lose
-digits."""
+"""Skewness below which the gamma distribution is normal to double precision and its shape would lose digits."""
 _LEAST_READINGS = 20
 """Least number of readings to test: the tail of a sum of fewer products is not known."""
 
@@ -119,8 +117,7 @@ class _Tests:
         return cls(data, residuals, about_axes, generator, signs)
 
     def against_joints(self) -> list[float]:
-        """Test the motion about every joint against each angle and pair of angles, and vectors of neighbours in joint
-        space."""
+        """Test the motion about each joint against angles and pairs of angles, and vectors in joint space."""
         q = _standardised(self.data.readings.q)
         moved = np.flatnonzero(np.ptp(q, axis=0) > 0.0).tolist()
         if not moved:
@@ -133,8 +130,7 @@ class _Tests:
         return found
 
     def against_order(self) -> list[float]:
-        """Test in the order of the stops, by their numbers if no order is known; no test if that is the order of
-        time."""
+        """Test in the order of the stops, by number if unknown; no test if that is the order of time."""
         order, times = self.data.conditions.order, self._times
         if order is None:
             order = self.data.readings.configuration.astype(np.float64)
@@ -212,8 +208,7 @@ class _Tests:
 
 
 def pearson3_tail(values: Array, skewness: Array) -> Array:
-    """Return the upper tail probability (m,) of a Pearson type III variable of mean 0, variance 1 and ``skewness`` >=
-    0.
+    """Return upper tail probabilities (m,) of a Pearson type III variable: mean 0, variance 1, ``skewness`` >= 0.
 
     It is a shifted and scaled gamma variable of shape 4 / skewness^2, and normal for zero skewness.
     """

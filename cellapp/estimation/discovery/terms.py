@@ -20,8 +20,7 @@ UNKNOWN = "unknown"
 TRANSMISSION_ERROR = TransmissionError.slug
 """Slug of the effect whose lines a free curve of the joint angle may replace."""
 _LEAST_PRIOR = 1e-9
-"""Least prior standard deviation of a coefficient [rad, m]: 1 nm at a metre, which keeps the normal matrix
-invertible."""
+"""Least prior standard deviation of a coefficient [rad, m]: 1 nm at a metre; keeps the normal matrix invertible."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,7 @@ def with_term(terms: ModelTerms, term: int, instead: ModelTerm) -> ModelTerms:
 
 
 def smoothness_of(terms: ModelTerms) -> Smoothness | None:
-    """Return the smoothness of the first smooth term; None if there is none. Smooth terms of one model are found
-    together."""
+    """Return the smoothness of the first smooth term; None if none. Those of one model are found together."""
     return next((term.smooth for term in terms if term.smooth is not None), None)
 
 

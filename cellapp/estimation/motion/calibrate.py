@@ -40,8 +40,7 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up
 _SAMPLES = 1500
 """Number of samples of an arm's recordings that replace readings if none was taken at rest."""
 _APART_S = 0.3
-"""Least mean time between two samples: nearer neighbours have correlated errors and would pass for a law that
-repeats."""
+"""Least mean time between two samples: correlated errors of nearer neighbours would pass for a law."""
 _PAST_PLAY_RAD = 1e-3
 """Travel since a reversal after which a joint has taken up any play: before, its side is none of a joint at rest."""
 _MOVES_RAD = 0.02
@@ -99,8 +98,7 @@ def calibrate_with_motion(
 def each_recorded(
     recordings: Mapping[str, Sequence[Recording]], listener: Listener, cancel: CancelToken
 ) -> Iterator[tuple[str, Sequence[Recording], Told]]:
-    """Yield each recorded arm with its recordings and a callback for messages; the callback raises ``Cancelled`` on
-    request."""
+    """Yield each recorded arm with its recordings and a message callback, which raises ``Cancelled`` on request."""
     moved = {name: its for name, its in recordings.items() if its}
     for number, (name, its) in enumerate(moved.items()):
 
@@ -252,8 +250,7 @@ def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
 
 
 def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | None:
-    """Return the rms length of the stated noise [mm] of the readings, else of the recordings' points; None if not
-    stated."""
+    """Return the rms length of the stated noise [mm] of readings, else of recorded points; None if not stated."""
     stated = stated_uncertainty(readings) if len(readings) else None
     if stated is None:
         sigmas = [one.points.sigma_m for one in recordings]

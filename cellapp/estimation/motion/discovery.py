@@ -56,8 +56,7 @@ TITLES = {
 }
 """Titles of effects that act in motion only."""
 _AS_IN_MOTION = 1.25
-"""Ratio of errors up to which a model at rest predicts as well as that in motion, and the search of readings is not
-needed."""
+"""Ratio of errors up to which a model at rest predicts as well as that in motion: no search of readings is needed."""
 _SURE = 3.0
 """Standard errors by which an effect found beside those from recordings must lower the mean squared held-out error."""
 

@@ -273,8 +273,7 @@ def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
 def _weighed(
     seen: _Seen, missing: _Missing, level: tuple[float, ...], precision: Array, towards_prior: Array
 ) -> tuple[Array, NoiseModel]:
-    """Return the step of the generalised least squares estimate of all columns from the solution, and its noise
-    model."""
+    """Return the generalised least squares step of all columns from the solution, and its noise model."""
     own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
     own[~seen.laws], own[seen.laws], pull[~seen.laws] = precision, missing.precision, towards_prior
     weighed = seen.X / missing.variance[:, None]

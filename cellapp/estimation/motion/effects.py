@@ -244,8 +244,7 @@ class _Search:
         return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
 
     def _with_time_constants(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Replace inertia by a time constant at joints that accelerations turn against the sense of a spring, if that
-        fits better."""
+        """Replace inertia by a time constant at joints that accelerations turn against a spring, if it fits better."""
         step = steps[-1]
         values, covariance = values_of(state, step.terms)
         late = lagging_joints(step.terms, values, np.sqrt(np.diag(covariance)), SHOWN)
@@ -417,8 +416,7 @@ class _Search:
         return self._state(state.problem.with_terms(terms), start)
 
     def _law(self, state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]) -> tuple[State, Step] | None:
-        """Return the law of all joints that is least likely to be chance and lowers the held-out error; None if there
-        is none."""
+        """Return the law of all joints that is least likely chance and lowers the held-out error; None if none."""
         tried = []
         for law in laws:
             for terms, chances in self._terms_to_try(state, law, steps):

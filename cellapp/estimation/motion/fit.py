@@ -57,13 +57,11 @@ _SETTLED_M = 1e-6
 _LAST_M = 5e-5
 """Step size that ends a fit with all points: the remaining error is about its square over the arm's length."""
 _END_M = 5e-7
-"""Step size that ends a fit to full convergence: weights that depend on the residuals settle more slowly than the
-geometry."""
+"""Step size that ends a fit to full convergence: weights by residuals settle more slowly than the geometry."""
 GROSS = 6.0
 """Norm, in standard deviations of a coordinate, beyond which a point is a gross error: chance never reaches it."""
 _RATE_SD = 3e-4
-"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; any recording shows a clock that is off by
-more."""
+"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; any recording shows larger differences."""
 _NEARBY_S = 2.0
 """Time within which points share the model errors of the arm; a gross error stands out from them."""
 _FEWEST_NEARBY = 9
@@ -73,8 +71,7 @@ _OFFSET_SD = 1.0
 """Prior standard deviation of an offset about its start [s]: it matters only if a segment between two steps of a clock
 has no training point."""
 _MOST_WORTH = 1e6
-"""Largest worth: points cannot be a thousand times better than stated, though in a recording of a few seconds they may
-look so."""
+"""Largest worth: points cannot be a thousand times better than stated, though those of a few seconds may look so."""
 _REWEIGHTED = 0.02
 """Relative change of a weight at which weights have converged."""
 _ALIKE = 4.0

@@ -33,8 +33,7 @@ _STILL_RAD = 0.02
 _FAR_MM = 10.0
 """Median distance of held-out points from the published arm at which it may be another arm."""
 _FEW_DETERMINED = 2.0 / 3.0
-"""Share of determined geometric parameters below which motions excite the arm too little: good motions leave a fifth
-open."""
+"""Share of determined geometric parameters below which motions excite the arm little; good ones leave a fifth open."""
 _BAD = 5.0
 """Ratio of a recording's scatter to that of the median recording at which it is reported as bad."""
 _RATE_UNKNOWN_PPM = 20.0
@@ -91,8 +90,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
 
 
 def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.intp]]:
-    """Set up the problem of ``identify_from_motion`` (raises the same); return it and the rows of the stops it may
-    use."""
+    """Set up the problem of ``identify_from_motion`` (raises the same); return it and the usable stops."""
     if not arm.recordings:
         raise InputError("no recordings of motion")
     tracks = []
@@ -174,8 +172,7 @@ def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[
 
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
-    """Return a mask of the points that are no gross errors, by distances (n,) [m] and the scatter of the training
-    points."""
+    """Return a mask of the points that are no gross errors, by distances (n,) [m] and the training scatter."""
     usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 
@@ -223,8 +220,7 @@ def _mean_lag(problem: Problem, solution: Solution) -> float:
 
 
 def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
-    """Return the clocks of one recording; their offset includes the mean lag of the joints, which cannot be
-    separated."""
+    """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
     width, rate = solution.noise.half_width(), layout.rate(number)
     lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is Law.LAG]

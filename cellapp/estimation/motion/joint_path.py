@@ -23,8 +23,7 @@ from cellapp.robot.kinematics.transforms import Array
 _WINDOW_S = 0.2
 """Time over which recorded speeds are integrated to compare them with positions."""
 _AGREES = 0.03
-"""Share of the motion by which integrated speeds may differ from positions: filtered or delayed speeds differ by
-more."""
+"""Share of the motion by which integrated speeds may differ from positions; filtered or late ones differ more."""
 BEND_S = 0.02
 """Step of the second difference that gives accelerations: short against any motion, long against noise and jitter."""
 _PLAY = 5e-5
@@ -136,13 +135,11 @@ class JointPath:
         return EvenPath(time_s, inside_s, q, qdd, first, inertia)
 
     def beside_at(self, time_s: Array) -> Array | None:
-        """Return the joint positions (n, K) [rad] of the other arm at times (n,) [s]; None if they were not
-        recorded."""
+        """Return the joint positions (n, K) [rad] of the other arm at times (n,) [s]; None if not recorded."""
         return None if self.beside is None else rows_at(time_s, self.stamps.time_s, self.beside)
 
     def direction_at(self, time_s: Array) -> Array:
-        """Return the side of the lost motion of each joint at times (n,) [s], (n, N), -1 to 1; 0 before it first
-        moved."""
+        """Return the side of the lost motion of each joint at times (n,) [s], (n, N), -1 to 1; 0 before any motion."""
         t = self.stamps.time_s
         place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
         share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
@@ -164,8 +161,7 @@ class JointPath:
 
     def travel_at(self, time_s: Array, q: Array) -> Array:
         """Return the travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them
-        reversed, or began to move after a gap of the recording. It corresponds to the last motion of a joint at
-        rest."""
+        reversed, or began to move after a gap of the recording. At rest it is the last motion."""
         samples = self.samples_at(time_s)
         return np.column_stack(
             [q[:, joint] - turns.q[turns.number[samples]] for joint, turns in enumerate(self._turns)]

@@ -24,8 +24,7 @@ _FEWEST = 20
 @dataclass(frozen=True, eq=False)
 class Loop:
     """Loop of one joint (from 1) over its position (n,) [rad], by direction (n,), 1 or -1. ``measured`` and
-    ``computed`` (n,) [rad] are its offset from the motor without all other effects of the model, and by the model's
-    hysteresis."""
+    ``computed`` (n,) [rad] are its offset from the motor without the model's other effects, and by its hysteresis."""
 
     joint: int
     position: Array = field(repr=False)

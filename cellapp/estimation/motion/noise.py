@@ -229,8 +229,7 @@ def _is_last(number: int, bands: Sequence[_Band]) -> bool:
 
 
 def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:
-    """Return the bands of one source; those with few degrees of freedom after the fit are joined to the next faster
-    one."""
+    """Return the bands of one source; those with few degrees of freedom are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
     energies = np.maximum(worth * source.energy(step), 0.0)  # rounding makes them negative if a fit leaves nothing

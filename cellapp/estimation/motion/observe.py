@@ -170,8 +170,7 @@ def track_sums(
 
 
 def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, most: int) -> Averages:
-    """Return at most ``most`` averages of ``rows`` of one recording, each weighted by the square of ``root`` (n,)
-    [1/m]."""
+    """Return up to ``most`` averages of ``rows`` of a recording, weighted by the square of ``root`` (n,) [1/m]."""
     each = _block_length(track, len(rows), most)
     parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root, each)]
     return _joined(parts, model.layout.columns_of(number))
@@ -256,8 +255,7 @@ def _at_stops(model: Model, stops: Stops, rows: NDArray[np.intp]) -> JointState:
 def _arm_columns(
     model: Model, geometry: Geometry, state: JointState, out: Array, work: Workspace
 ) -> tuple[Array, Array]:
-    """Return computed points (3, n) and their derivatives by the joints (3, N, n); write those by the parameters to
-    ``out``."""
+    """Return computed points (3, n) and derivatives by the joints (3, N, n); write those by parameters to ``out``."""
     size, joints = model.layout.geometric, model.layout.parameters.joints
     units = [term.offset(state) for term in model.layout.terms]
     angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms, units))

@@ -68,8 +68,7 @@ class ClockFit:
     trigger: TriggerCheck | None = None
 
     def offset_at(self, stamp_s: float) -> float:
-        """Return the tracker's timestamp less the controller's [s] at a timestamp of the tracker in the first
-        segment."""
+        """Return the tracker's timestamp less the controller's [s] at a tracker's timestamp in the first segment."""
         return self.offset_s + 1e-6 * self.rate_ppm * (stamp_s - self.middle_s)
 
 

@@ -45,8 +45,8 @@ def alternatives(law: Law) -> int:
 
 def refining_terms(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
     """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
-    and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees of
-    each joint."""
+    and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
+    joint."""
     return _knees(problem, solution) if law is Law.COMPLIANCE else _fading(problem, solution, law)
 
 

@@ -63,8 +63,7 @@ class EvenPath:
         return late, by_T
 
     def vibrating(self, joint: int, frequency: float, damping: float) -> Array:
-        """Return ``y + q''`` (G,) [rad/s^2] of a joint for unit gain; ``frequency`` [Hz] and gain at its median
-        inertia."""
+        """Return ``y + q''`` (G,) [rad/s^2] of a joint for unit gain; ``frequency`` [Hz], gain at median inertia."""
         found = np.empty(len(self.time_s))
         for run, (first, last) in enumerate(pairwise(self.runs.tolist())):
             shares, more = self._driven(run, joint)
@@ -81,8 +80,7 @@ class EvenPath:
         return found
 
     def _driven(self, run: int, joint: int) -> tuple[Array, float]:
-        """Return the factors (N,) of all joints' accelerations that drive the spring of one, and its inertia over the
-        median."""
+        """Return the factors (N,) of all joints' accelerations on one spring, and its inertia over the median."""
         if self.inertia is None:
             return np.eye(self.q.shape[1])[joint], 1.0
         own = self.inertia[:, joint, joint]

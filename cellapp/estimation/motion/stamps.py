@@ -35,8 +35,7 @@ _NEARBY_PERIODS = (
     (1.0 + np.linspace(-0.04, 0.04, 81), 1.0),
     (1.0 + np.linspace(-0.001, 0.001, 21), 4.0),
 )
-"""Candidate periods, relative to the median step between timestamps, and the duration over which phases are
-averaged."""
+"""Candidate periods, relative to the median step of timestamps, and the duration of averaged phases."""
 _OF_PERIOD = 20_000
 """Number of timestamps for estimating the period."""
 _SMOOTHING_S = 1.0
@@ -55,8 +54,7 @@ _STALE = 0.02
 
 @dataclass(frozen=True)
 class ClockStep:
-    """A step of a clock: after the timestamp ``at_s`` (repaired time [s]) it continued ``step_s`` later than it
-    should."""
+    """A step of a clock: after the timestamp ``at_s`` (repaired time [s]) it continued ``step_s`` too late."""
 
     at_s: float
     step_s: float

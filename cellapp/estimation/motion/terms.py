@@ -99,8 +99,7 @@ def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
 
 @dataclass(frozen=True)
 class Knee:
-    """Torque [Nm] below which a joint is softer, and the corresponding constant of the law at rest, one of
-    ``SOFTER``."""
+    """Torque [Nm] below which a joint is softer, and the constant of the law at rest, one of ``SOFTER``."""
 
     torque: float
     constant: Constant = KNEE
@@ -328,8 +327,7 @@ def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array
 
 
 def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
-    """Return the torque of gravity and inertia of all masses about each joint axis (n, N) [Nm], positive in its
-    direction."""
+    """Return the torque of gravity and inertia of all masses about each joint axis (n, N) [Nm], positive along it."""
     now = gravity_loads(frame_poses(masses.geometry, path.at(time_s)[0]), masses.bodies, masses.up_M)
     before, after = (
         gravity_loads(frame_poses(masses.geometry, path.at(time_s + step)[0]), masses.bodies, masses.up_M).centers

@@ -1,5 +1,4 @@
-"""Preparation of a recording for the fit: joint path, points in order, segments of the clocks, held-out blocks,
-start."""
+"""Preparation of a recording for the fit: joint path, points, clock segments, held-out blocks, start."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ _BLOCKS = 25
 """Number of blocks of time of a recording; a share of them is held out."""
 _SHORTEST_BLOCK_S = 2.0
 _GUARD_S = 0.3
-"""Guard time on either side of a held-out block, in which points are neither training points nor held out: neighbours
-there are alike."""
+"""Guard time on either side of a held-out block, whose points are neither training nor held out: neighbours are
+alike."""
 _BESIDE_STEP_S = 0.1
 """Points this near to a step of the controller's clock are left out: their segment is unknown."""
 _SEGMENT_S = 5.0
@@ -150,8 +149,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
 def _segments(
     path: JointPath, stamps: Stamps, controller_s: Array, where: str
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the segment of each point between steps of either clock, and a mask of points near a step of the
-    controller's."""
+    """Return the segment of each point between steps of either clock, and a mask of points near controller steps."""
     of_joints = path.segment_at(controller_s)
     _, segment = np.unique(stamps.segment * (int(of_joints.max()) + 1) + of_joints, return_inverse=True)
     segment = segment.astype(np.intp)
@@ -169,8 +167,7 @@ def _segments(
 def _with_segment_starts(
     track: Track, usual: NDArray[np.bool_], nominal: Geometry, tool_unknown: bool, where: str
 ) -> Track:
-    """Give segments that do not fit at the recording's delay a start of their own: samples were lost at a clock
-    step."""
+    """Give segments that do not fit at the recording's delay their own start: samples were lost at a step."""
     offsets = track.offsets_s.copy()
     if len(offsets) == 1:
         return track

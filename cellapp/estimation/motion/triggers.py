@@ -44,8 +44,7 @@ class TriggerCheck:
 
 
 def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s: float) -> TriggeredClock | None:
-    """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,); some may be missing on either
-    side.
+    """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,), some of them missing.
 
     ``period_s`` is the controller's cycle. None if too few pulses match.
     """
@@ -73,8 +72,7 @@ def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: f
 
 
 def _pairs(controller_s: Array, tracker_s: Array) -> tuple[Array, Array] | None:
-    """Return the tracker's timestamps (n,) and their differences from the controller's (n,) for matching pulses; None
-    if too few."""
+    """Return the tracker's timestamps (n,) and their differences from the controller's (n,) of matching pulses."""
     if min(len(controller_s), len(tracker_s)) < _FEWEST:
         return None
     differences = tracker_s[:, None] - controller_s[None, :]

@@ -197,8 +197,7 @@ def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
 
 
 def geometry_sizes(profile: Profile, model: ArmModel, columns: tuple[int, ...]) -> Array:
-    """Return standard deviations (K,) of geometric parameters about nominal: as stated in the profile, else from their
-    spread."""
+    """Return standard deviations (K,) of geometric parameters about nominal: from the profile, else their spread."""
     joints = model.geometry.joints
     stated, typical = prior_sigmas(model.nominal, profile.calibration.priors), typical_spreads(joints)
     deviation = values_of(model.geometry, (), columns, model.nominal)

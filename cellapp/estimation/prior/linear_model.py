@@ -82,8 +82,7 @@ class Measured:
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
     def left(self, model: ArmModel) -> Array:
-        """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured orientations
-        [rad]."""
+        """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured [rad]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
         return np.asarray(measured_positions(self.readings, computed) - computed)
 

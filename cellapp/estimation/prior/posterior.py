@@ -68,8 +68,7 @@ class Posterior:
 
 
 def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: float | None = None) -> Posterior:
-    """Compute the posterior from a start ``model``, whose effects are those of the values; a given ``scatter_m`` is
-    fixed."""
+    """Compute the posterior from a start ``model``, whose effects the values have; a given ``scatter_m`` is fixed."""
     scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):

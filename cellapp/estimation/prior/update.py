@@ -44,8 +44,7 @@ _PARTS: tuple[tuple[SignaturePart, ...], ...] = (
     ("geometry", "curves"),
     ("geometry",),
 )
-"""Parts that may be believed together. Curves belong to the geometry they were found with; named effects may be
-wrong."""
+"""Parts that may be believed together. Curves belong to their geometry; named effects may be wrong."""
 _BELIEVED = 0.5
 """Share of the parameters' largest size above which the drift of a part means that it is not believed."""
 _GEOMETRY_UNIT = "m, rad"
@@ -124,8 +123,7 @@ def update(
 
 
 def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
-    """Return the belief about the parts that make the readings likeliest; without any, the knowledge before
-    calibration."""
+    """Return the belief about the parts that make the readings likeliest; without any, ``belief.forgotten()``."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     kept: tuple[tuple[SignaturePart, ...], ...] = (
         ("geometry", "effects", "curves"),

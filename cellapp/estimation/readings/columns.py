@@ -32,8 +32,7 @@ _FURTHEST_M = 100.0
 _LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
 """Range of standard uncertainties that instruments state for points [m]; beyond it their squares lose all meaning."""
 _UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
-"""Tolerances of a quaternion's length about one: above the first (four digits) it is refused, above the second
-normalised."""
+"""Tolerances of a quaternion's length about one: above the first (four digits) refused, above the second normalised."""
 _LEAST_SIGMA_RAD, _LARGEST_SIGMA_RAD = 1e-9, 0.1
 """Range of standard uncertainties that instruments state for orientations [rad]; a larger one is in degrees or mrad."""
 _REVOLUTION = 2.0 * math.pi
@@ -45,8 +44,7 @@ _SINGULAR = 1e-14
 
 @dataclass(frozen=True)
 class Fault:
-    """An implausible value: its row, its index among the column's CSV names (None: all of them), and the expected
-    value."""
+    """An implausible value: its row, its index in the column's CSV names (None: all), and what was expected."""
 
     row: int
     place: int | None

@@ -311,8 +311,7 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
 
 
 def coordinate_uncertainty(readings: Readings) -> _Floats | None:
-    """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``, for a covariance the rms of
-    three.
+    """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; rms of a covariance's three.
 
     None where that is None.
     """

@@ -190,8 +190,7 @@ def _repeatability(known: Evidence) -> UncertaintyContribution:
 
 
 def _model(known: Evidence) -> UncertaintyContribution:
-    """Return the uncertainty of the target in the tracker frame: the posterior of the calibrated model at the
-    commands."""
+    """Return the uncertainty of the target in the tracker frame: the model's posterior at the commands."""
     if known.commands:
         return _line(
             MODEL,

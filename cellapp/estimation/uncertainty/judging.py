@@ -37,8 +37,7 @@ class Judge:
     def expanded_mm(
         self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
     ) -> float | None:
-        """Return the expanded uncertainty [mm] of errors at measured SMRs, arm -> (3,) [m]; for two arms that of their
-        distance.
+        """Return the expanded uncertainty [mm] at measured SMRs, arm -> (3,) [m]; for two arms of their distance.
 
         None if a contribution is missing.
         """

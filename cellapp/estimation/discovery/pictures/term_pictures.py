@@ -193,8 +193,7 @@ class _TermPictures:
 
 
 def _shift_direction(shift_M: Array) -> tuple[Array, str, str]:
-    """Return the unit direction (n, 3) of the shown shifts (zero without one), the axis label, an addition to the
-    title.
+    """Return the unit direction (n, 3) of the shown shifts (zero without one), the axis label and a title suffix.
 
     One direction serves for all if it holds nearly all of the shifts; else each has its own.
     """

@@ -173,8 +173,7 @@ def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Comp
 
 
 def _curves(data: ArmData, fit: JointFit) -> Component | None:
-    """Build curves of all joints with a lever: an amplitude for each, one length scale; None if there is no such
-    joint."""
+    """Build curves of all joints with a lever: an amplitude for each, one length scale; None if there is none."""
     levers = np.sqrt(np.mean(np.sum(fit.by_joint**2, axis=0), axis=1))
     joints = np.flatnonzero(levers > _LEAST_LEVER * levers.max()).tolist()
     if not joints:

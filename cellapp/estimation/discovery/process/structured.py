@@ -119,8 +119,7 @@ class StructuredProcess:
         return self.components[component].hyperparameters * math.log(self.gram.coordinates)
 
     def gains(self) -> list[float]:
-        """Return the gain of the score by each component: twice the log evidence less its price, at the same
-        hyperparameters."""
+        """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
         ends = np.cumsum([len(one.columns) for one in self.components])
         lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
         return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]

@@ -69,8 +69,7 @@ class BlockSelection:
         return cls(candidate, behind, norms, candidate.rows @ residual.projected, residual, blocks)
 
     def select(self, price: float) -> tuple[Block, float]:
-        """Choose columns; return them and their score. ``price`` is that of the law, paid again for each further
-        line."""
+        """Choose columns; return them and their score. ``price`` is that of the law, paid for each further line."""
         line_price = price if len(self.candidate.blocks) > _MOST_TRIED else 0.0
         chosen, best = self._forward(line_price)
         if len(self.blocks) > 1 and sum(map(len, self.blocks)) <= _MOST_TOGETHER:
@@ -89,8 +88,7 @@ class BlockSelection:
         return self.behind.gram()
 
     def most(self) -> float:
-        """Return an upper bound of the score of any selection, without the price of the law; infinite for very many
-        columns."""
+        """Return an upper bound of any selection's score, without the law's price; infinite for very many columns."""
         if len(self.norms) > _MOST_AT_ONCE:
             return math.inf
         every = tuple(place for block in self.blocks for place in block)
@@ -159,8 +157,7 @@ class BlockSelection:
         return together, value
 
     def _promising(self, blocks: list[Block], chosen: Block) -> list[Block]:
-        """Return at most ``_MOST_TRIED`` blocks that explain most beside the chosen columns, each column taken on its
-        own."""
+        """Return at most ``_MOST_TRIED`` blocks that explain most beside the chosen columns, column by column."""
         if len(blocks) <= _MOST_TRIED:
             return blocks
         moments, information = self.moments, self.behind.squares

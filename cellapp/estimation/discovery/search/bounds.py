@@ -26,8 +26,7 @@ NEARLY = 0.3
 
 
 def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
-    """Remove blocks whose values, fitted beside ``others``, are impossible; return the new score, None if no block is
-    left."""
+    """Remove blocks whose values, fitted beside ``others``, are impossible; return the new score, or None."""
 
     def impossible(current: LawScore) -> set[str]:
         perhaps, surely = impossible_blocks(residual, current, NEARLY)

@@ -128,8 +128,7 @@ class ChannelScan:
         return np.where((rank > 0) & (norms.max(axis=1) > NO_DISPLACEMENT), value, -np.inf)
 
     def _log_evidence(self, gram: Array, norms: Array, moments: Array) -> Array:
-        """Return twice the log evidence (b,) at the best of ``_SIZES`` and of noise, less the price of choosing the
-        size."""
+        """Return twice the log evidence (b,) at the best of ``_SIZES`` and of noise, less the price of that choice."""
         scale = math.sqrt(len(self.residual)) / np.maximum(norms, NO_DISPLACEMENT)
         values, vectors = np.linalg.eigh(gram * scale[:, :, None] * scale[:, None, :])
         values = np.maximum(values, 0.0)[None]

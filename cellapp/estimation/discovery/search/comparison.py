@@ -59,8 +59,7 @@ def best_state(states: Sequence[SearchState]) -> SearchState:
 
 
 def criterion(fit: JointFit) -> float:
-    """Return the Bayesian information criterion of a model plus the prices of choosing laws and fitting
-    hyperparameters."""
+    """Return the Bayesian information criterion of a model plus the prices of laws and hyperparameters."""
     price = 0.0
     for term in fit.terms:
         price += choice_price(term.law) + SCORE_MARGIN * (2.0 if term.slug == UNKNOWN else 1.0)

@@ -223,8 +223,7 @@ class _Tried:
 
 
 def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
-    """Return the best of many data-driven laws without invisible columns, its score less the price of choosing among
-    them."""
+    """Return the best of many data-driven laws without invisible columns, less the price of choosing."""
     data, fit = state.data, state.fit
     candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for _, family, channel in tried.best]
     ranked = LawScan.of(candidates, fit.projector).ranked(fit.projected_residual)

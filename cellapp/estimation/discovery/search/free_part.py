@@ -63,8 +63,7 @@ class FreePart:
 
 
 def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreePart]:
-    """Return the possible free part of a term for each driver that its effect declares; none for terms without a
-    law."""
+    """Return the possible free part of a term for each driver of its effect; none for terms without a law."""
     term = fit.terms[number]
     effect = term.effect
     if effect is None:
@@ -96,8 +95,7 @@ def _sizes(fit: JointFit, number: int) -> dict[str, float]:
 
 
 def _lowest_orders(ones: tuple[Modulation, ...]) -> tuple[Modulation, ...]:
-    """Keep the modulations up to the highest order that does not make them too many; at least those of the first
-    order."""
+    """Keep modulations up to the highest order that does not make them too many, at least the first."""
     for most in range(max((one.order for one in ones), default=0), 1, -1):
         kept = tuple(one for one in ones if one.order <= most)
         if len(kept) <= _MOST_COLUMNS:
@@ -120,8 +118,7 @@ def _free_part(
 
 
 def _weight(one: Modulation) -> float:
-    """Return the standard deviation of a coefficient for g of unit rms: k^-2, as a cosine over its range has a square
-    of 1/2."""
+    """Return a coefficient's standard deviation for g of unit rms: k^-2, as a cosine has a mean square of 1/2."""
     harmonics = closes(one.driver)
     most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.driver is None else HALF_CYCLES)
     orders = np.arange(1, most + 1)

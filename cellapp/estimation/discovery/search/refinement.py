@@ -108,8 +108,7 @@ def _laws_to_try(state: SearchState, number: int) -> list[CandidateLaw]:
 
 
 def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """Return a step to sharp lines of more cycles than the smooth curves reach; searched once, None if there are
-    none."""
+    """Return a step to sharp lines of more cycles than smooth curves reach, searched once; None if none."""
     data, fit = state.data, state.fit
     term = fit.terms[number]
     if LINE_AMPLITUDE.name in term.law.constants:

@@ -68,8 +68,7 @@ def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
 
 
 def _rest_of_a_law(state: SearchState) -> int | None:
-    """Return a small term that shares variables with a far larger one; None if there is none or the floor is
-    reached."""
+    """Return a small term that shares variables with a far larger one; None if none, or at the noise floor."""
     fit = state.fit
     if floor_reached(state):
         return None
@@ -155,8 +154,7 @@ def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[
 def _in_place_of(
     problem: SearchProblem, fit: JointFit, replaced: NDArray[np.bool_], target: Array, laws: Sequence[CandidateLaw]
 ) -> list[RunnerUp]:
-    """Return the best of some laws as a rival if it explains ``target`` about as well as the ``replaced``
-    parameters."""
+    """Return the best of some laws as a rival if it explains ``target`` like the ``replaced`` parameters."""
     projector = fit.projector_of(~replaced)
     rest = ProjectedResidual(projector, target)
     gain = math.log(rest.square / fit.projected_residual.square) * rest.freedom

@@ -45,8 +45,7 @@ def choice_price(law: Law) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _BlockGroup:
-    """Blocks of one size k: index of the candidate (b,), column indices in it (b, k), root (b, k, k) and rank (b,) of
-    their information."""
+    """Blocks of one size k: candidate index (b,), column indices (b, k), information root (b, k, k) and rank (b,)."""
 
     candidate: NDArray[np.intp]
     places: NDArray[np.intp]
@@ -149,8 +148,7 @@ class LawScan:
         return sorted((one for one in found if one is not None), key=lambda score: -score.value)
 
     def best_of_each_effect(self, residual: ProjectedResidual, least: float = -math.inf) -> list[LawScore]:
-        """Return the best law of each effect, as ``ranked``; skip laws that cannot beat an earlier one of their
-        effect."""
+        """Return the best law of each effect, as ``ranked``; skip laws that cannot beat an earlier one."""
         best: dict[str, LawScore] = {}
         for number in self._ahead(residual):
             slug = self.candidates[number].slug

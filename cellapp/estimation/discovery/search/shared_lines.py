@@ -86,8 +86,7 @@ class _Bands:
         return cls(rows, residual, rows @ residual.projected, places, own, alternatives)
 
     def beside(self, taken: Sequence[int], amplitude: float) -> tuple[Array, Array]:
-        """Return information (c, J, 2, 2) and moments (c, J, 2) of each pair beside columns ``taken`` with their
-        prior."""
+        """Return information (c, J, 2, 2) and moments (c, J, 2) of each pair beside the columns ``taken``."""
         kept = list(taken)
         cross = self.rows @ self.residual.projector.project(self.rows[kept]).T
         inverse = np.linalg.inv(cross[kept] + np.eye(len(kept)) / amplitude**2)

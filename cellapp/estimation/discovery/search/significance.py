@@ -61,8 +61,7 @@ def corrected_p_value(null_maxima: Array, score: float) -> float:
 
 
 def smallest_detectable(scan: LawScan, number: int, threshold: float) -> Mapping[str, float]:
-    """Return the smallest size of each single column of a candidate that would pass ``threshold``; infinite if
-    invisible."""
+    """Return the smallest size of each column of a candidate that would pass ``threshold``; infinite if invisible."""
     one, place = scan.candidates[number], scan.place(number)
     norms = np.sqrt(scan.behind.squares[place])
     needed = threshold + math.log(scan.freedom) + choice_price(one.law)

@@ -232,8 +232,7 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
 
 
 def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
-    """Return the named model, or a better one with a law that needs impossible values, beside the names or before
-    them."""
+    """Return the better of the named model and one with a law of impossible values, beside or before names."""
     for state in dict.fromkeys((named, start)):
         found = with_contradiction(problem, state)
         if found is not None:
@@ -257,8 +256,7 @@ def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: Se
 
 
 def _with_free_functions(problem: SearchProblem, first: SearchState | None, named: SearchState) -> SearchState:
-    """Return the best model with smooth free functions, ``first`` before the names, else beside them; else
-    ``named``."""
+    """Return the best model with smooth free functions, ``first`` before names, or beside them; else ``named``."""
     if first is not None:
         first = reviewed(problem, _with_library_effects(problem, first))
         if best_state([named, first]) is first:

@@ -75,13 +75,11 @@ class BesideField:
         return found
 
     def gain(self, rows: Array) -> float:
-        """Return the gain of the BIC by new rows (m, 3 n) beside the model and its field, all rows counted as
-        parameters."""
+        """Return the gain of the BIC by new rows (m, 3 n) beside model and field, all counted as parameters."""
         return self._left.bic_gain(self._whitened(rows))
 
     def gain_of(self, number: int) -> float:
-        """Return the gain of the score by a term other than the field: by its law, or twice the log evidence if it is
-        smooth."""
+        """Return the gain of the score by a term other than the field: by its law, or by evidence if it is smooth."""
         fit, term = self.fit, self.fit.terms[number]
         if term.smooth is not None:
             without = self._log_evidence(self._best(self._values, number), number)
