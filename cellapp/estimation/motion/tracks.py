@@ -23,8 +23,7 @@ _BLOCKS = 25
 """Number of blocks of time of a recording; a share of them is held out."""
 _SHORTEST_BLOCK_S = 2.0
 _GUARD_S = 0.3
-"""Guard time on either side of a held-out block, whose points are neither training nor held out: neighbours are
-alike."""
+"""Guard time beside a held-out block; points in it are neither training nor held out, as neighbours are alike."""
 _BESIDE_STEP_S = 0.1
 """Points this near to a step of the controller's clock are left out: their segment is unknown."""
 _SEGMENT_S = 5.0
