@@ -43,12 +43,12 @@ class Conclusion:
 
 
 def worst(found: Iterator[Conclusion] | list[Conclusion]) -> Conclusion | None:
-    """The worst of several; None of none."""
+    """Return the worst of several; None of none."""
     return min(found, key=lambda one: WORST_FIRST.index(one.kind), default=None)
 
 
 def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
-    """What each stored stage concluded; one that no longer holds concludes nothing else."""
+    """Return what each stored stage concluded; one that no longer holds concludes nothing else."""
     found: dict[StageName, Conclusion] = dict(_concluded(results))
     for name, reason in results.out_of_date.items():
         found[name] = Conclusion("out of date", f"{name} is out of date: {reason}")
@@ -56,7 +56,7 @@ def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
 
 
 def conformity(run: RunFile, results: StageResults) -> Conformity | None:
-    """The verdict on the tolerances of a run's profile; None where nothing is judged."""
+    """Return the verdict on the tolerances of a run's profile; None where nothing is judged."""
     if not run.profile.tolerances.any_given:
         return None
     if CALIBRATE in results.out_of_date:

@@ -27,12 +27,13 @@ FOLDERS = (
 
 
 def name_of(folder: str) -> str:
-    """The verb as it is typed."""
+    """Return the verb as it is typed."""
     return folder.rstrip("_").replace("_", "-")
 
 
 def help_of(folder: str) -> str:
-    """The help of a verb, the docstring of its request, from the source: its types take too long to load for a list."""
+    """Return the help of a verb, the docstring of its request, from the source: its types take too long to load for a
+    list."""
     source = (Path(__file__).parent / folder / "request.py").read_text(encoding="utf-8")
     declared = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
     request = next(node for node in declared if any(ast.unparse(base) == "Request" for base in node.bases))

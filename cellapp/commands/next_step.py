@@ -26,7 +26,7 @@ class ArmState(Record):
 
 
 def arm_states(run: RunFile) -> dict[str, ArmState]:
-    """How much of each arm's plan is measured; readings are counted, not read."""
+    """Return how much of each arm's plan is measured; readings are counted, not read."""
     planned, measured = run.planned_counts(), run.split_counts()
     states = {}
     for name, arm in run.profile.arms.items():
@@ -42,7 +42,7 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
 
 
 def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
-    """The verb that comes next and its command; both empty if nothing is left to do."""
+    """Return the verb that comes next and its command; both empty if nothing is left to do."""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
         return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"
@@ -67,7 +67,7 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
-    """Tests of ISO 9283 that the tolerances of the profile need, of arms that can be driven."""
+    """Return tests of ISO 9283 that the tolerances of the profile need, of arms that can be driven."""
     names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
     stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
     if not run.profile.tolerances.any_given or not names:
@@ -80,7 +80,8 @@ def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
 
 
 def _has_new_stops(run: RunFile) -> bool:
-    """Whether no session has tried some of the planned stops, as they were added later; reserves do not count."""
+    """Return whether no session has tried some of the planned stops, as they were added later; reserves do not
+    count."""
     total = max(run.planned_counts().values(), default=0)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

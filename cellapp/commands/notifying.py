@@ -60,7 +60,7 @@ def run_notified(
 
 
 def _settings(profile: object, folder: object) -> Notify | None:
-    """The section of a profile, or of the profile of a run; None where there is none to be read."""
+    """Return the section of a profile, or of the profile of a run; None where there is none to be read."""
     try:
         if isinstance(profile, Path):
             return load_profile(profile).notify

@@ -26,14 +26,14 @@ _HEAD = 20_000
 
 
 def data_mark(run: RunFile, stages: RunStages | None = None) -> str:
-    """SHA-256 of all that a page of the run is made of: profile, readings, the newest stage of each name."""
+    """Return the SHA-256 of all that a page of the run is made of: profile, readings, the newest stage of each name."""
     stages = stages or read_stages(run)
     parts = [basis_of(run).model_dump_json(), *(f"{name} {one.digest}" for name, one in stages.current.items())]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def complaints_of(run: RunFile, stages: RunStages | None = None) -> list[str]:
-    """What is out of date, one sentence each: stages, the page, the certificate; empty if nothing is."""
+    """Say what is out of date, one sentence each: stages, the page, the certificate; empty if nothing is."""
     stages = stages or read_stages(run)
     outdated = [f"'{name}' is out of date ({reason})" for name, reason in stages.out_of_date.items()]
     return [*outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
@@ -57,7 +57,8 @@ def _page_complaints(run: RunFile, stages: RunStages) -> list[str]:
 
 
 def _certificate_complaints(run: RunFile, stages: RunStages) -> list[str]:
-    """A certificate that the run does not store, or an earlier one of other data; ``stages`` tells of the newest."""
+    """Return a certificate that the run does not store, or an earlier one of other data; ``stages`` tells of the
+    newest."""
     text, newest = _text(run.folder / CERTIFICATE_FILE), stages.current.get(CERTIFICATE)
     if text is None:
         return []
@@ -77,7 +78,7 @@ def _same_json(one: str, other: str) -> bool:
 
 
 def _text(path: Path, most: int = -1) -> str | None:
-    """The first ``most`` characters of a file, all if negative; None if there is none."""
+    """Return the first ``most`` characters of a file, all if negative; None if there is none."""
     try:
         with path.open(encoding="utf-8") as file:
             return file.read(most)

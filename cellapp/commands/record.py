@@ -100,21 +100,21 @@ class Request(BaseModel):
 
     @classmethod
     def asked(cls) -> Iterator[tuple[str, Asked]]:
-        """Name and words of each field, in the order of their declaration."""
+        """Yield the name and words of each field, in the order of their declaration."""
         for name, declared in cls.model_fields.items():
             yield name, next(one for one in declared.metadata if isinstance(one, Asked))
 
     def moves(self) -> bool:
-        """Whether the arms may move for this request of a verb that moves arms."""
+        """Return whether the arms may move for this request of a verb that moves arms."""
         return True
 
     def job_name(self) -> str:
-        """What its job is called, where that says more than the verb's name; else empty."""
+        """Say what its job is called, where that says more than the verb's name; else empty."""
         return ""
 
     @classmethod
     def option_of(cls, name: str) -> str:
-        """How the command line calls a field: its option, or the metavar of an argument."""
+        """Say how the command line calls a field: its option, or the metavar of an argument."""
         words = dict(cls.asked())[name]
         return words.metavar if words.argument else words.option or f"--{name.replace('_', '-')}"
 
@@ -297,11 +297,11 @@ class Verb:
         )
 
     def is_needed(self, field: str) -> bool:
-        """Whether a field of its request must be given."""
+        """Return whether a field of its request must be given."""
         return self.request.model_fields[field].is_required()
 
     def asked(self, values: Mapping[str, Any], named: Callable[[str], str] | None = None) -> Request:
-        """The request with these values of its fields.
+        """Return the request with these values of its fields.
 
         Raises ``InputError`` with the field, as ``named`` calls it (by its option if not given), and the reason.
         """
@@ -331,15 +331,15 @@ class Verb:
         )
 
     def view(self, result: Result, request: Request | None = None) -> View:
-        """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""
+        """Show how a result is shown; ``request`` is what was asked for, None for a result that is stored."""
         view: View = self._part("view").view(result, request)
         return view
 
     def stored_view(self, stored: Stored, result: Result) -> View:
-        """How one of its stored results is shown."""
+        """Show how one of its stored results is shown."""
         view: View = getattr(self._part("view"), stored.view)(result)
         return view
 
     def _part(self, name: str) -> Any:
-        """A module of the verb's folder, loaded when it is needed: each may take a second."""
+        """Return a module of the verb's folder, loaded when it is needed: each may take a second."""
         return importlib.import_module(f"{self.request.__module__.rpartition('.')[0]}.{name}")

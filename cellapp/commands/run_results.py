@@ -82,12 +82,12 @@ R = TypeVar("R", bound=StageResults)
 
 
 def read_stage_results(run: RunFile, stages: RunStages | None = None) -> StageResults:
-    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
+    """Return the current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
     return results_as(StageResults, run, stages or read_stages(run), RESULTS)
 
 
 def results_as(kind: type[R], run: RunFile, stages: RunStages, types: Mapping[StageName, type[Result]]) -> R:
-    """The current results of a run as an object of ``kind``, which has a field for each stage of ``types``."""
+    """Return the current results of a run as an object of ``kind``, which has a field for each stage of ``types``."""
     out_of_date = dict(stages.out_of_date)
     found: dict[str, Result] = {}
     for name, stage in stages.current.items():

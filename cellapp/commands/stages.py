@@ -78,7 +78,8 @@ class StoredStage:
     sole: bool = False
 
     def has_outcome(self, name: StageName, digest: str) -> bool:
-        """Whether a later stage that used stage ``name`` with ``digest`` used this one, or one of the same outcome."""
+        """Return whether a later stage that used stage ``name`` with ``digest`` used this one, or one of the same
+        outcome."""
         return (self.sole and self.name == name) or self.digest == digest
 
     @cached_property
@@ -116,19 +117,19 @@ class RunStages:
     in_force: StoredStage | None
 
     def stale_model(self) -> str:
-        """Why the model in force should not be used as it is; empty if it holds, so does the newest discovery, and the
-        tracker stands where the model says."""
+        """Say why the model in force should not be used as it is; empty if it holds, so does the newest discovery, and
+        the tracker stands where the model says."""
         return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
 
     def stale_arms(self) -> str:
-        """Why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty if
-        they may."""
+        """Say why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty
+        if they may."""
         found = self._found_change()
         changed = change_words(found) if found in CHANGES_OF_ARMS else ""
         return "; ".join(filter(None, (self.outdated_arms(), changed)))
 
     def outdated_arms(self) -> str:
-        """Why the arms of the model in force do not follow from the data of the run; empty if they do."""
+        """Say why the arms of the model in force do not follow from the data of the run; empty if they do."""
         reasons = [
             f"'{name}' is out of date ({self.out_of_date[name]})"
             for name in (CALIBRATE, DISCOVER)
@@ -137,13 +138,13 @@ class RunStages:
         return "; ".join(reasons)
 
     def stale_station(self) -> str:
-        """Why the tracker does not stand where the model in force says; empty if it does as far as is known."""
+        """Say why the tracker does not stand where the model in force says; empty if it does as far as is known."""
         found = self._found_change()
         moved = change_words(found) if found == TRACKER_MOVED else ""
         return "; ".join(filter(None, (self.outdated_station(), moved)))
 
     def outdated_station(self) -> str:
-        """Why the last location of the tracker does not hold; empty if it does, or none was needed."""
+        """Say why the last location of the tracker does not hold; empty if it does, or none was needed."""
         located = self.current.get(LOCATE)
         if located is not None and located.model is None:
             return "no motion of the tracker explains the points of the last 'locate'"
@@ -152,12 +153,12 @@ class RunStages:
         return ""
 
     def _found_change(self) -> str:
-        """What the last check found that still holds; empty if nothing."""
+        """Say what the last check found that still holds; empty if nothing."""
         checked = self.current.get(CHECK)
         return "" if checked is None or CHECK in self.out_of_date else found_change(checked.text)
 
     def next_verb(self) -> NextVerb:
-        """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
+        """Return the verb that makes or repeats the first missing or outdated step; empty if there is none."""
         if CALIBRATE not in self.current or CALIBRATE in self.out_of_date:
             return "calibrate"
         if DISCOVER not in self.current or DISCOVER in self.out_of_date:
@@ -169,12 +170,12 @@ class RunStages:
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
 
     def next_step(self, folder: Path) -> str:
-        """The command of ``next_verb``; empty if there is none."""
+        """Return the command of ``next_verb``; empty if there is none."""
         return next_command(self.next_verb(), folder)
 
 
 def next_command(verb: NextVerb, folder: Path) -> str:
-    """The command of the verb that comes next; empty if there is none."""
+    """Return the command of the verb that comes next; empty if there is none."""
     match verb:
         case "":
             return ""
@@ -189,7 +190,7 @@ def next_command(verb: NextVerb, folder: Path) -> str:
 
 
 def tracker_moved(located: StoredStage | None) -> bool:
-    """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
+    """Return whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
     return located is not None and says_moved(located.text)
 
 
@@ -202,7 +203,8 @@ def append_stage(
 
 
 def read_history(run: RunFile) -> list[StoredStage]:
-    """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
+    """Return every stage that was ever stored, oldest first; results of older versions without a basis stand in
+    front."""
     rows = run.stage_rows()
     stages = [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
     times = Counter(stage.name for stage in stages)
@@ -210,7 +212,7 @@ def read_history(run: RunFile) -> list[StoredStage]:
 
 
 def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = None) -> RunStages:
-    """The newest stage of each name, and whether it still holds.
+    """Return the newest stage of each name, and whether it still holds.
 
     ``basis_now`` computes what a stage that is made now would rest on; ``basis_of`` if not given.
     """
@@ -228,7 +230,8 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
 
 
 def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
-    """The basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests on.
+    """Return the basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests
+    on.
 
     None where it was not recorded what the model rests on.
     """
@@ -273,7 +276,8 @@ def _stage(run: RunFile, row: StageRow) -> StoredStage:
 
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
-    """Results of versions before the table ``stage``; their one model is ``calibration.json``, until it is replaced."""
+    """Yield results of versions before the table ``stage``; their one model is ``calibration.json``, until it is
+    replaced."""
     model = _readable_model(run.folder / CALIBRATION_FILE) if with_model else None
     for name in STAGE_NAMES:
         document = run.read_document(name)
@@ -292,7 +296,8 @@ def _readable_model(path: Path) -> str | None:
 
 
 def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
-    """The newest stage of each name; a check that could not say anything does not refute what an earlier one found."""
+    """Return the newest stage of each name; a check that could not say anything does not refute what an earlier one
+    found."""
     newest: dict[StageName, StoredStage] = {}
     for stage in history:
         before = newest.get(CHECK)
@@ -303,7 +308,8 @@ def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
 
 
 def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
-    """The model in force: that of ``locate`` while it rests on the model in force before the tracker was moved."""
+    """Return the model in force: that of ``locate`` while it rests on the model in force before the tracker was
+    moved."""
     located = current.get(LOCATE)
     if unmoved is None or located is None or located.model is None or located.basis is None:
         return unmoved
@@ -324,7 +330,7 @@ def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredS
 def _why_outdated(
     stage: StoredStage, now: Basis | None, used: StoredStage | None, current: Mapping[StageName, StoredStage]
 ) -> str:
-    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
+    """Say why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
 
     Of stages that make no model it would use the newest of their name; a digest is empty where there was none.
     """
@@ -351,7 +357,8 @@ def _why_outdated(
 
 
 def earlier_digest(run: RunFile, arm: str) -> str:
-    """SHA-256 of the model in force of a run and of the readings of one arm, as a later run's prior rests on them.
+    """Return the SHA-256 of the model in force of a run and of the readings of one arm, as a later run's prior rests on
+    them.
 
     Raises ``InputError`` if the run is not calibrated.
     """
@@ -362,7 +369,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
 
 
 def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
-    """Which priors have changed since; those whose run is not there any more have not."""
+    """Say which priors have changed since; those whose run is not there any more have not."""
     reasons = []
     for arm, prior in priors.items():
         try:
@@ -393,7 +400,7 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
 
 
 def json_object(text: str) -> dict[str, object] | None:
-    """The JSON object that a text holds; None if it is none."""
+    """Return the JSON object that a text holds; None if it is none."""
     try:
         content = json.loads(text)
     except ValueError:
@@ -402,19 +409,19 @@ def json_object(text: str) -> dict[str, object] | None:
 
 
 def says_moved(text: str) -> bool:
-    """Whether ``locate`` found the tracker elsewhere than where the readings were taken."""
+    """Return whether ``locate`` found the tracker elsewhere than where the readings were taken."""
     content = json_object(text)
     return content is not None and content.get("moved") is True
 
 
 def found_change(text: str) -> str:
-    """The verdict of a check that found a change; empty if it found none or could not say."""
+    """Return the verdict of a check that found a change; empty if it found none or could not say."""
     verdict = _verdict(text)
     return verdict if verdict in (TRACKER_MOVED, *CHANGES_OF_ARMS) else ""
 
 
 def cannot_say(text: str) -> bool:
-    """Whether a check came to no verdict."""
+    """Return whether a check came to no verdict."""
     return _verdict(text) == "cannot say"
 
 

@@ -56,7 +56,7 @@ def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
 
 
 def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
-    """A note where the model of stage ``used`` is used although it does not hold any more."""
+    """Return a note where the model of stage ``used`` is used although it does not hold any more."""
     stale = stages.stale_model()
     return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
 
@@ -75,12 +75,13 @@ def export_model(run: RunFile, stages: RunStages) -> None:
 
 
 def joined_calibration(calibrate: CalibrateResult, discover: DiscoverResult | None) -> CalibrateResult:
-    """A stored calibration with the stage ``effects`` of the discovery that holds; without that stage if none does."""
+    """Return a stored calibration with the stage ``effects`` of the discovery that holds; without that stage if none
+    does."""
     return calibrate.without_effects() if discover is None else with_effects(calibrate, discover)
 
 
 def read_calibration(run: RunFile, stages: RunStages) -> CalibrateResult | None:
-    """The stored calibration as ``joined_calibration``; None if there is none that this version can read."""
+    """Return the stored calibration as ``joined_calibration``; None if there is none that this version can read."""
     calibrated, discovered = stages.current.get(CALIBRATE), stages.current.get(DISCOVER)
     discover = None
     if discovered is not None and DISCOVER not in stages.out_of_date:

@@ -37,7 +37,8 @@ class HeldOutArm:
         calibrated: ArmModel,
         discovered: ArmModel | None,
     ) -> HeldOutArm:
-        """Those of all readings of an arm, and of their conditions, that are held out and have no gross error."""
+        """Return those of all readings of an arm, and of their conditions, that are held out and have no gross
+        error."""
         rows = readings.in_split("validate")
         rows = rows[~np.isin(readings.configuration[rows], result.left_out_configurations)]
         return cls(readings.take(rows), conditions.take(rows), calibrated, discovered)

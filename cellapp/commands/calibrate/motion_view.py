@@ -37,7 +37,7 @@ _SURE = 2.0
 
 
 def motion_tables(result: CalibrateResult) -> list[Table]:
-    """Clocks, recordings and lost motion of all arms that were recorded; none without recordings."""
+    """Show clocks, recordings and lost motion of all arms that were recorded; none without recordings."""
     moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
     if not moved:
         return []
@@ -57,7 +57,7 @@ def motion_tables(result: CalibrateResult) -> list[Table]:
 
 
 def motion_sentences(result: CalibrateResult) -> list[str]:
-    """Steps of clocks, and what the data cannot determine."""
+    """Return steps of clocks, and what the data cannot determine."""
     said = []
     for name, arm in result.arms.items():
         for recording, clock in (arm.clocks or {}).items():
@@ -88,7 +88,7 @@ def _trigger(found: TriggerResult) -> str:
 
 
 def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Errors of held-out blocks, of arms whose held-out errors are those of stops."""
+    """Show errors of held-out blocks, of arms whose held-out errors are those of stops."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in moved.items():
         if arm.motion is not None and arm.validate_ != arm.motion.validate_:
@@ -105,7 +105,7 @@ def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
 
 
 def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Joints whose lost motion is larger than what chance makes of none."""
+    """Show joints whose lost motion is larger than what chance makes of none."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in moved.items():
         for joint, found in arm.motion.half_play.items() if arm.motion else ():

@@ -14,7 +14,7 @@ from cellapp.robot.model import CellModel
 
 
 def with_nests(result: CalibrateResult, run: RunFile, model: CellModel) -> CalibrateResult:
-    """The result with the nests of every arm that has readings of several."""
+    """Return the result with the nests of every arm that has readings of several."""
     arms = dict(result.arms)
     for name, arm in result.arms.items():
         found = _nests(run, name, model)

@@ -26,7 +26,7 @@ _MOST_EARLIER = 20
 
 
 def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
-    """The earlier calibration in ``folder`` of every arm of ``run`` that it has.
+    """Return the earlier calibration in ``folder`` of every arm of ``run`` that it has.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def _same_readings(run: RunFile, earlier: RunFile, name: str) -> bool:
 
 
 def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
-    """Notes on the identity of an arm. Raises ``InputError`` if it is another one."""
+    """Return notes on the identity of an arm. Raises ``InputError`` if it is another one."""
     here, there = run.profile.arms[name].type, earlier.profile.arms[name].type
     where = f"--prior {earlier.folder}: arm '{name}'"
     if here.model != there.model:
@@ -113,7 +113,7 @@ def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]
 
 
 def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[Belief, int]:
-    """What a run says of an arm, with the earlier runs that it had as prior, and the number of its readings."""
+    """Return what a run says of an arm, with the earlier runs that it had as prior, and the number of its readings."""
     models, readings = model_of(run, stage).arms, {arm: run.readings(arm) for arm in run.profile.arms}
     record = _prior_of(run, name)
     if record is None:
@@ -137,7 +137,7 @@ def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:
 
 
 def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
-    """The record of the prior that an arm's calibration used; None without one."""
+    """Return the record of the prior that an arm's calibration used; None without one."""
     stage = read_stages(run).current.get(CALIBRATE)
     if stage is None:
         return None
@@ -146,12 +146,12 @@ def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
 
 
 def basis_of_priors(earlier: Mapping[str, Earlier]) -> dict[str, PriorBasis]:
-    """What a stage rests on beside its own run."""
+    """Return what a stage rests on beside its own run."""
     return {name: PriorBasis(run=str(its.run), sha256=its.digest) for name, its in earlier.items()}
 
 
 def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
-    """The earlier calibrations that the calibration of a run used; empty if it used none.
+    """Return the earlier calibrations that the calibration of a run used; empty if it used none.
 
     Raises
     ------
@@ -174,6 +174,6 @@ def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
 
 
 def recorded_priors(run: RunFile) -> dict[str, ArmPriorResult]:
-    """The record of the prior of every arm that has one."""
+    """Return the record of the prior of every arm that has one."""
     found = {name: _prior_of(run, name) for name in run.profile.arms}
     return {name: record for name, record in found.items() if record is not None}

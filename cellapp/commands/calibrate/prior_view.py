@@ -10,7 +10,7 @@ from cellapp.robot.effects import EFFECTS
 
 
 def prior_tables(result: CalibrateResult) -> list[Table]:
-    """Parts and changes of every arm that was calibrated with an earlier calibration; none without one."""
+    """Show parts and changes of every arm that was calibrated with an earlier calibration; none without one."""
     tables = []
     for name, arm in result.arms.items():
         if arm.prior is not None:
@@ -21,7 +21,7 @@ def prior_tables(result: CalibrateResult) -> list[Table]:
 
 
 def prior_sentences(result: CalibrateResult) -> list[str]:
-    """Where the earlier calibration of each arm comes from, and whether the arm has changed."""
+    """Say where the earlier calibration of each arm comes from, and whether the arm has changed."""
     said = []
     for name, arm in result.arms.items():
         if (prior := arm.prior) is None:

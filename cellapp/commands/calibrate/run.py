@@ -135,7 +135,7 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
-    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
+    """Return notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
     notes = []
     discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
     if discovered is not None and reason is None:

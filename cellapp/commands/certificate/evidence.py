@@ -11,7 +11,7 @@ from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
 
 
 def evidence_of(results: StageResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:
-    """What is known of one arm; ``measured`` are the conditions of its readings."""
+    """Return what is known of one arm; ``measured`` are the conditions of its readings."""
     outdated = results.out_of_date
     discovered = None if DISCOVER in outdated else results.discover
     compensated = None if COMPENSATE in outdated else results.compensate

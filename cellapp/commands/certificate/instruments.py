@@ -27,7 +27,8 @@ _FIELDS_OF_OTHERS = ("serial", "calibrated", "due")
 
 
 def used_instruments(profile: Profile, measured: Sequence[str]) -> tuple[CertifiedInstrument, ...]:
-    """The tracker, the SMR of each arm, further instruments; each with a note if its calibration was not in force.
+    """Return the tracker, the SMR of each arm, further instruments; each with a note if its calibration was not in
+    force.
 
     ``measured`` are the first and the last time of measuring (ISO 8601); empty if that is not known.
     """
@@ -58,7 +59,7 @@ def missing_data(
     measured: Sequence[str],
     contributions: Sequence[UncertaintyContribution] = (),
 ) -> tuple[str, ...]:
-    """What a reader expects and nobody gave, one phrase each; ``contributions`` are those of the uncertainty."""
+    """Say what a reader expects and nobody gave, one phrase each; ``contributions`` are those of the uncertainty."""
     stated = profile.traceability
     whole = {
         "organisation": stated.organisation,
@@ -93,7 +94,7 @@ def _of_instrument(one: CertifiedInstrument) -> str:
 
 
 def _note(one: Instrument, days: Sequence[date]) -> str:
-    """Why the calibration of an instrument was not in force on one of the days of measuring."""
+    """Say why the calibration of an instrument was not in force on one of the days of measuring."""
     if one.due is not None and days and max(days) > one.due:
         return f"its calibration was overdue: due on {one.due}, used on {max(days)}"
     if one.calibrated is not None and days and min(days) < one.calibrated:

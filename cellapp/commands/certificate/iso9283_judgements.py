@@ -59,7 +59,7 @@ def judge_characteristics(
 def unmeasured_tests(
     tolerances: Tolerances, names: Collection[str], arms: Mapping[str, ArmIso9283]
 ) -> tuple[IsoTest, ...]:
-    """The tests of characteristics that have a tolerance and were not measured of one of the arms ``names``."""
+    """Return the tests of characteristics that have a tolerance and were not measured of one of the arms ``names``."""
     measured = {
         name: {one.characteristic for tests in arms[name].tests.values() for one in _of_arm(tests)} for name in arms
     }

@@ -92,7 +92,7 @@ def _position(results: StageResults, arm: str, budget: Budget) -> _Measured:
 
 
 def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
-    """All pairs of verified targets with the compensated commands: a corrected one has no measured position."""
+    """Return all pairs of verified targets with the compensated commands: a corrected one has no measured position."""
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
     errors = _distance_errors_mm(targets)
@@ -104,7 +104,7 @@ def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
 
 
 def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
-    """Every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
+    """Return every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
     verify = held_verification(results)
     pairs = () if verify is None else verify.pairs
     found = grouped((pair.arms, pair.final_mm) for pair in pairs if pair.final_mm is not None)
@@ -129,7 +129,8 @@ def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping
 
 
 def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement]:
-    """The largest error of orientation at verified targets of each arm with a probe; where none has one, of each."""
+    """Yield the largest error of orientation at verified targets of each arm with a probe; where none has one, of
+    each."""
     limit, rule = profile.tolerances.orientation, profile.tolerances.decision
     if limit is None:
         return
@@ -162,8 +163,8 @@ def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement
 
 
 def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tuple[TurnContribution, ...]:
-    """Contributions to the uncertainty of an error of orientation of one arm, at the command where the model's is
-    largest; empty where no orientation was predicted."""
+    """Return contributions to the uncertainty of an error of orientation of one arm, at the command where the model's
+    is largest; empty where no orientation was predicted."""
     commands = () if COMPENSATE in results.out_of_date or results.compensate is None else results.compensate.targets
     turns = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
     if not turns:
@@ -174,7 +175,7 @@ def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tup
 
 
 def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
-    """What the test measured, and what it did not measure although it has a tolerance."""
+    """Return what the test measured, and what it did not measure although it has a tolerance."""
     held = _held_iso(profile.tolerances, results)
     why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
     return [
@@ -214,14 +215,14 @@ def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
 
 
 def _undecided(one: Judgement, why: str) -> Judgement:
-    """The same error without a decision; unchanged if nothing stands against it or nothing was measured."""
+    """Return the same error without a decision; unchanged if nothing stands against it or nothing was measured."""
     if not why or one.value is None:
         return one
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
 
 
 def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement, ...]:
-    """What the test by ISO 9283 measured, while it holds, judged by these tolerances."""
+    """Return what the test by ISO 9283 measured, while it holds, judged by these tolerances."""
     stored = None if ISO9283 in results.out_of_date else results.iso9283
     if stored is None:
         return ()
@@ -230,13 +231,13 @@ def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement,
 
 
 def held_verification(results: StageResults) -> VerifyResult | None:
-    """The newest verification while it holds; None if no target was measured."""
+    """Return the newest verification while it holds; None if no target was measured."""
     verify = None if VERIFY in results.out_of_date else results.verify
     return None if verify is None or not verify.arms else verify
 
 
 def other_arms_found(results: StageResults) -> str:
-    """What the last check found of the arms, while it holds; empty if nothing."""
+    """Say what the last check found of the arms, while it holds; empty if nothing."""
     checked = results.held_check
     return f"a later check found: {checked.verdict}" if checked is not None and checked.found_other_arms else ""
 
@@ -252,7 +253,7 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
 
 
 def _unverified(results: StageResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
-    """Why nothing was verified, and the error of the calibration at stops that it did not use."""
+    """Say why nothing was verified, and the error of the calibration at stops that it did not use."""
     verify = results.verify
     if (reason := _outdated(results, VERIFY, "the verification")) == "":
         reason = "not verified" if verify is None else f"the verification measured no {characteristic} error"
@@ -272,7 +273,7 @@ def _held_out(results: StageResults, arm: str, error: Literal["position_mm", "di
 
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
-    """Errors [mm] of all distances between measured positions against those between the targets."""
+    """Return errors [mm] of all distances between measured positions against those between the targets."""
     points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
     if len(points) < 2:
         return []

@@ -160,7 +160,7 @@ def certificate_run(
 
 
 def _documents(page: bytes, *, pdf: bool) -> dict[str, bytes]:
-    """The files that show a certificate to people, name -> content: its page and a print of that."""
+    """Return the files that show a certificate to people, name -> content: its page and a print of that."""
     if not pdf:
         return {PAGE_FILE: page}
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as folder:
@@ -217,14 +217,15 @@ def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, aske
 
 
 def certified_basis(run: RunFile, stages: RunStages) -> Basis:
-    """What a certificate rests on; the digest of a measurement that was not made is empty."""
+    """Return what a certificate rests on; the digest of a measurement that was not made is empty."""
     model = {} if stages.in_force is None else {stages.in_force.name: stages.in_force.digest}
     made = {name: stages.current[name].digest if name in stages.current else "" for name in CERTIFIED_STAGES}
     return basis_of(run, model | made)
 
 
 def _times_of_measuring(run: RunFile, stages: RunStages) -> tuple[str, ...]:
-    """First and last time (ISO 8601, UTC) of collecting and of what the certificate states; empty if none is known."""
+    """Return the first and last time (ISO 8601, UTC) of collecting and of what the certificate states; empty if none is
+    known."""
     times = [time for one in run.sessions() for time in (one.began, one.ended) if time is not None]
     times += [stages.current[name].written for name in CERTIFIED_STAGES if name in stages.current]
     return (min(times), max(times)) if times else ()
@@ -243,7 +244,7 @@ def _checked_number(run: RunFile, number: str | None) -> str:
 
 
 def issued(run: RunFile) -> list[CertificateResult]:
-    """Every certificate that the run stores and this version can read."""
+    """Return every certificate that the run stores and this version can read."""
     found = []
     for stage in read_history(run):
         if stage.name == CERTIFICATE:
@@ -253,7 +254,8 @@ def issued(run: RunFile) -> list[CertificateResult]:
 
 
 def _new_number(run: RunFile, profile: Profile, written: datetime, basis: Basis) -> str:
-    """Profile, day, the first digits of a hash of all that the certificate rests on, and a count if that was used."""
+    """Return profile, day, the first digits of a hash of all that the certificate rests on, and a count if that was
+    used."""
     name = re.sub(r"[^\w.+-]+", "-", profile.name, flags=re.ASCII).strip("-")[:_LONGEST_NAME] or "cell"
     digest = hashlib.sha256(basis.model_dump_json().encode()).hexdigest()
     number, used = f"{name}-{written:%Y%m%d}-{digest[:8]}", {one.number for one in issued(run)}

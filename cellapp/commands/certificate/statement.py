@@ -190,7 +190,7 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
 
 
 def _tests(results: StageResults) -> CertifiedTests | None:
-    """The largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
+    """Return the largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
     tested = None if ISO9283 in results.out_of_date else results.iso9283
     if tested is None:
         return None
@@ -244,7 +244,7 @@ def _unverified(profile: Profile, results: StageResults) -> list[str]:
 
 
 def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
-    """What the as-left figures hold for, and what they do not cover."""
+    """Say what the as-left figures hold for, and what they do not cover."""
     if verify is None:
         return []
     sentences = [
@@ -275,7 +275,7 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
 
 
 def _conditions(results: StageResults, arm: str) -> list[str]:
-    """Working conditions that the commands were made for, and by how much others move the SMR."""
+    """Return working conditions that the commands were made for, and by how much others move the SMR."""
     if results.compensate is None or COMPENSATE in results.out_of_date:
         return []
     largest: dict[str, float] = {}

@@ -14,12 +14,12 @@ _CHANGE, _NONE = 3, 1
 
 
 def check_charts(result: CheckResult) -> tuple[Chart, ...]:
-    """Evidence and errors over the stops."""
+    """Show evidence and errors over the stops."""
     return evidence_chart(result), error_chart(result)
 
 
 def evidence_chart(result: CheckResult) -> Chart:
-    """Logs of the likelihood ratios of a change and of none, with the limits at which the test is sure."""
+    """Show logs of the likelihood ratios of a change and of none, with the limits at which the test is sure."""
     stops = np.arange(1.0, len(result.stops) + 1.0)
     drawn = (
         series("a change", stops, [stop.log_evidence for stop in result.stops], style=_CHANGE),
@@ -39,7 +39,7 @@ def evidence_chart(result: CheckResult) -> Chart:
 
 
 def error_chart(result: CheckResult) -> Chart:
-    """Distance of each measured SMR from its prediction, by arm."""
+    """Show the distance of each measured SMR from its prediction, by arm."""
     drawn, words = [], []
     for style, (name, arm) in enumerate(result.arms.items()):
         measured = [

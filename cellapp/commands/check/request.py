@@ -46,7 +46,7 @@ class CheckRequest(Request):
     ] = None
 
     def moves(self) -> bool:
-        """Touches were recorded already: nothing moves for them."""
+        """Return False: touches were recorded already, nothing moves for them."""
         return self.touches is None
 
 

@@ -166,7 +166,7 @@ def _touches_of_run(profile: Profile, folder: Path) -> tuple[dict[str, Readings]
 
 
 def plant_of(path: Path) -> Plant:
-    """The hidden physics of another profile. Raises ``InputError`` if it has none."""
+    """Return the hidden physics of another profile. Raises ``InputError`` if it has none."""
     plant = load_profile(path).plant
     if plant is None:
         raise InputError(f"--simulated-plant {path}: this profile has no section 'plant'")
@@ -199,7 +199,8 @@ class _Checked:
 
 
 def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
-    """What is checked, with orientation of the arms ``turned``. Raises ``InputError`` if the run is not calibrated."""
+    """Return what is checked, with orientation of the arms ``turned``. Raises ``InputError`` if the run is not
+    calibrated."""
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
     readings = {name: known_readings(run, name) for name in run.profile.arms}
@@ -218,7 +219,7 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
 
 
 def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
-    """The profile with other hidden physics; the tracker stays where it is unless ``plant`` places it."""
+    """Return the profile with other hidden physics; the tracker stays where it is unless ``plant`` places it."""
     if plant is None:
         return profile
     own, simulated = profile.plant, all(arm.driver.needs_plant for arm in profile.arms.values())
@@ -232,7 +233,7 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
 
 
 def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Array]]:
-    """The stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
+    """Return the stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
     candidates = check_candidates(profile, checked.model, checked.readings)
     free = len(next(iter(candidates.values())))
     chosen = choose_stops(checked.belief, candidates, min(count, free), start=home_positions(profile))
@@ -263,7 +264,7 @@ def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, 
 
 
 def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Conclusion) -> CheckVerdict:
-    """The verdict of the test; beyond it, a located tracker may have moved again, and an arm may not be seen."""
+    """Return the verdict of the test; beyond it, a located tracker may have moved again, and an arm may not be seen."""
     if found.verdict != "valid":
         return found.verdict
     if checked.located_T is not None and found.T_new_old is not None:
@@ -294,13 +295,13 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
 
 
 def _turned_mrad(arm: ArmModel, found: FoundPoint) -> float | None:
-    """Angle [mrad] of the measured orientation from the computed one; None where none was measured."""
+    """Return the angle [mrad] of the measured orientation from the computed one; None where none was measured."""
     turn = measured_turn(arm, found.point, arm.flange(found.q[None], found.conditions)[0][0])
     return None if turn is None else float(np.linalg.norm(turn)) * 1e3
 
 
 def _next_step(verdict: CheckVerdict, folder: Path) -> str:
-    """What to do now, as a sentence with its commands; empty if nothing."""
+    """Say what to do now, as a sentence with its commands; empty if nothing."""
     again = (
         "measure the cell anew ('cellapp plan PROFILE --run NEW', 'cellapp collect NEW') and calibrate it with this run"
         f" as prior: 'cellapp calibrate NEW --prior {folder}'"

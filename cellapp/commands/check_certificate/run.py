@@ -125,14 +125,14 @@ def _document(path: Path, sha256: str) -> DocumentState:
 
 
 def _uncovered(certificate: CertificateResult, folder: Path, shown: Path | None) -> list[str]:
-    """Files that show a certificate and of which it has no hash: anything may stand in them."""
+    """Return files that show a certificate and of which it has no hash: anything may stand in them."""
     usual = [folder / name for name in (PAGE_FILE, PRINT_FILE) if path_exists(folder / name)]
     beside = {one.name for one in (*usual, *([] if shown is None else [shown]))} - set(certificate.documents)
     return [f"{name} is not covered by the certificate, which states no hash of it" for name in sorted(beside)]
 
 
 def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """Where a run is not, or no longer, what a certificate was made from."""
+    """Say where a run is not, or no longer, what a certificate was made from."""
     data, stages = certificate.data, read_stages(run)
     if data is None:
         return ["it does not say which data it rests on"]
@@ -163,7 +163,7 @@ def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) ->
 
 
 def _stored_otherwise(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """The run keeps every certificate: a file that was changed is found without its signature, too."""
+    """Return the run keeps every certificate: a file that was changed is found without its signature, too."""
     if certificate in issued(run):
         return []
     return ["the run does not store this certificate: it was made for another run, or it was changed"]

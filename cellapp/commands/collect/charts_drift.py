@@ -22,7 +22,7 @@ _HOUR = 3600.0
 
 
 def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
-    """Mean of the residuals (n, 3) [m] along x, y, z of blocks of stops over the time (n,) [s] of a run.
+    """Show the mean of the residuals (n, 3) [m] along x, y, z of blocks of stops over the time (n,) [s] of a run.
 
     Without times it is over the order of the readings.
     """
@@ -50,7 +50,7 @@ def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
 
 
 def _message(name: str, mean: Array, band: Array) -> str:
-    """Whether more bands leave zero out than chance does."""
+    """Say whether more bands leave zero out than chance does."""
     outside, total = int(np.count_nonzero(np.abs(mean) > band)), mean.size
     drifts = _chance_of_at_least(outside, total) < _RARE
     verdict = "drift" if drifts else "do not drift"
@@ -62,6 +62,6 @@ def _message(name: str, mean: Array, band: Array) -> str:
 
 
 def _chance_of_at_least(outside: int, total: int) -> float:
-    """Probability that chance alone leaves that many zeros out (binomial distribution)."""
+    """Return the probability that chance alone leaves that many zeros out (binomial distribution)."""
     p = _EXPECTED
     return 1.0 - sum(math.comb(total, k) * p**k * (1.0 - p) ** (total - k) for k in range(outside))

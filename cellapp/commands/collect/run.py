@@ -103,5 +103,5 @@ def collect_planned(
 
 
 def hanging(work: Work) -> Hung:
-    """What asks the person of an interface to hang another load."""
+    """Return what asks the person of an interface to hang another load."""
     return lambda words: work.choose(f"{words} Does it hang?", ("no", "yes")) == "yes"

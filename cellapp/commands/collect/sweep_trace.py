@@ -16,7 +16,7 @@ _GAP = 3.0
 
 
 def last_sweep(run: RunFile) -> SweepTrace | None:
-    """The trace of the sweep that was recorded last; None where none was planned or is recorded."""
+    """Return the trace of the sweep that was recorded last; None where none was planned or is recorded."""
     places = {(sweep.arm, sweep.name): place for place, sweep in enumerate(read_sweeps(run))}
     found = [
         (places[key], state)

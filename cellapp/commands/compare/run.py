@@ -42,7 +42,7 @@ _MISSING: Mapping[str, str] = {
 
 
 def run(request: CompareRequest, work: Work) -> RunComparison | FleetResult:
-    """Two runs in every value; more by the history of each arm."""
+    """Return two runs in every value; more by the history of each arm."""
     if len(request.folders) != 2:
         return compare_many(request.folders)
     first, second = request.folders
@@ -102,7 +102,7 @@ def _other_types(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[str]
 
 
 def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Arms of one name whose serial numbers differ, each with its note."""
+    """Yield arms of one name whose serial numbers differ, each with its note."""
     first, second = arm_identities(a), arm_identities(b)
     for name in common:
         if first[name].is_other_than(second[name]):
@@ -114,7 +114,7 @@ def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tu
 
 
 def _missing(results: RunResults) -> Iterator[str]:
-    """Results that a run lacks, and those that no longer hold."""
+    """Yield results that a run lacks, and those that no longer hold."""
     for name, words in _MISSING.items():
         if getattr(results, name) is None and name not in results.out_of_date:
             yield f"{results.run} {words}"
@@ -134,7 +134,7 @@ def _profile_differences(a: Profile, b: Profile) -> Iterator[ProfileDifference]:
 
 
 def _leaves(profile: Profile) -> dict[str, str]:
-    """Every value of a profile as JSON, by its key as in ``arms.left.base.position[0]``."""
+    """Return every value of a profile as JSON, by its key as in ``arms.left.base.position[0]``."""
     return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), _content(profile))}
 
 
@@ -275,7 +275,7 @@ def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairCompariso
 
 
 def _distance_mm(parameters: Sequence[ValueComparison]) -> float | None:
-    """Length of the difference of the transform's translations x, y, z [m]."""
+    """Return the length of the difference of the transform's translations x, y, z [m]."""
     differences = {value.name: value.difference for value in parameters}
     lengths = [differences.get(axis) for axis in ("x", "y", "z")]
     known = [length for length in lengths if length is not None]

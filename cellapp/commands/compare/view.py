@@ -30,14 +30,14 @@ _ERRORS = (
 
 
 def view(result: RunComparison | FleetResult, request: Request | None = None) -> View:
-    """Where two runs differ, or each arm over more of them."""
+    """Show where two runs differ, or each arm over more of them."""
     if isinstance(result, FleetResult):
         return fleet_view(result)
     return View((*comparison_tables(result), *comparison_sentences(result)))
 
 
 def comparison_tables(result: RunComparison) -> list[Table]:
-    """Differences of the profile; of each arm held-out errors, parameters, effects, targets; then the pair."""
+    """Show differences of the profile; of each arm held-out errors, parameters, effects, targets; then the pair."""
     tables = []
     if result.profile:
         rows = tuple((entry.key, entry.a or _MISSING, entry.b or _MISSING) for entry in result.profile)
@@ -53,7 +53,8 @@ def comparison_tables(result: RunComparison) -> list[Table]:
 
 
 def comparison_sentences(result: RunComparison) -> list[str]:
-    """Which folder is a and which is b, what differs in a sentence for each subject, and what cannot be compared."""
+    """Say which folder is a and which is b, what differs in a sentence for each subject, and what cannot be
+    compared."""
     sentences = [f"a: {result.a}", f"b: {result.b}"]
     if not result.profile:
         sentences.append("the profiles are the same")
@@ -92,7 +93,7 @@ def _error_tables(title: str, subject: str, errors: Iterable[tuple[str, ErrorCom
 
 
 def _change(entry: ErrorComparison) -> float | None:
-    """Relative change of the mean error from a to b."""
+    """Return the relative change of the mean error from a to b."""
     if entry.a_mean_mm is None or entry.b_mean_mm is None or entry.a_mean_mm == 0.0:
         return None
     return entry.b_mean_mm / entry.a_mean_mm - 1.0

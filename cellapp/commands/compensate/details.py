@@ -32,7 +32,7 @@ class TargetDetails:
 
 
 def target_details(state: TargetState) -> TargetDetails:
-    """What a run says about one target; all empty where it says nothing."""
+    """Return what a run says about one target; all empty where it says nothing."""
     sentences: list[str] = []
     for command in state.commands:
         sentences += _command_lines(command)
@@ -50,7 +50,7 @@ def target_details(state: TargetState) -> TargetDetails:
 
 
 def details_tables(details: TargetDetails) -> list[Table]:
-    """The tables, with charts of bars as tables: what a shell prints."""
+    """Build the tables, with charts of bars as tables: what a shell prints."""
     columns = (Column("source"), number_column("standard uncertainty", ".4f", "mm"))
     parts = [
         Table(chart.title, columns, tuple(zip(chart.categories, chart.series[0].y.tolist(), strict=True)))
@@ -61,7 +61,7 @@ def details_tables(details: TargetDetails) -> list[Table]:
 
 
 def stored_state(results: StageResults, name: str) -> TargetState | None:
-    """What a run stored last about the target of a name; None if it knows none of that name."""
+    """Return what a run stored last about the target of a name; None if it knows none of that name."""
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
     pushed = results.verify or results.push
     measured = () if pushed is None else _named(pushed.targets, name)
@@ -74,7 +74,7 @@ def stored_state(results: StageResults, name: str) -> TargetState | None:
 
 
 def place_lines(target: Target) -> list[str]:
-    """Where a target is as it was written: frame, pose, other arm, tolerance, conditions, preferred sides."""
+    """Say where a target is as it was written: frame, pose, other arm, tolerance, conditions, preferred sides."""
     lines = [f"{target.name}: arm {target.arm}, {_pose_words(target.position, target.rpy)}, {_frame_words(target)}"]
     if target.partner is not None:
         partner = target.partner
@@ -95,7 +95,7 @@ def place_lines(target: Target) -> list[str]:
 
 
 def side_words(approach: Sequence[int]) -> str:
-    """The joints' last motions: ``joint 1 +, joint 3 -``."""
+    """Return the joints' last motions: ``joint 1 +, joint 3 -``."""
     joints = [f"joint {number} {_SIDES[sign]}" for number, sign in enumerate(approach, start=1) if sign]
     return ", ".join(joints) or "any side"
 
@@ -195,7 +195,7 @@ def _rounds(rounds_mm: Sequence[float]) -> str:
 
 
 def _point_tables(measured: MeasuredTarget) -> Iterator[Table]:
-    """Wanted, predicted and measured SMR and their differences; none where they were not stored."""
+    """Yield wanted, predicted and measured SMR and their differences; none where they were not stored."""
     if measured.wanted_M is None or measured.measured_M is None:
         return
     columns = (

@@ -29,7 +29,7 @@ def run(request: CompensateRequest, work: Work) -> CompensateResult:
 
 
 def listed_targets(targets: Path | tuple[Target, ...], profile: Profile) -> tuple[Target, ...]:
-    """The targets of a request: those of its file, or as a program gave them."""
+    """Return the targets of a request: those of its file, or as a program gave them."""
     return load_targets(targets, profile) if isinstance(targets, Path) else targets
 
 
@@ -59,7 +59,7 @@ def compensate_targets(
     targets: Sequence[Target],
     notes: Sequence[str] = (),
 ) -> tuple[tuple[Command, ...], CompensateResult]:
-    """Commands for targets with a model, and their result; ``readings`` are those of the model.
+    """Return commands for targets with a model, and their result; ``readings`` are those of the model.
 
     The result has ``notes`` first, then what is not known of a cell that this program does not drive.
 

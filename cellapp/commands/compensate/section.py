@@ -29,7 +29,7 @@ _ABOUT = (
 def targets_section(
     compensate: CompensateResult | None, verify: VerifyResult | None, floors_mm: Mapping[str, float | None]
 ) -> Section:
-    """Compensated targets, measured ones, or both; ``floors_mm`` has the noise floor of each arm."""
+    """Show compensated targets, measured ones, or both; ``floors_mm`` has the noise floor of each arm."""
     predicted = [] if compensate is None else compensate_summary(compensate)
     measured = [] if verify is None else verify_summary(verify)
     message = predicted[0] if verify is None else verify_message(verify)

@@ -55,12 +55,13 @@ _MET: tuple[Field, ...] = (
 
 
 def stored_tables(result: CompensateResult) -> list[Table]:
-    """What ``show DIR targets`` prints beside its sentences: commands, uncertainties by their parts, tolerances."""
+    """Show what ``show DIR targets`` prints beside its sentences: commands, uncertainties by their parts,
+    tolerances."""
     return [*command_tables(result), *uncertainty_tables(result), *predicted_tables(result)]
 
 
 def command_tables(result: CompensateResult) -> list[Table]:
-    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
+    """Show compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
     tables = []
     for arm in dict.fromkeys(target.arm for target in result.targets):
         commands = [
@@ -77,7 +78,7 @@ def command_tables(result: CompensateResult) -> list[Table]:
 
 
 def predicted_tables(result: CompensateResult) -> list[Table]:
-    """Whether commands are expected to meet the tolerances; empty if no target has one."""
+    """Show whether commands are expected to meet the tolerances; empty if no target has one."""
     judged = [target for target in result.targets if target.tolerance_mm is not None]
     table = table_of(
         "Predicted: targets with a tolerance [mm]",
@@ -93,7 +94,8 @@ def predicted_tables(result: CompensateResult) -> list[Table]:
 
 
 def turn_tables(result: CompensateResult) -> list[Table]:
-    """The flange's rotation: by the published geometry, its uncertainty with the compensated command, its tolerance.
+    """Show the flange's rotation: by the published geometry, its uncertainty with the compensated command, its
+    tolerance.
 
     Empty where no orientation was measured.
     """
@@ -113,7 +115,8 @@ def turn_tables(result: CompensateResult) -> list[Table]:
 
 
 def uncertainty_tables(result: CompensateResult) -> list[Table]:
-    """Standard uncertainty of a coordinate at each command by its sources, and the 95 % bound; empty without parts."""
+    """Show the standard uncertainty of a coordinate at each command by its sources, and the 95 % bound; empty without
+    parts."""
     known = [target for target in result.targets if target.parts is not None]
     table = table_of(
         "Standard uncertainty of a coordinate by its sources [mm]",
@@ -130,7 +133,7 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
 
 
 def unknown_tables(result: CompensateResult) -> list[Table]:
-    """Conditions that nobody stated, by how much each moves the SMR, and where one states it."""
+    """Show conditions that nobody stated, by how much each moves the SMR, and where one states it."""
     table = table_of(
         "Working conditions that nobody stated",
         unknown_conditions(result.targets),
@@ -145,7 +148,7 @@ def unknown_tables(result: CompensateResult) -> list[Table]:
 
 
 def refusal_tables(result: CompensateResult) -> list[Table]:
-    """Targets that are not commanded, the reason, and what to do about it; empty if there are none."""
+    """Show targets that are not commanded, the reason, and what to do about it; empty if there are none."""
     refused = [target for target in result.targets if target.refusal]
     reasons: tuple[Field, ...] = (
         ("refused because", "refusal"),
@@ -158,13 +161,13 @@ def refusal_tables(result: CompensateResult) -> list[Table]:
 
 
 def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
-    """The targets of one arm that were measured with both commands: the order of tables and charts."""
+    """Return the targets of one arm that were measured with both commands: the order of tables and charts."""
     own = [target for target in verify.targets if target.arm == arm]
     return [target for target in own if None not in (target.nominal_mm, target.compensated_mm)]
 
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
-    """Each target with its errors, one table for each arm; cooperative targets; those without a measurement."""
+    """Show each target with its errors, one table for each arm; cooperative targets; those without a measurement."""
     return [
         *_arm_tables(verify),
         *measured_turn_tables(verify),
@@ -174,7 +177,7 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
 
 
 def measured_turn_tables(verify: VerifyResult) -> list[Table]:
-    """Targets at which a probe measured the rotation of the flange; empty without any."""
+    """Show targets at which a probe measured the rotation of the flange; empty without any."""
     measured = [target for target in verify.targets if target.orientation is not None]
     table = table_of(
         "Measured: rotation of the flange, angle from the target [mrad]",
@@ -192,12 +195,12 @@ def measured_turn_tables(verify: VerifyResult) -> list[Table]:
 
 
 def all_measured_tables(verify: VerifyResult) -> list[Table]:
-    """What ``show DIR verification`` prints: statistics, then every target."""
+    """Show what ``show DIR verification`` prints: statistics, then every target."""
     return [*verification_tables(verify), *measured_tables(verify)]
 
 
 def pair_tables(verify: VerifyResult) -> list[Table]:
-    """Cooperative targets: by how much the distance between both SMRs was off; empty without them."""
+    """Show cooperative targets: by how much the distance between both SMRs was off; empty without them."""
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
     table = table_of(
         "Cooperative targets: error of the distance between both SMRs [mm]",
@@ -213,7 +216,7 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
-    """Targets, single and cooperative, that have no measurement, and why."""
+    """Show targets, single and cooperative, that have no measurement, and why."""
     without = [one for one in all_measured(verify) if one.note]
     fields: tuple[Field, ...] = (("target", "name"), ("arm", _arms), ("reason", "note"))
     table = table_of("Targets that were not measured", without[:MOST_ROWS], *fields, count=len(without))
@@ -242,20 +245,20 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
 
 
 def _prediction_urgency(target: TargetCommand) -> float:
-    """Refused ones first, then by the bound as a share of the tolerance."""
+    """Return refused ones first, then by the bound as a share of the tolerance."""
     if target.refusal:
         return math.inf
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
 
 
 def _turn_urgency(target: TargetCommand) -> float:
-    """The bound of the flange's rotation as a share of its tolerance."""
+    """Return the bound of the flange's rotation as a share of its tolerance."""
     within = 0.0 if target.orientation is None else target.orientation.within_mrad
     return within / (target.orientation_tolerance_mrad or math.inf)
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation, and the targets with a tolerance.
+    """Show errors at new targets before and after compensation, and the targets with a tolerance.
 
     Empty if no target was measured with both commands.
     """
@@ -282,7 +285,8 @@ def verification_tables(result: VerifyResult) -> list[Table]:
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
-    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    """Show single and cooperative targets with a tolerance; where these are many, those with the largest share of
+    it."""
     judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
     table = table_of(
         "Targets with a tolerance [mm]",

@@ -97,12 +97,13 @@ class TargetState:
 
 
 def target_state(target: Target, results: StageResults | None) -> TargetState:
-    """What the run says about one target."""
+    """Return what the run says about one target."""
     return target_states((target,), results)[0]
 
 
 def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
-    """What the run says about each target. A result counts while the target is as it was when the result was made.
+    """Return what the run says about each target. A result counts while the target is as it was when the result was
+    made.
 
     A measurement counts for another tolerance, too, and is then judged by that one: where the SMR went does not depend
     on it.
@@ -134,12 +135,12 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
 
 
 def target_list(targets: Sequence[Target], results: StageResults | None) -> Table:
-    """Each target with its state."""
+    """Show each target with its state."""
     return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
 def target_words(target: Target, results: StageResults | None) -> str:
-    """What the run says about one target, and where it is."""
+    """Say what the run says about one target, and where it is."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
     if target.rpy is not None:
@@ -150,7 +151,7 @@ def target_words(target: Target, results: StageResults | None) -> str:
 
 
 def stale_model(results: StageResults) -> str:
-    """Why the model in force should not be used as it is; empty if it holds."""
+    """Say why the model in force should not be used as it is; empty if it holds."""
     located = results.locate
     if located is not None and located.verdict != "located":
         return "no motion of the tracker explains the points of the last 'locate'"
@@ -202,7 +203,7 @@ def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
 
 
 def _rounds_words(one: Measured) -> str:
-    """How far the model alone came, where the target was corrected by measuring."""
+    """Say how far the model alone came, where the target was corrected by measuring."""
     rounds = len(one.rounds_mm) - 1
     return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
 
@@ -227,7 +228,8 @@ def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:
 
 
 def _errors(state: TargetState) -> str:
-    """Error before and after: the distance of both SMRs of a cooperative target, else the largest of its arms."""
+    """Return the error before and after: the distance of both SMRs of a cooperative target, else the largest of its
+    arms."""
     shown: list[Measured] = [one for one in state.measured if one.compensated_mm is not None]
     if state.pair is not None and state.pair.compensated_mm is not None:
         shown = [state.pair]
@@ -239,7 +241,7 @@ def _errors(state: TargetState) -> str:
 
 
 def _short_state(state: TargetState) -> str:
-    """The verdict, or why there is none."""
+    """Return the verdict, or why there is none."""
     if state.refusals:
         return "; ".join(state.refusals)
     if state.measured:
@@ -255,7 +257,7 @@ def _short_state(state: TargetState) -> str:
 
 
 def _with_tolerance(target: Target, stored: TargetRecord) -> Target:
-    """The target with the tolerances that it had when a result was made."""
+    """Return the target with the tolerances that it had when a result was made."""
     changed: dict[str, float | None] = {}
     if stored.tolerance_mm != target.tolerance_mm:
         changed["tolerance"] = _thousandth(stored.tolerance_mm)
@@ -269,7 +271,8 @@ def _thousandth(value: float | None) -> float | None:
 
 
 def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
-    """A measurement whose rotation is judged by the target's tolerance; unchanged where it was judged by that."""
+    """Return a measurement whose rotation is judged by the target's tolerance; unchanged where it was judged by
+    that."""
     limit, turn = target.orientation_tolerance_mrad, one.orientation
     if turn is None or one.orientation_tolerance_mrad == limit:
         return one
@@ -279,7 +282,7 @@ def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> Mea
 
 
 def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
-    """A measurement judged by ``tolerance_mm``; unchanged where it was judged by that."""
+    """Return a measurement judged by ``tolerance_mm``; unchanged where it was judged by that."""
     if one.tolerance_mm == tolerance_mm:
         return one
     verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)

@@ -55,27 +55,27 @@ class Unknown:
 
 
 def advice(reason: str) -> str:
-    """What to do about an unknown condition or a refusal; empty where the words say it themselves."""
+    """Say what to do about an unknown condition or a refusal; empty where the words say it themselves."""
     return next((text for word, text in _ADVICE.items() if word in reason), "")
 
 
 def all_measured(verify: VerifyResult) -> list[Measured]:
-    """Single and cooperative targets."""
+    """Return single and cooperative targets."""
     return [*verify.targets, *verify.pairs]
 
 
 def shown_tolerance(tolerance_mm: float | None) -> float | None:
-    """A tolerance without what the conversion from metres left in its last digits."""
+    """Return a tolerance without what the conversion from metres left in its last digits."""
     return None if tolerance_mm is None else round(tolerance_mm, 6)
 
 
 def arms_words(arms: Iterable[str]) -> str:
-    """The arms of a target."""
+    """Return the arms of a target."""
     return " + ".join(dict.fromkeys(arms))
 
 
 def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
-    """Conditions that nobody stated, the most important first."""
+    """Return conditions that nobody stated, the most important first."""
     found = grouped((one.condition, (one.mm, target.name, one.effects)) for target in targets for one in target.unknown)
     summaries = []
     for condition, entries in found.items():
@@ -89,13 +89,13 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 
 
 def compensate_lines(result: CompensateResult) -> list[str]:
-    """What ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
+    """Say what ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
     lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
     return [*compensate_summary(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
-    """How many targets can be commanded, how many are predicted in and out, the largest bound, what is not seen."""
+    """Say how many targets can be commanded, how many are predicted in and out, the largest bound, what is not seen."""
     return [
         _count_words(result),
         *_prediction_words(result),
@@ -106,7 +106,7 @@ def compensate_summary(result: CompensateResult) -> list[str]:
 
 
 def refusal_lines(result: CompensateResult) -> list[str]:
-    """Why targets cannot be commanded, one line each, and what to do."""
+    """Say why targets cannot be commanded, one line each, and what to do."""
     lines = []
     for target in result.targets:
         if target.refusal:
@@ -117,14 +117,14 @@ def refusal_lines(result: CompensateResult) -> list[str]:
 
 
 def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
-    """What to know about commands that are not refused; of many, the first ones."""
+    """Say what to know about commands that are not refused; of many, the first ones."""
     lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
     more = [f"and {counted(len(lines) - _MOST_NOTES, 'more note')} on targets"] if len(lines) > _MOST_NOTES else []
     return [*lines[:_MOST_NOTES], *more]
 
 
 def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
-    """What was not stated, by how much it moves the SMR, and what to do; one line for each condition."""
+    """Say what was not stated, by how much it moves the SMR, and what to do; one line for each condition."""
     lines = []
     for one in unknown_conditions(targets):
         where = "" if one.targets == 1 else f", the most of {one.targets} targets"
@@ -171,7 +171,8 @@ def _bound_words(result: CompensateResult) -> list[str]:
 
 
 def _turn_words(result: CompensateResult) -> list[str]:
-    """Rotations of the flange before, their bounds after, their verdicts; empty where no orientation was measured."""
+    """Return rotations of the flange before, their bounds after, their verdicts; empty where no orientation was
+    measured."""
     known = [(one.orientation, one.name) for one in result.targets if one.orientation is not None]
     if not known:
         return []
@@ -199,7 +200,8 @@ def _unseen_words(result: CompensateResult) -> list[str]:
 
 
 def verify_message(verify: VerifyResult) -> str:
-    """The verification in one sentence: how many targets are within tolerance, and the mean error before and after."""
+    """Return the verification in one sentence: how many targets are within tolerance, and the mean error before and
+    after."""
     parts = [_tolerance_message(verify)] if _judged(verify) else []
     before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
     after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
@@ -221,7 +223,7 @@ def verify_message(verify: VerifyResult) -> str:
 
 
 def push_lines(pushed: VerifyResult) -> list[str]:
-    """What ``push`` prints: with measurements those; without, how many targets were reached, why not the others."""
+    """Say what ``push`` prints: with measurements those; without, how many targets were reached, why not the others."""
     if any(target.compensated_mm is not None for target in pushed.targets):
         return verify_lines(pushed)
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
@@ -231,14 +233,14 @@ def push_lines(pushed: VerifyResult) -> list[str]:
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
-    """What ``push --verify`` prints: the summary, what was not measured, notes."""
+    """Say what ``push --verify`` prints: the summary, what was not measured, notes."""
     missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
     missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
     return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
 
 
 def verify_summary(verify: VerifyResult) -> list[str]:
-    """The message, how far the model alone came, whether its bounds held."""
+    """Return the message, how far the model alone came, whether its bounds held."""
     message = verify_message(verify)
     return [
         *([message] if message else []),
@@ -250,7 +252,7 @@ def verify_summary(verify: VerifyResult) -> list[str]:
 
 
 def rounds_words(verify: VerifyResult) -> list[str]:
-    """How far the model alone came, and what correcting by measuring left; empty without corrections."""
+    """Say how far the model alone came, and what correcting by measuring left; empty without corrections."""
     lines = []
     for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
         corrected = [one for one in measured if one.corrected_mm is not None]
@@ -280,7 +282,7 @@ def decision_words(verify: VerifyResult) -> list[str]:
 
 
 def promise_words(verify: VerifyResult) -> list[str]:
-    """How many errors of the model alone are within the bound that it stated; empty where it stated none."""
+    """Say how many errors of the model alone are within the bound that it stated; empty where it stated none."""
     known = bounds_and_errors(verify)
     if not known:
         return []
@@ -291,7 +293,8 @@ def promise_words(verify: VerifyResult) -> list[str]:
 
 
 def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tuple[float, float]]:
-    """Predicted 95 % bound and measured error [mm] of the model alone, for the targets (of one arm) that have both."""
+    """Return predicted 95 % bound and measured error [mm] of the model alone, for the targets (of one arm) that have
+    both."""
     return [
         (target.within_mm, error)
         for target in verify.targets
@@ -300,7 +303,7 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
 
 
 def named_few(names: Sequence[str]) -> str:
-    """Some names; further ones are counted."""
+    """Return some names; further ones are counted."""
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     return ", ".join([*names[:_MOST_NAMED], *more])
 

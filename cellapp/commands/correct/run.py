@@ -122,7 +122,7 @@ def correct_run(
 
 
 def typed_tcp(text: str) -> Six:
-    """A TCP as a person types it: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
+    """Return a TCP as a person types it: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
     try:
         numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
         if not np.isfinite(numbers).all():

@@ -11,12 +11,13 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 
 def view(result: CorrectResult, request: Request | None = None) -> View:
-    """Every target, what was assumed, what could not be corrected."""
+    """Show every target, what was assumed, what could not be corrected."""
     return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
 
 
 def correct_table(result: CorrectResult) -> Table:
-    """Two rows for each target, its old and its new numbers; with these the size and uncertainty of the correction.
+    """Show two rows for each target, its old and its new numbers; with these the size and uncertainty of the
+    correction.
 
     Below the motion stands what its solution is nearest to.
     """

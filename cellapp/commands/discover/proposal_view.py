@@ -14,7 +14,7 @@ _HIDDEN = 0.01
 
 
 def proposal_lines(proposal: Proposal) -> list[str]:
-    """Questions with their discriminations, advice and next steps, in lines for a terminal.
+    """Return questions with their discriminations, advice and next steps, in lines for a terminal.
 
     Each number is a discrimination (non-centrality lambda): now, with the proposed stops, with as many random stops
     of the same candidates; then the gain of proposed over random stops, and the value that a clear answer needs.

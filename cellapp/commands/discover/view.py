@@ -44,14 +44,14 @@ _MOST_PICTURES = 6
 
 
 def view(result: DiscoverResult, request: Request | None = None) -> View:
-    """What was found in each arm and what it means, notes, and the stops that were proposed."""
+    """Show what was found in each arm and what it means, notes, and the stops that were proposed."""
     arms = [arm_section(f"discovery-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
     notes = [f"Note: {note}" for note in result.notes or ()]
     return View((*arms, *notes, *([] if result.proposal is None else proposal_lines(result.proposal))))
 
 
 def explanation_text(result: DiscoverResult) -> str:
-    """All that explains the tables of a discovery."""
+    """Return all that explains the tables of a discovery."""
     arms = [Section(f"Arm {name}", [*_remarks(arm), *_meanings(arm)]) for name, arm in result.arms.items()]
     return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
@@ -59,7 +59,7 @@ def explanation_text(result: DiscoverResult) -> str:
 def discovery_section(
     discover: DiscoverResult, settings: Discovery, charts: Mapping[str, tuple[Sequence[Chart], Sequence[Chart]]]
 ) -> Section:
-    """All arms; ``charts`` has of each how sure its model is, and what its effects turn each joint by."""
+    """Show all arms; ``charts`` has of each how sure its model is, and what its effects turn each joint by."""
     verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
     arms = [
         arm_section(f"discovery-{number}", name, arm, *charts[name])
@@ -72,7 +72,7 @@ def discovery_section(
 def arm_section(
     key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
 ) -> Section:
-    """Verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
+    """Show the verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
     found = with_rows(
         numbered_steps_table(name, arm),
         short_accepted_table(name, arm),
@@ -104,7 +104,7 @@ def arm_section(
 
 
 def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What recordings of motion show, what only they can show, and what stays out of commands."""
+    """Say what recordings of motion show, what only they can show, and what stays out of commands."""
     if arm.motion is None:
         return []
     said = []
@@ -128,7 +128,7 @@ _IN_UNITS = {
 
 
 def _in_figures(one: MotionEffectResult) -> str:
-    """Time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
+    """Return time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
     parts = []
     for begins, (unit, factor, digits) in _IN_UNITS.items():
         its = [value for name, value in one.parameters.items() if name.rstrip("0123456789") == begins]
@@ -139,7 +139,7 @@ def _in_figures(one: MotionEffectResult) -> str:
 
 
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:
-    """What contradicts an effect, could replace it, is possible too, hardly fits its law, or cannot be shown."""
+    """Say what contradicts an effect, could replace it, is possible too, hardly fits its law, or cannot be shown."""
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
@@ -154,7 +154,7 @@ def _remarks(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def _meanings(arm: ArmDiscoveryResult) -> Iterator[Section]:
-    """Cause, usual size, what to check and what would settle it, of every accepted effect."""
+    """Yield cause, usual size, what to check and what would settle it, of every accepted effect."""
     for found in arm.accepted:
         meaning = found.meaning
         if meaning is None:

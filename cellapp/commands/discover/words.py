@@ -29,12 +29,12 @@ _GAP_DEG = 10.0
 
 
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
-    """The sentence of the verdict without the arm's name."""
+    """Return the sentence of the verdict without the arm's name."""
     return arm.sentence.removeprefix(f"arm {name}: ")
 
 
 def verdict_lines(result: DiscoverResult) -> list[str]:
-    """The sentence of each arm's verdict, and its orientation errors where orientation was measured."""
+    """Return the sentence of each arm's verdict, and its orientation errors where orientation was measured."""
     return [
         line
         for name, arm in result.arms.items()
@@ -43,7 +43,7 @@ def verdict_lines(result: DiscoverResult) -> list[str]:
 
 
 def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Held-out orientation errors before and after; none where no orientation was measured."""
+    """Return held-out orientation errors before and after; none where no orientation was measured."""
     errors = arm.heldout_orientation_mrad
     if errors is None:
         return []
@@ -55,12 +55,12 @@ def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def size_words(meaning: EffectMeaning) -> str:
-    """The usual size with how well it is known."""
+    """Return the usual size with how well it is known."""
     return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"
 
 
 def misfit_words(found: AcceptedEffect) -> str:
-    """What the effect moves beside its law; empty where it has no free part or hardly any in it."""
+    """Say what the effect moves beside its law; empty where it has no free part or hardly any in it."""
     if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
         return ""
     return (
@@ -70,14 +70,14 @@ def misfit_words(found: AcceptedEffect) -> str:
 
 
 def also_possible(arm: ArmDiscoveryResult) -> str:
-    """Effects that were not accepted and are not improbable, the most probable first."""
+    """Return effects that were not accepted and are not improbable, the most probable first."""
     accepted = {found.effect for found in arm.accepted}
     others = [(slug, p) for slug, p in arm.candidates.items() if slug not in accepted and p >= _NOT_IMPROBABLE]
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
 
 def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Effects that could replace an accepted one, and those that the data rule out."""
+    """Return effects that could replace an accepted one, and those that the data rule out."""
     sentences = []
     for found in arm.accepted:
         rivals = found.indistinguishable
@@ -94,18 +94,18 @@ def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def contradiction_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What behaves like an effect with an impossible sign or size."""
+    """Say what behaves like an effect with an impossible sign or size."""
     return [f"Something {found.sentence}." for found in arm.contradictions]
 
 
 def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Accepted effects whose law is not quite as expected."""
+    """Return accepted effects whose law is not quite as expected."""
     words = [misfit_words(found) for found in arm.accepted]
     return [f"{text[0].upper()}{text[1:]}." for text in words if text]
 
 
 def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Whether what is left shows structure; empty where it was not tested."""
+    """Say whether what is left shows structure; empty where it was not tested."""
     if arm.structure is None:
         return []
     sentence = arm.structure.sentence
@@ -113,7 +113,8 @@ def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Joints of an accepted effect that have no figure; effects that recordings of motion show have loops instead."""
+    """Return joints of an accepted effect that have no figure; effects that recordings of motion show have loops
+    instead."""
     if arm.motion is not None and arm.motion.used:
         return []
     sentences = []
@@ -130,7 +131,7 @@ def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
+    """Say what the effects leave, what a residual network finds in it, and the predicted uncertainty."""
     return [
         *structure_sentences(arm),
         *_scatter_sentences(arm),
@@ -175,7 +176,7 @@ def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
-    """Heading and description of each data-driven term."""
+    """Return the heading and description of each data-driven term."""
     impossible = {contradiction.sentence for contradiction in arm.contradictions}
     descriptions = [
         found.description
@@ -200,12 +201,12 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
 
 
 def picture_words(picture: Picture) -> str:
-    """Size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
+    """Return the size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
     return " ".join([size_sentence(picture), *_certainty_sentences(picture), *gap_sentences(picture)])
 
 
 def size_sentence(picture: Picture) -> str:
-    """Size of an effect and scatter about it; width of a loop."""
+    """Return the size of an effect and scatter about it; width of a loop."""
     if picture.direction is not None:
         measured, computed = (_loop_width(picture, values) for values in (picture.measured, picture.computed))
         return f"The loop is {measured:.1f} {_unit(picture)} wide as measured, {computed:.1f} by the model."
@@ -218,14 +219,14 @@ def size_sentence(picture: Picture) -> str:
 
 
 def _loop_width(picture: Picture, values: Sequence[float]) -> float:
-    """Distance between the means after upward and after downward motion; not a number without one of both."""
+    """Return distance between the means after upward and after downward motion; not a number without one of both."""
     directions = picture.direction or ()
     up, down = ([v for v, d in zip(values, directions, strict=True) if d == sign] for sign in (1, -1))
     return abs(sum(up) / len(up) - sum(down) / len(down)) if up and down else math.nan
 
 
 def _certainty_sentences(picture: Picture) -> list[str]:
-    """Where a curve over a whole turn is most and least certain, if that differs."""
+    """Say where a curve over a whole turn is most and least certain, if that differs."""
     curve, unit = picture.curve, _unit(picture)
     if curve is None or not _is_whole_turn(curve):
         return []
@@ -240,7 +241,7 @@ def _certainty_sentences(picture: Picture) -> list[str]:
 
 
 def gap_sentences(picture: Picture) -> list[str]:
-    """The widest range without a reading of a curve over a whole turn."""
+    """Return the widest range without a reading of a curve over a whole turn."""
     if picture.curve is None or not _is_whole_turn(picture.curve):
         return []
     begin, end = _largest_gap(picture.x)
@@ -258,7 +259,7 @@ def _is_whole_turn(curve: CurveRecord) -> bool:
 
 
 def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:
-    """Ends [deg] of the widest range of a turn without a value; the second may be beyond 180."""
+    """Return ends [deg] of the widest range of a turn without a value; the second may be beyond 180."""
     around = [*angles, angles[0] + 360.0]
     return max(pairwise(around), key=lambda pair: pair[1] - pair[0])
 

@@ -12,7 +12,8 @@ _GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
 
 
 def declared_part(effect: Effect) -> str:
-    """What an effect declares, as Markdown: cause, laws, usual size, checks, further stops; with markers around it."""
+    """Say what an effect declares, as Markdown: cause, laws, usual size, checks, further stops; with markers around
+    it."""
     meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
     known = "" if meaning.size_source == "none" else f" ({meaning.size_source})"
     parts = [
@@ -28,7 +29,7 @@ def declared_part(effect: Effect) -> str:
 
 
 def _laws(effect: Effect) -> list[str]:
-    """What an effect depends on, its laws as results name them, and what is not possible."""
+    """Say what an effect depends on, its laws as results name them, and what is not possible."""
     parts = []
     if effect.variables:
         parts.append(_wrapped(f"**Depends on** {', '.join(sorted(_variable(one) for one in effect.variables))}."))

@@ -64,12 +64,12 @@ _FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
 
 
 def topics() -> list[str]:
-    """Names of the chapters and of the effects that have a section."""
+    """Return names of the chapters and of the effects that have a section."""
     return [*CHAPTERS, *effect_sections()]
 
 
 def topic_text(topic: str) -> str:
-    """Markdown of a chapter, or of the section of one effect, without the markers and the words for tests.
+    """Return the markdown of a chapter, or of the section of one effect, without the markers and the words for tests.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def topic_text(topic: str) -> str:
 
 
 def chapter_text(chapter: str) -> str:
-    """A chapter as it is kept, with the markers around the parts that repeat declarations."""
+    """Return a chapter as it is kept, with the markers around the parts that repeat declarations."""
     return resources.files("cellapp.docs").joinpath(f"{chapter}.md").read_text("utf-8")
 
 
 def effect_sections() -> dict[str, str]:
-    """Section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
+    """Return section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
     from cellapp.commands.docs.effect_parts import declared_part  # here: chapters are read without the mathematics
     from cellapp.robot.effects import EFFECTS
 
@@ -101,10 +101,11 @@ def effect_sections() -> dict[str, str]:
 
 
 def anchors(chapter: str) -> dict[str, str]:
-    """Headings of a chapter by the anchor that a link to each carries: small letters, words joined by hyphens."""
+    """Return headings of a chapter by the anchor that a link to each carries: small letters, words joined by
+    hyphens."""
     return {anchor_of(heading): heading for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
 
 
 def anchor_of(heading: str) -> str:
-    """The anchor of a heading, as Markdown readers make it."""
+    """Return the anchor of a heading, as Markdown readers make it."""
     return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")

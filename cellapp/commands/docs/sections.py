@@ -54,7 +54,7 @@ class Found:
 
 @cache
 def sections(chapter: str) -> tuple[Section, ...]:
-    """The sections of a chapter in order.
+    """Build the sections of a chapter in order.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def sections(chapter: str) -> tuple[Section, ...]:
 
 
 def section_at(address: str, present: str) -> Section | None:
-    """Where a link leads that stands in the chapter ``present``; None for other files and pages."""
+    """Show where a link leads that stands in the chapter ``present``; None for other files and pages."""
     file, _, anchor = address.partition("#")
     chapter = file.removesuffix(".md") if file else present
     if chapter not in CHAPTERS or "://" in address:
@@ -75,7 +75,7 @@ def section_at(address: str, present: str) -> Section | None:
 
 
 def search(words: str) -> tuple[Found, ...]:
-    """Sections that hold all of some words, those with all in the heading first; capitals do not count."""
+    """Return sections that hold all of some words, those with all in the heading first; capitals do not count."""
     wanted = words.lower().split()
     if not wanted:
         return ()

@@ -46,7 +46,7 @@ _ERROR_LOG = Path("cellapp-error.log")
 
 
 def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str, str], seconds: float) -> bytes:
-    """The ZIP file. ``log`` are the files of ``run_log``; ``seconds`` is what the doctor took."""
+    """Return the ZIP file. ``log`` are the files of ``run_log``; ``seconds`` is what the doctor took."""
     secrets = _secrets(profile)
     timings: dict[str, float] = {"doctor_s": seconds}
     parts = {
@@ -73,7 +73,7 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str,
 
 
 def newest_run(profile: Profile) -> Path | None:
-    """The folder of the newest run below ``logs`` that is of a profile of this name; None without one."""
+    """Return the folder of the newest run below ``logs`` that is of a profile of this name; None without one."""
     files = [(file.stat().st_mtime, file) for file in Path("logs").glob("*/run.sqlite")]
     for _, file in sorted(files, reverse=True):
         with suppress(CellappError), RunFile.open(file.parent) as run:
@@ -91,7 +91,7 @@ def _versions() -> dict[str, str]:
 
 
 def _secrets(profile: Profile) -> set[str]:
-    """Secrets that the profile leads to, in whatever text they may stand."""
+    """Return secrets that the profile leads to, in whatever text they may stand."""
     found = set[str]()
     with suppress(SettingError, OSError):
         found.add(profile.tracker.driver.token() or "")
@@ -104,7 +104,7 @@ def _secrets(profile: Profile) -> set[str]:
 
 
 def _without_commands(profile: Profile) -> str:
-    """The whole profile as JSON, without the arguments of its command."""
+    """Return the whole profile as JSON, without the arguments of its command."""
     content = json.loads(profile_to_json(profile))
     if profile.notify is not None:
         content["notify"]["command"] = [profile.notify.command[0], *([REDACTED] * (len(profile.notify.command) - 1))]
@@ -119,7 +119,7 @@ def _end_of(path: Path) -> str:
 
 
 def run_log(folder: Path | None) -> dict[str, str]:
-    """The end of a run's log, and why stops were left out; empty without a run. Raises ``InputError``."""
+    """Return the end of a run's log, and why stops were left out; empty without a run. Raises ``InputError``."""
     if folder is None:
         return {}
     if not (folder / "run.sqlite").is_file():

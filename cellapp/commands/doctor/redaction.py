@@ -19,7 +19,7 @@ _LEAST = 4
 
 
 def redacted(text: str, secrets: Collection[str] = ()) -> str:
-    """A text without values of keys such as ``token`` or ``password``, keys in PEM form, users in addresses, and
+    """Return a text without values of keys such as ``token`` or ``password``, keys in PEM form, users in addresses, and
     without the given ``secrets`` wherever they stand."""
     for secret in sorted((one for one in secrets if len(one) >= _LEAST), key=len, reverse=True):
         text = text.replace(secret, REDACTED)

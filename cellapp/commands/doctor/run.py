@@ -52,7 +52,7 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
 
 
 def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
-    """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
+    """Return all that ``examine`` finds, after what plug-ins add, as the result of the verb."""
     found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile, reference_nests)))))
     tables = factory_tables(profile, _reports(found))
     if not tables:
@@ -76,7 +76,7 @@ def examine_run(profile: Profile, reference_nests: Path | None = None) -> Doctor
 
 
 def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], ...], str]]:
-    """D-H rows and checksum that the controller of each arm reported, by arm."""
+    """Return the D-H rows and checksum that the controller of each arm reported, by arm."""
     return {
         finding.subject.removeprefix("arm ").removesuffix(": link"): (device.dh_rows, device.dh_checksum)
         for finding in result.findings
@@ -85,7 +85,7 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
 
 
 def repeatable_devices(profile: Profile) -> tuple[str, ...]:
-    """Devices whose probe may be repeated every few seconds, as they are called in findings."""
+    """Return devices whose probe may be repeated every few seconds, as they are called in findings."""
     settings: dict[str, ArmSettings | TrackerSettings | AirSensorSettings] = {
         **{f"arm {name}": arm.driver for name, arm in profile.arms.items()},
         "tracker": profile.tracker.driver,
@@ -96,7 +96,7 @@ def repeatable_devices(profile: Profile) -> tuple[str, ...]:
 
 
 def probe_devices(profile: Profile, devices: Collection[str]) -> DoctorResult:
-    """What some devices say now; nothing moves, and nothing else is checked."""
+    """Return what some devices say now; nothing moves, and nothing else is checked."""
     return DoctorResult(findings=tuple(map(_result, probe(profile, devices))))
 
 
@@ -105,12 +105,12 @@ def _result(finding: Finding) -> ResultFinding:
 
 
 def installed_plugins() -> tuple[Plugin, ...]:
-    """Every entry point in a group of this program, also those that are not used."""
+    """Return every entry point in a group of this program, also those that are not used."""
     return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins, *METHODS.plugins)
 
 
 def installed_findings() -> list[Finding]:
-    """What each installed plug-in adds; those that cannot be used keep no job from starting."""
+    """Return what each installed plug-in adds; those that cannot be used keep no job from starting."""
     installed = installed_plugins()
     added = in_words(one for one in installed if not one.problem)
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]

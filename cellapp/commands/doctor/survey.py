@@ -64,7 +64,7 @@ def draft_with_surveyed_base(
 
 
 def _point_at_base(arm: Arm, number: int, point: SurveyPoint) -> Array:
-    """The point in the base frame (3,) [m]."""
+    """Return the point in the base frame (3,) [m]."""
     if point.joints is None:
         return np.array(point.base)
     if len(point.joints) != len(arm.type.joints):

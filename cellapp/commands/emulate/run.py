@@ -265,7 +265,7 @@ def _config(emulated: EmulatedArm, arm: Arm, plant: Plant | None) -> ControllerC
 
 
 def _as_calibrated(emulated: EmulatedArm, plant: Plant | None) -> Personality:
-    """The controller with the factory's calibration of its arm, if the simulated cell has one."""
+    """Return the controller with the factory's calibration of its arm, if the simulated cell has one."""
     own = None if plant is None else factory_calibration(plant, emulated.arm)
     if own is None:
         return emulated.controller

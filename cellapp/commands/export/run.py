@@ -193,7 +193,7 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
 
 
 def lost_by_arm(run: RunFile) -> list[str]:
-    """What no file of a rigid chain holds of each calibrated arm, in words."""
+    """Say what no file of a rigid chain holds of each calibrated arm, in words."""
     lines = []
     for name, export in calibrated_arms(run, read_stages(run)).items():
         loss = export.lost_together
@@ -204,7 +204,7 @@ def lost_by_arm(run: RunFile) -> list[str]:
 
 
 def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
-    """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
+    """Say what stands at the top of every file: the arm, where it is from, what the file does not hold."""
     return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export)]
 
 

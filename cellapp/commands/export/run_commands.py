@@ -73,7 +73,7 @@ def export_commands(
 
 
 def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
-    """The stage whose commands are written, which still holds."""
+    """Return the stage whose commands are written, which still holds."""
     if name not in (COMPENSATE, VERIFY):
         raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
     known = COMPENSATE if name == COMPENSATE else VERIFY
@@ -115,7 +115,8 @@ def _of_arm(
 
 
 def _rates(run: RunFile, arm: Arm) -> tuple[float, float]:
-    """Speed [rad/s] and acceleration [rad/s^2] that no joint exceeds: as slow as first motions on real hardware."""
+    """Return the speed [rad/s] and acceleration [rad/s^2] that no joint exceeds: as slow as first motions on real
+    hardware."""
     joints = arm.type.joints
     share = arm.speed_scale * run.profile.collection.slow_start.speed
     speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))

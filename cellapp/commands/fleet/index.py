@@ -50,7 +50,7 @@ class IndexedRecords:
 
 
 def indexed_records(folder: Path) -> IndexedRecords:
-    """The record of every run in ``folder`` and below. A single run has no index: it is read."""
+    """Return the record of every run in ``folder`` and below. A single run has no index: it is read."""
     runs = list(run_folders(folder))
     if runs == [folder]:
         return IndexedRecords((read_record(folder),), 1)
@@ -74,7 +74,7 @@ def indexed_records(folder: Path) -> IndexedRecords:
 
 
 def stamp_of(run: Path) -> Stamp | None:
-    """The stamp of a run; None where its file cannot be read, and where its results are older than stages."""
+    """Return the stamp of a run; None where its file cannot be read, and where its results are older than stages."""
     path = run / FILE_NAME
     try:
         file = path.stat()
@@ -97,12 +97,12 @@ def stamp_of(run: Path) -> Stamp | None:
 
 
 def _key(folder: Path, run: Path) -> str:
-    """Path of a run below the folder: the folder may be moved with its index."""
+    """Return the path of a run below the folder: the folder may be moved with its index."""
     return run.relative_to(folder).as_posix()
 
 
 def _load(folder: Path) -> dict[str, tuple[Stamp, RunRecord]]:
-    """Rows that are whole and of this version; none where there is no index or it cannot be read."""
+    """Return rows that are whole and of this version; none where there is no index or it cannot be read."""
     path = folder / INDEX_FILE
     if not path.is_file():
         return {}

@@ -50,7 +50,7 @@ P = TypeVar("P", bound=BaseModel)
 
 
 def read_record(folder: Path) -> RunRecord:
-    """The record of one run; it states the problem where the run cannot be read."""
+    """Return the record of one run; it states the problem where the run cannot be read."""
     try:
         with RunFile.peek(folder) as run:
             return _Reader(run, read_stages(run, counted_basis)).record()
@@ -146,7 +146,7 @@ class _Reader:
         return None if stage is None else self._parsed(stage, stage.text, kind)
 
     def _model(self) -> Model | None:
-        """The model in force; none where its arms no longer rest on the readings."""
+        """Return the model in force; none where its arms no longer rest on the readings."""
         stage = self.stages.in_force
         if stage is None or stage.model is None or self.stages.stale_arms():
             return None
@@ -160,7 +160,7 @@ class _Reader:
             return None
 
     def _dated(self) -> _Dated:
-        """Everything that was measured with a model of this run, each at its own time."""
+        """Return everything that was measured with a model of this run, each at its own time."""
         found = _Dated(str(self.run.folder))
         for stage in read_history(self.run):
             if stage.name == VERIFY and (verified := self._parsed(stage, stage.text, VerifyResult)):
@@ -202,7 +202,7 @@ class _Dated:
         return {figure: values for figure, values in found.items() if values}
 
     def _poses(self, arm: str) -> Iterator[tuple[DatedValue, DatedValue]]:
-        """Largest AP and RP of each test, with calibrated commands where those were tested."""
+        """Yield the largest AP and RP of each test, with calibrated commands where those were tested."""
         for time, one in self.tested:
             tests = one.arms[arm].tests if arm in one.arms else {}
             kind = next((kind for kind in reversed(ISO_COMMANDS) if kind in tests and tests[kind].pose), None)
@@ -318,7 +318,7 @@ class _ArmParts:
         return _carried_over(self.model) if self.model is not None and self.model.effects else None
 
     def _best_errors(self) -> ErrorSummary | None:
-        """Held-out errors of the last model that was computed and still holds."""
+        """Return held-out errors of the last model that was computed and still holds."""
         if self.calibrated is None or self.model is None:
             return None
         found = dict(self.calibrated.validate_)
@@ -348,12 +348,13 @@ class _ArmParts:
 
 
 def _changed(path: Path) -> str:
-    """When a file last changed (ISO 8601, UTC): for runs that do not say when they were made."""
+    """Say when a file last changed (ISO 8601, UTC): for runs that do not say when they were made."""
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="milliseconds")
 
 
 def levers(arm: Arm, names: list[str]) -> dict[str, float]:
-    """Rms displacement of the SMR [m] by one unit of each parameter of the nominal arm, over all joint angles."""
+    """Return the rms displacement of the SMR [m] by one unit of each parameter of the nominal arm, over all joint
+    angles."""
     geometry = nominal_arm(arm)
     joints = len(arm.type.joints)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_LEVER_CONFIGURATIONS, joints))
@@ -369,7 +370,7 @@ def _accepted(one: AcceptedEffect, n: int) -> EffectRecord:
 
 
 def _carried_over(model: ModelArm) -> tuple[EffectRecord, ...]:
-    """Effects that a calibration took over from an earlier one."""
+    """Return effects that a calibration took over from an earlier one."""
     return tuple(
         EffectRecord(
             effect=term.effect,
@@ -400,5 +401,5 @@ def _transforms(stored: _Stored) -> dict[Method, dict[str, Estimate]]:
 
 
 def _rms_error(rms: float, stops: int) -> float | None:
-    """Standard error of the rms length of 3 ``stops`` normal coordinates: rms / sqrt(2 n), for n of them."""
+    """Return the standard error of the rms length of 3 ``stops`` normal coordinates: rms / sqrt(2 n), for n of them."""
     return rms / math.sqrt(6.0 * stops) if stops else None

@@ -26,7 +26,7 @@ def run(request: FleetRequest, work: Work) -> FleetResult:
 
 
 def fleet(folders: Sequence[Path]) -> FleetResult:
-    """The history of every arm in the runs of some folders and below, each run once, by the time when it began.
+    """Return the history of every arm in the runs of some folders and below, each run once, by the time when it began.
 
     A run that cannot be read has its problem in the result.
 
@@ -50,7 +50,7 @@ def fleet(folders: Sequence[Path]) -> FleetResult:
 
 
 def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]]:
-    """The runs without copies of others, and a note on each that has some.
+    """Return the runs without copies of others, and a note on each that has some.
 
     A copy began at the same instant and says the same of every arm: ten copies of a run are one measurement.
     """
@@ -90,7 +90,7 @@ def compare_many(folders: Sequence[Path]) -> FleetResult:
 
 
 def _not_in_first(result: FleetResult) -> Iterator[str]:
-    """Arms that the first run does not have: they are compared with another run, or with none."""
+    """Yield arms that the first run does not have: they are compared with another run, or with none."""
     first = result.runs[0].run
     for name, arm in result.arms.items():
         if first not in arm.runs:

@@ -57,7 +57,7 @@ def write_answers(answers: Path, folder: Path) -> Written:
 
 
 def _with_type_files(draft: ProfileDraft) -> ProfileDraft:
-    """The draft with the file of each arm type that is given by its short name, such as ur10."""
+    """Return the draft with the file of each arm type that is given by its short name, such as ur10."""
     files = {path.stem: f"arms/{path.name}" for path in arm_type_files()}
     return replace(draft, arms=tuple(replace(arm, type=files.get(arm.type, arm.type)) for arm in draft.arms))
 

@@ -125,7 +125,8 @@ class _Motion:
 
 
 def _motion_of(path: Path) -> _Motion | None:
-    """What a recording of joint positions has (time_s, q1, q2, ...); None for other files, as readings at rest."""
+    """Return what a recording of joint positions has (time_s, q1, q2, ...); None for other files, as readings at
+    rest."""
     try:
         file = read_header(path, "joint positions", EXAMPLES["joints"])
         names = understood(file.names, "joints", ()).names
@@ -141,7 +142,7 @@ def _motion_of(path: Path) -> _Motion | None:
 
 
 def _is_swift(file: CsvFile, column: int) -> bool:
-    """Whether rows follow one another as samples of a motion do, in whatever unit, and not as stops."""
+    """Return whether rows follow one another as samples of a motion do, in whatever unit, and not as stops."""
     cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
     dated = not all(map(is_number, cells))  # dates and times of day are in seconds
     stamps = np.array([stamp_seconds(cell) if dated else float(cell or "nan") for cell in cells])
@@ -151,7 +152,7 @@ def _is_swift(file: CsvFile, column: int) -> bool:
 
 
 def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:
-    """Profile and arm type for recordings of motion, of which this file has the joints."""
+    """Return the profile and arm type for recordings of motion, of which this file has the joints."""
     types = _types(own, motion.joints)
     if not own.arm:
         words = ", ".join(one.name for one in types)
@@ -197,7 +198,7 @@ class _Type:
 
 
 def _types(own: OwnData, joints: int) -> list[_Type]:
-    """The type that was named, else all that come with the program and have so many joints."""
+    """Return the type that was named, else all that come with the program and have so many joints."""
     path = Path(own.arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
         text = arm_type_text(path, modified=own.modified) if path.suffix.lower() == ".csv" else _read(path)
@@ -222,7 +223,7 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
 
 
 def _all_arms() -> list[_Type]:
-    """The arm types that come with the program."""
+    """Return the arm types that come with the program."""
     texts = {file: _read(file) for file in arm_type_files()}
     return [_Type(file.stem, f"arms/{file.name}", text, arm_type_of_text(text, file)) for file, text in texts.items()]
 
@@ -237,7 +238,7 @@ def _read(path: Path) -> str:
 
 
 def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
-    """The one that was named; else a person is asked, with those first that explain the readings."""
+    """Return the one that was named; else a person is asked, with those first that explain the readings."""
     if own.arm:
         return types[0]
     fits = sorted(((one.explained(q, p_M).rms_m, one) for one in types), key=lambda fit: fit[0])
@@ -319,7 +320,7 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
 
 
 def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[str, ...]:
-    """How the file was understood."""
+    """Say how the file was understood."""
     decimals = ", decimal commas" if recorded.decimal_comma else ""
     known = [f"{other} = {name}" for name, other in recorded.known.others.items() if name != other]
     rows = list(zip(*recorded.table.cells.values(), strict=True))
@@ -334,7 +335,7 @@ def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tupl
 
 
 def _judged(arm_type: _Type, q: Array, p_M: Array) -> str:
-    """Whether the published arm explains the points."""
+    """Say whether the published arm explains the points."""
     now = arm_type.explained(q, p_M)
     left = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
     if now.holds:

@@ -11,7 +11,7 @@ from cellapp.ground.counting import counted
 
 
 def by_hand_tables(result: Iso9283Result) -> list[Table]:
-    """Pose tests with other loads, and static compliance."""
+    """Show pose tests with other loads, and static compliance."""
     return [_loads(result), _compliance(result)]
 
 

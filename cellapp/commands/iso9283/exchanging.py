@@ -27,7 +27,7 @@ class OtherTest:
         return {name: arm.cube for name, arm in self.arms.items() if arm.cube is not None}
 
     def compared(self, arms: Mapping[str, ArmIso9283]) -> dict[str, ArmIso9283]:
-        """Arms with their exchangeability, where both tests measured the same poses with nominal commands."""
+        """Return arms with their exchangeability, where both tests measured the same poses with nominal commands."""
         return {name: self._compared(name, arm) for name, arm in arms.items()}
 
     def _compared(self, name: str, arm: ArmIso9283) -> ArmIso9283:
@@ -39,7 +39,7 @@ class OtherTest:
 
 
 def other_test(folder: Path | None, profile: Profile, arms: tuple[str, ...]) -> OtherTest | None:
-    """The newest test in another run; None if no folder is given.
+    """Return the newest test in another run; None if no folder is given.
 
     Raises ``InputError`` if there is none, or it is of arms of other types.
     """

@@ -34,7 +34,7 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
 
 def _unused(folder: Path) -> Path:
-    """A name that no earlier test has: a run keeps the points of each of its tests."""
+    """Return a name that no earlier test has: a run keeps the points of each of its tests."""
     path, number = folder / f"{_NAME}.csv", 1
     while path.exists():
         number += 1

@@ -42,7 +42,7 @@ def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 def _kinds(given: Any) -> Any:
-    """Commands by one word."""
+    """Return commands by one word."""
     return ISO_COMMANDS if given == "both" else (given,) if isinstance(given, str) else given
 
 

@@ -104,7 +104,7 @@ def iso9283_run(
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
-    """The run in a folder, to be added to; a new one without a plan if the folder holds none.
+    """Return the run in a folder, to be added to; a new one without a plan if the folder holds none.
 
     Raises ``InputError`` if the run there is of another cell.
     """
@@ -132,7 +132,8 @@ def _task(
     kinds: tuple[IsoCommands, ...],
     named: tuple[str, ...],
 ) -> IsoTask:
-    """What is driven: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is one."""
+    """Return what is driven: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is
+    one."""
     used = stages.in_force
     return IsoTask(
         profile=profile_at_station(run, stages),
@@ -198,7 +199,7 @@ def _arms(profile: Profile, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[str]:
-    """What a person must know of the conditions."""
+    """Say what a person must know of the conditions."""
     notes: list[str] = []
     if used is None:
         notes.append(

@@ -99,7 +99,7 @@ class LocateResult(Result, schema="cellapp-locate"):
         return {name: sum(point.arm == name for point in self.points) for name in {p.arm: None for p in self.points}}
 
     def complaints(self) -> list[str]:
-        """Why the tracker could not be located; empty if it was."""
+        """Say why the tracker could not be located; empty if it was."""
         if self.verdict == "located":
             return []
         found = next((one for one in self.other_motions if one.explains), None)

@@ -110,7 +110,7 @@ def locate_run(
 
 
 def typed_pose(text: str, what: str) -> Pose:
-    """A pose from ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
+    """Return a pose from ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
     try:
         values = [float(part) for part in text.split(",")]
         x, y, z, roll, pitch, yaw = values
@@ -127,7 +127,7 @@ def typed_pose(text: str, what: str) -> Pose:
 
 
 def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
-    """The stage whose model is in the tracker frame of the readings."""
+    """Return the stage whose model is in the tracker frame of the readings."""
     used = arms_stage(run, stages, "locate")
     stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
     if stale:
@@ -136,7 +136,7 @@ def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
 
 
 def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -> Array:
-    """A guess of ``T_new_old`` (4, 4): from the given pose, else where the tracker was found last."""
+    """Return a guess of ``T_new_old`` (4, 4): from the given pose, else where the tracker was found last."""
     pose = run.profile.tracker.pose
     if pose is None:
         raise InputError(f"profile {run.profile.name}: tracker.pose is needed to point the tracker")
@@ -210,7 +210,7 @@ def _verdict(found: LocatedStation) -> LocateVerdict:
 
 
 def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
-    """What a person must know of a station that was found."""
+    """Say what a person must know of a station that was found."""
     if not found.explained:
         return []
     notes = [
@@ -229,7 +229,7 @@ def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> l
 
 
 def _model_notes(model: CellModel) -> list[str]:
-    """What the located model cannot promise."""
+    """Say what the located model cannot promise."""
     notes = [
         f"arm {name}: the calibration states no uncertainty of its own, so the station's is not carried on either; run"
         " 'cellapp discover' for both"
@@ -263,7 +263,7 @@ def _motion(cause: Cause) -> OtherMotion:
 
 
 def _added_mm(found: LocatedStation) -> float:
-    """Standard deviation of a coordinate from the station alone, rms over the points [mm]."""
+    """Return the standard deviation of a coordinate from the station alone, rms over the points [mm]."""
     J = twist_columns(np.array([one.point.p_M for one in found.found]))
     variance = np.einsum("nai,ij,naj->na", J, found.fit.covariance, J)
     return float(np.sqrt(variance.mean())) * 1e3

@@ -19,7 +19,8 @@ from cellapp.robot.model import CellModel
 
 
 def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None = None) -> Profile:
-    """The profile of a run with the tracker of a simulated cell where it was moved to; for jobs that open the cell.
+    """Return the profile of a run with the tracker of a simulated cell where it was moved to; for jobs that open the
+    cell.
 
     ``simulated_pose`` moves it there. Raises ``InputError`` if one is given and the tracker is not simulated.
     """
@@ -39,7 +40,7 @@ def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | N
 
 
 def last_location(run: RunFile, stages: RunStages) -> LocateResult | None:
-    """Where the tracker was located last; None if it never was."""
+    """Return where the tracker was located last; None if it never was."""
     stored = stages.current.get(LOCATE)
     return None if stored is None else LocateResult.from_json(stored.text, f"{run.path}: {LOCATE}")
 
@@ -58,7 +59,7 @@ def refuse_second_station(run: RunFile) -> None:
 
 
 def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+    """Return the scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
 
     As the model states it, else from the errors at held-out stops.
     """
@@ -76,5 +77,5 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
 
 
 def _variances(stated: Array) -> Array:
-    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    """Return variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
     return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)

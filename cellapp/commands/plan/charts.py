@@ -26,7 +26,8 @@ _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
 
 
 def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
-    """What the stops of each arm tell, time, correlations; of a plan that was not designed (None) the time alone."""
+    """Show what the stops of each arm tell, time, correlations; of a plan that was not designed (None) the time
+    alone."""
     if design is None:
         return (time_chart(None, time),)
     told = (information_chart(name, arm) for name, arm in design.arms.items())
@@ -37,7 +38,8 @@ def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> 
 
 
 def information_chart(name: str, arm: ArmDesign) -> Chart:
-    """Expected error of a predicted position after the first n stops, mean and worst point, beside random plans."""
+    """Show the expected error of a predicted position after the first n stops, mean and worst point, beside random
+    plans."""
     stops = [one.stops for one in arm.by_stops]
     random = arm.random
     drawn = (
@@ -70,7 +72,7 @@ def _errors(quality: PlanQuality) -> str:
 
 
 def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Chart, ...]:
-    """The joint ranges of every arm with the stops in them; none where the profile does not describe the cell."""
+    """Show the joint ranges of every arm with the stops in them; none where the profile does not describe the cell."""
     try:
         cell = cell_bodies(profile)
         allowed = {name: joint_ranges(cell, profile, name) for name in cell.arms}
@@ -83,7 +85,8 @@ def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Cha
 
 
 def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
-    """The allowed range (N, 2) [rad] of each joint of one arm, the stops (n, N) [rad] in it, and the largest gap."""
+    """Show the allowed range (N, 2) [rad] of each joint of one arm, the stops (n, N) [rad] in it, and the largest
+    gap."""
     axes = Axis("joint position", "deg"), Axis("joint")
     title = f"Arm {name}: joint ranges"
     if not len(q):
@@ -106,7 +109,7 @@ def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
 
 
 def _largest_gap(values: Array) -> tuple[float, float]:
-    """The two neighbouring values (n,) that are farthest apart."""
+    """Return the two neighbouring values (n,) that are farthest apart."""
     ordered = np.sort(values)
     if len(ordered) < 2:
         return float(ordered[0]), float(ordered[0])
@@ -115,7 +118,7 @@ def _largest_gap(values: Array) -> tuple[float, float]:
 
 
 def _segments(ends: Array, height: Array) -> tuple[Array, Array]:
-    """Level lines between ends (m, 2) at heights (m,), with gaps between them."""
+    """Return the level lines between ends (m, 2) at heights (m,), with gaps between them."""
     x = np.column_stack([ends, np.full(len(ends), np.nan)])
     return x.ravel(), np.repeat(height, 3)
 
@@ -124,7 +127,7 @@ def _segments(ends: Array, height: Array) -> tuple[Array, Array]:
 
 
 def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
-    """What collecting spends its time on; motions also in a random order. None: not known."""
+    """Show what collecting spends its time on; motions also in a random order. None: not known."""
     bars = {} if time is None else {"motions": time.moving_s}
     if travel is not None:
         bars = {"motions": travel.planned_s, "in random order": travel.random_order_s}
@@ -142,7 +145,7 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
 
 
 def correlation_chart(design: PlanDesignResult) -> Chart:
-    """The largest correlations of planned factors with each other, with posture and with time."""
+    """Show the largest correlations of planned factors with each other, with posture and with time."""
     ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)
     pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each is listed for both
     largest = list(reversed(pairs.values()))[:_MOST_BARS]
@@ -151,7 +154,7 @@ def correlation_chart(design: PlanDesignResult) -> Chart:
 
 
 def correlation_sentence(design: PlanDesignResult) -> str:
-    """The largest correlation of a factor that can be chosen, against what it is meant to be at most."""
+    """Return the largest correlation of a factor that can be chosen, against what it is meant to be at most."""
     largest = design.largest_correlation
     if largest is None:
         return "No factor of this plan could be chosen."
@@ -161,7 +164,7 @@ def correlation_sentence(design: PlanDesignResult) -> str:
 
 
 def _short(words: str) -> str:
-    """Words for a bar, which has less room than a sentence."""
+    """Return words for a bar, which has less room than a sentence."""
     for long, short in (("approach side", "side"), ("step size", "size"), ("gravity torque", "torque")):
         words = words.replace(long, short)
     return words

@@ -52,7 +52,7 @@ class _Marks:
 def cell_map_chart(
     profile: Profile, stops: Sequence[PlannedStop], view: View = "above", current: int | None = None
 ) -> Chart:
-    """Bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
+    """Show bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
 
     From above in the cell frame C [m], with the outermost rays of the tracker to each arm's stops and the directions
     that obstacles block; or as azimuth and elevation [deg] in the tracker frame M. ``current`` is the number of the
@@ -80,7 +80,7 @@ def cell_map_chart(
 
 
 def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[PlannedStop]) -> Array:
-    """Nominal SMR positions of one arm in C [m], shape (n, 3), at all stops."""
+    """Return nominal SMR positions of one arm in C [m], shape (n, 3), at all stops."""
     geometry = nominal_arm(profile.arms[name]).with_T_M_B(T_C_B)
     return smr_positions(geometry, np.array([stop.q[name] for stop in stops]).reshape(-1, geometry.joints))
 
@@ -97,7 +97,7 @@ def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop], current:
 
 
 def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:
-    """The outermost rays from the tracker to the stops of each arm, from above: between them it has to turn."""
+    """Yield the outermost rays from the tracker to the stops of each arm, from above: between them it has to turn."""
     tracker, lines = T_C_M[:2, 3], []
     for p_C in smr.values():
         if len(p_C):
@@ -110,7 +110,7 @@ def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:
 
 
 def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array, blocked: Sequence[Blocked]) -> str:
-    """How many stops are measured, how far they are from the tracker, and what stands before them."""
+    """Say how many stops are measured, how far they are from the tracker, and what stands before them."""
     if not stops:
         return f"Bases of {enumerated(smr)} and the tracker; no stops yet: plan first."
     away = np.linalg.norm(np.concatenate(list(smr.values())) - T_C_M[:3, 3], axis=1)

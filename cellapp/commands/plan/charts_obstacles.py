@@ -47,7 +47,8 @@ class Outlined:
 
 
 def outlined_obstacles(profile: Profile) -> list[Outlined]:
-    """Obstacles whose place is known; those on a flange where the arm stands at home. A mesh is its convex hull."""
+    """Return obstacles whose place is known; those on a flange where the arm stands at home. A mesh is its convex
+    hull."""
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
     flanges = {}
     for name, T_C_B in bases.items():
@@ -61,7 +62,8 @@ def outlined_obstacles(profile: Profile) -> list[Outlined]:
 def placed_obstacles(
     obstacles: Mapping[str, AnyObstacle], bases: Mapping[str, Array], flanges: Mapping[str, Array]
 ) -> list[Outlined]:
-    """Obstacles with the poses ``T_C_B`` and ``T_C_F`` (4, 4) of the arms; those whose arm has none are left out."""
+    """Return obstacles with the poses ``T_C_B`` and ``T_C_F`` (4, 4) of the arms; those whose arm has none are left
+    out."""
     found = []
     for name, one in obstacles.items():
         frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
@@ -73,7 +75,8 @@ def placed_obstacles(
 
 
 def surface_points(obstacle: AnyObstacle) -> Array:
-    """Points (n, 3) [m] in the frame of an obstacle that span its convex hull; none of a mesh that cannot be read."""
+    """Return points (n, 3) [m] in the frame of an obstacle that span its convex hull; none of a mesh that cannot be
+    read."""
     match obstacle:
         case BoxObstacle():
             edges = (np.linspace(-0.5 * length, 0.5 * length, _ALONG) for length in obstacle.size)
@@ -98,7 +101,7 @@ def _circle(radius: float) -> Array:
 
 
 def _sphere(radius: float) -> Array:
-    """Circles of latitude."""
+    """Return circles of latitude."""
     up = np.pi * (np.arange(_AROUND // 2 + 1) / (_AROUND // 2) - 0.5)
     circles = _circle(radius)[None] * np.cos(up)[:, None, None]
     circles[:, :, 2] = radius * np.sin(up)[:, None]
@@ -106,12 +109,12 @@ def _sphere(radius: float) -> Array:
 
 
 def _along_z(points: Array, at: Array) -> Array:
-    """Points (n, 3) shifted to each height of ``at`` (m,)."""
+    """Return points (n, 3) shifted to each height of ``at`` (m,)."""
     return np.asarray((points[None] + at[:, None, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3))
 
 
 def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: View) -> Iterator[Series]:
-    """The outlines of all obstacles as one series, with gaps; ``T_C_M`` is needed for the view of the tracker."""
+    """Yield the outlines of all obstacles as one series, with gaps; ``T_C_M`` is needed for the view of the tracker."""
     gap = np.full((1, 2), np.nan)
     lines = [part for one in obstacles for part in (outline(seen_from(one.p_C, T_C_M, view)), gap)]
     if lines:
@@ -120,7 +123,8 @@ def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: Vi
 
 
 def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
-    """Coordinates (n, 2) of points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the tracker.
+    """Return coordinates (n, 2) of points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the
+    tracker.
 
     Azimuths are counted on from that of the points' centre, so that a body behind the tracker is in one piece.
     """
@@ -134,7 +138,7 @@ def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
 
 
 def outline(points: Array) -> Array:
-    """The convex hull of points (n, 2) as a closed line (k, 2)."""
+    """Return the convex hull of points (n, 2) as a closed line (k, 2)."""
     from scipy.spatial import ConvexHull
 
     vertices = ConvexHull(points, qhull_options="QJ").vertices  # joggled: a flat mesh has a hull, too
@@ -151,7 +155,7 @@ class Blocked:
 
 
 def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) -> list[Blocked]:
-    """Obstacles that stand between the tracker and some of the points (n, 3), or would at their elevations.
+    """Return obstacles that stand between the tracker and some of the points (n, 3), or would at their elevations.
 
     A table below all beams blocks none. Obstacles farther than every point, and those that move, are left out.
     """
@@ -168,7 +172,7 @@ def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) 
 
 
 def shadow_series(blocked: Iterable[Blocked], T_C_M: Array, p_C: Array) -> Iterator[Series]:
-    """The edges of each shadow from above, from the obstacle to behind the farthest of the points (n, 3)."""
+    """Yield the edges of each shadow from above, from the obstacle to behind the farthest of the points (n, 3)."""
     lines = []
     reach = _BEHIND * np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max() if len(p_C) else 0.0
     for one in blocked:

@@ -21,7 +21,8 @@ _OTHER_STYLE = 4
 def placement_chart(
     bases: Mapping[str, Pose | None], tracker: Pose | None, obstacles: Mapping[str, AnyObstacle] | None = None
 ) -> Chart:
-    """Bases and tracker from above in the cell frame C [m]; a line from each along its x axis. None: not known yet.
+    """Show bases and tracker from above in the cell frame C [m]; a line from each along its x axis. None: not known
+    yet.
 
     Obstacles on a flange are left out: they move with the arm.
     """

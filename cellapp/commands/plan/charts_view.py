@@ -28,12 +28,12 @@ _TITLES: Mapping[SeenFrom, str] = {"above": "seen from above", "tracker": "as th
 
 
 def view_charts(profile: Profile, view: ViewResult) -> tuple[Chart, ...]:
-    """Both maps of every arm."""
+    """Show both maps of every arm."""
     return tuple(view_chart(profile, view, name, seen_from) for name in view.arms for seen_from in _AXES)
 
 
 def view_chart(profile: Profile, view: ViewResult, name: str, seen_from: SeenFrom = "above") -> Chart:
-    """Shares of the configurations of one arm that the tracker can measure.
+    """Show shares of the configurations of one arm that the tracker can measure.
 
     From above each point is a column of cubes in the cell frame C [m]; from the tracker it is a square of directions,
     azimuth and elevation [deg], of the size of a cube at the arm's base. Its mark is one of ``SHADES``.
@@ -64,13 +64,14 @@ def _points(name: str, points: Array, style: int, mark: str) -> Series:
 
 
 def _directions(p_C: Array, T_C_M: Array) -> Array:
-    """Azimuth and elevation (n, 2) [deg] of points (n, 3) of the cell frame C [m] from the tracker."""
+    """Return the azimuth and elevation (n, 2) [deg] of points (n, 3) of the cell frame C [m] from the tracker."""
     x, y, z = apply(invert(T_C_M), p_C).T
     return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
 
 
 def _gathered(flat: Array, arm: ArmView, size: float) -> tuple[Array, Array]:
-    """Centres (k, 2) of squares of ``size``, and the share of configurations with the SMR in each that are seen."""
+    """Return centres (k, 2) of squares of ``size``, and the share of configurations with the SMR in each that are
+    seen."""
     squares, which = np.unique(np.floor(flat / size), axis=0, return_inverse=True)
     reachable = np.bincount(which.ravel(), [cube.reachable for cube in arm.cells])
     seen = np.bincount(which.ravel(), [cube.seen for cube in arm.cells])
@@ -78,7 +79,7 @@ def _gathered(flat: Array, arm: ArmView, size: float) -> tuple[Array, Array]:
 
 
 def _shaded(points: Array, share: Array, style: int) -> Iterator[Series]:
-    """The points of each shade that occurs."""
+    """Yield the points of each shade that occurs."""
     quarters = len(SHADES) - 1
     largest = max(float(share.max()), 1e-12)
     level = np.ceil(quarters * share / largest - 1e-9).astype(np.intp)

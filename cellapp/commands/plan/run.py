@@ -84,7 +84,7 @@ def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
 
 
 def default_folder(profile_name: str) -> Path:
-    """A new folder below ``logs`` in the working directory, named after the profile and the time."""
+    """Return a new folder below ``logs`` in the working directory, named after the profile and the time."""
     return Path("logs") / f"{profile_name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
@@ -96,7 +96,7 @@ def new_planned_run(
     *,
     sweeps: int | None = None,
 ) -> RunFile:
-    """A new run with its plan. Nothing is left behind where there is no plan, or on request.
+    """Return a new run with its plan. Nothing is left behind where there is no plan, or on request.
 
     With ``sweeps`` the plan has this many stops, and at each a sweep of every arm.
 
@@ -141,7 +141,7 @@ def plan_new_run(
 
 
 def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
-    """What ``plan`` says of the plan of a run. Raises ``InputError`` if the run has none."""
+    """Return what ``plan`` says of the plan of a run. Raises ``InputError`` if the run has none."""
     required_plan(run)
     stops = read_planned_stops(run)
     reserves = run.profile.plan.reserves(len(stops))
@@ -159,14 +159,14 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
 
 
 def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> list[str]:
-    """What the tracker sees of several SMRs on a flange at stops, arm -> (n, N) [rad]."""
+    """Say what the tracker sees of several SMRs on a flange at stops, arm -> (n, N) [rad]."""
     if not any(arm.smr.nests for arm in profile.arms.values()):
         return []
     return Nests.of(profile, cell_bodies(profile)).notes(stops)
 
 
 def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, ...] | None:
-    """The loads of a plan one after the other; None where there is only one."""
+    """Return the loads of a plan one after the other; None where there is only one."""
     if profile.loads == 1:
         return None
     found = []
@@ -178,7 +178,7 @@ def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, .
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
-    """Number and duration of the planned sweeps of each arm, and what they will tell; None without any."""
+    """Return the number and duration of the planned sweeps of each arm, and what they will tell; None without any."""
     planned = read_planned_sweeps(run)
     sweeps = planned.sweeps
     by_arm = {name: [one for one in sweeps if one.arm == name] for name in run.profile.arms}
@@ -196,7 +196,7 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
 
 
 def planned_stops(run: RunFile) -> StopsResult:
-    """Every planned stop, whether it was measured, and the sweeps about them."""
+    """Return every planned stop, whether it was measured, and the sweeps about them."""
     stops, done = read_planned_stops(run), run.stops_done()
     plan = stops.q
     count = max((len(q) for q in plan.values()), default=0)
@@ -216,7 +216,8 @@ def planned_stops(run: RunFile) -> StopsResult:
 
 
 def stored_plan(run: RunFile) -> StopsResult:
-    """Every planned stop of a run, and what is known of their design. Raises ``InputError`` if that is damaged."""
+    """Return every planned stop of a run, and what is known of their design. Raises ``InputError`` if that is
+    damaged."""
     return planned_stops(run).model_copy(update={"design": read_plan_design(run)})
 
 
@@ -431,7 +432,7 @@ def _parts(run: RunFile, stops: PlannedStops, proposed: Collection[int]) -> _Par
 
 
 def _other_seed(run: RunFile) -> Profile:
-    """The run's profile with a seed of its own for each change of the plan."""
+    """Return the run's profile with a seed of its own for each change of the plan."""
     changes = sum(event.text.startswith(_CHANGED) for event in run.events())
     seed = int(np.random.SeedSequence([run.profile.seed, _SEED, changes]).generate_state(1)[0])
     return run.profile.model_copy(update={"seed": seed})
@@ -445,7 +446,7 @@ def _checked(profile: Profile, file: PlanFile, listener: Listener, cancel: Cance
 
 
 def _of_file(file: PlanFile, ways: int, refused: Sequence[PlanRefusal]) -> PlanCheckResult:
-    """The check of a file, with its configurations and lines in place of the numbers of its stops."""
+    """Return the check of a file, with its configurations and lines in place of the numbers of its stops."""
 
     def number(stop: int | None) -> int | None:
         return None if stop is None else file.configurations[stop]

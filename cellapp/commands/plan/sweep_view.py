@@ -19,7 +19,7 @@ _RESTS_ON = (
 
 
 def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
-    """How many sweeps each arm makes, how long they last, and what their forecast rests on."""
+    """Say how many sweeps each arm makes, how long they last, and what their forecast rests on."""
     if not sweeps:
         return []
     told = [
@@ -31,13 +31,13 @@ def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
 
 
 def sweep_tables(sweeps: Mapping[str, SweepCount] | None) -> list[Table]:
-    """Expected standard errors and smallest sizes of effects of each arm, by stops, sweeps and both."""
+    """Show expected standard errors and smallest sizes of effects of each arm, by stops, sweeps and both."""
     foreseen = {name: its.forecast for name, its in (sweeps or {}).items() if its.forecast is not None}
     return [table for name, one in foreseen.items() for table in (_errors_table(name, one), _laws_table(name, one))]
 
 
 def _errors_table(name: str, forecast: SweepForecast) -> Table:
-    """Standard errors of predicted positions and of parameters."""
+    """Show standard errors of predicted positions and of parameters."""
     found = [forecast.accuracy[source] for source in _SOURCES]
     rows: list[tuple[Cell, ...]] = [
         ("predicted position, rms", *(one.standard_error_mm for one in found), "mm"),

@@ -31,7 +31,7 @@ def view_sentences(view: ViewResult) -> list[str]:
 
 
 def constraint_table(name: str, arm: ArmView) -> Table:
-    """Each constraint in the order of their application: share it loses, excludes alone, share without it."""
+    """Show each constraint in the order of their application: share it loses, excludes alone, share without it."""
     columns = (
         Column("constraint"),
         number_column("lost to it", ".2f", "%"),
@@ -48,7 +48,7 @@ def constraint_table(name: str, arm: ArmView) -> Table:
 
 
 def height_table(name: str, arm: ArmView) -> Table:
-    """The workspace in layers of cubes, the highest first: cubes that the SMR reaches, those in which it is seen.
+    """Show the workspace in layers of cubes, the highest first: cubes that the SMR reaches, those in which it is seen.
 
     ``share`` is that of the configurations with the SMR in the layer that can be measured.
     """
@@ -74,7 +74,7 @@ def height_table(name: str, arm: ArmView) -> Table:
 
 
 def arm_sentences(name: str, arm: ArmView) -> list[str]:
-    """How much of an arm's workspace is seen, what excludes most of the rest, what would help."""
+    """Say how much of an arm's workspace is seen, what excludes most of the rest, what would help."""
     seen = sum(cube.seen > 0 for cube in arm.cells)
     straight = 100.0 * arm.small_incidence / max(arm.seen, 1)
     return [
@@ -87,7 +87,7 @@ def arm_sentences(name: str, arm: ArmView) -> list[str]:
 
 
 def worst_constraint(arm: ArmView) -> ConstraintShare | None:
-    """The constraint that excludes most configurations alone; the spread of directions does not count as one."""
+    """Return the constraint that excludes most configurations alone; the spread of directions does not count as one."""
     blamed = [
         one for one in arm.constraints if one.without > arm.share and not (one.constraint == FACING and _faces(arm))
     ]
@@ -95,7 +95,7 @@ def worst_constraint(arm: ArmView) -> ConstraintShare | None:
 
 
 def _faces(arm: ArmView) -> bool:
-    """Whether the SMR faces the tracker about as often as directions at random."""
+    """Return whether the SMR faces the tracker about as often as directions at random."""
     facing = next((one for one in arm.constraints if one.constraint == FACING), None)
     return facing is not None and 1.0 - facing.alone >= _NATURAL * arm.facing_at_random
 

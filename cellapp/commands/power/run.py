@@ -31,6 +31,6 @@ def run(request: PowerRequest, work: Work) -> PowerResult:
 
 
 def stored_power(run: RunFile) -> PowerResult | None:
-    """What the plan of a run can name, if it was tried."""
+    """Return what the plan of a run can name, if it was tried."""
     text = run.read_result(POWER_RESULT)
     return None if text is None else PowerResult.from_json(text, str(run.folder))

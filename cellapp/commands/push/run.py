@@ -156,7 +156,8 @@ def judge_of(run: RunFile, profile: Profile) -> Judge:
 
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
-    """Standard deviation of a coordinate over repeated stops of each arm [m], tracker included; only where known."""
+    """Return the standard deviation of a coordinate over repeated stops of each arm [m], tracker included; only where
+    known."""
     calibrated = read_stage_results(run).calibrate
     if calibrated is None:
         return {}

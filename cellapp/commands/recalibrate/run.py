@@ -144,7 +144,7 @@ RUNS = TaskKind(
 
 
 def _reasons(run: RunFile, asked: WhatToMake) -> Mapping[str, str]:
-    """Stage -> why it has to be made; empty if all of them hold."""
+    """Return stage -> why it has to be made; empty if all of them hold."""
     stages, reasons = read_stages(run), dict[str, str]()
     for name in (CALIBRATE, DISCOVER) if asked.search else (CALIBRATE,):
         if name not in stages.current:
@@ -157,7 +157,7 @@ def _reasons(run: RunFile, asked: WhatToMake) -> Mapping[str, str]:
 
 
 def _prior(run: RunFile) -> Path | None:
-    """The earlier run that the calibration rests on. Raises ``InputError`` if there are several."""
+    """Return the earlier run that the calibration rests on. Raises ``InputError`` if there are several."""
     priors = sorted({record.run for record in recorded_priors(run).values()})
     if len(priors) > 1:
         raise InputError(f"{run.folder} rests on several earlier runs ({', '.join(priors)}); calibrate it by hand")
@@ -165,5 +165,5 @@ def _prior(run: RunFile) -> Path | None:
 
 
 def _calibrated_mm(result: CalibrateResult) -> dict[str, float]:
-    """Arm -> mean held-out error of its best model [mm]."""
+    """Return arm -> mean held-out error of its best model [mm]."""
     return {name: arm.validate_[arm.best_stage].position_mm.mean for name, arm in result.arms.items()}

@@ -18,13 +18,13 @@ _STORED = "rehearsals"
 
 
 def arms_hash(profile: Profile) -> str:
-    """The hash of what a rehearsal is of: arms, their bases and obstacles."""
+    """Return the hash of what a rehearsal is of: arms, their bases and obstacles."""
     text = profile.model_dump_json(by_alias=True, include={"arms", "obstacles"})
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_log(path: Path, profile: Profile) -> RehearsalLog:
-    """The rungs on record for these arms; none without a file, or of other arms. Raises ``InputError``."""
+    """Return the rungs on record for these arms; none without a file, or of other arms. Raises ``InputError``."""
     new = RehearsalLog(arms=arms_hash(profile), rungs={})
     file = rehearsals_path(path)
     if not file.is_file():
@@ -42,7 +42,7 @@ def write_log(path: Path, log: RehearsalLog) -> None:
 
 
 def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
-    """The rungs that were not passed yet, in their order."""
+    """Return the rungs that were not passed yet, in their order."""
     return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
 
 
@@ -65,6 +65,6 @@ def keep_log(run: RunFile) -> str:
 
 
 def kept_log(run: RunFile) -> RehearsalLog | None:
-    """The rungs that were on record when the run was collected; None without one."""
+    """Return the rungs that were on record when the run was collected; None without one."""
     text = run.read_result(_STORED)
     return None if text is None else RehearsalLog.from_json(text, "the run's rehearsals")

@@ -69,7 +69,7 @@ def _arms(profile: Profile, name: RungName, asked: str | None) -> tuple[str, ...
 
 
 def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
-    """The run whose plan is driven. Raises ``InputError`` if it is of another cell."""
+    """Return the run whose plan is driven. Raises ``InputError`` if it is of another cell."""
     if not (folder / "run.sqlite").exists():
         return new_planned_run(profile, folder, work.listener, work.control)
     found = RunFile.open(folder, write=True)
@@ -83,7 +83,7 @@ def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
 
 
 def _confirmation(profile: Profile, ask: Ask | None, name: RungName) -> Confirm | None:
-    """What is asked before the first motion of controllers that are not on this computer."""
+    """Return what is asked before the first motion of controllers that are not on this computer."""
     require_permission(profile, ask)
     if ask is None or not profile.moves_hardware:
         return None

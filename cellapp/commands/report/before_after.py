@@ -64,7 +64,7 @@ class BeforeAfterFigure:
 
 
 def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
-    """Every arm and the pair with the nominal and the best model; None if nothing is known with both.
+    """Return every arm and the pair with the nominal and the best model; None if nothing is known with both.
 
     Errors are those measured at verified targets; where there are none, those at held-out configurations.
     """
@@ -108,7 +108,7 @@ def _pair_row(data: ReportData) -> ComparedErrors | None:
 
 
 def best_method(calibrate: CalibrateResult) -> Method | None:
-    """The best model of the pair that was computed; None without a pair."""
+    """Return the best model of the pair that was computed; None without a pair."""
     return next((method for method in BEST_METHODS if method in calibrate.pair), None)
 
 

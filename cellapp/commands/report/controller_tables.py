@@ -27,7 +27,7 @@ _ABOUT = (
 
 
 def controllers_section(run: RunFile, data: ReportData) -> Section | None:
-    """Errors at the SMR by published, factory and identified rows; None without a controller that has its own."""
+    """Show errors at the SMR by published, factory and identified rows; None without a controller that has its own."""
     recorded, rows = recorded_controllers(run), list[tuple[Cell, ...]]()
     said = []
     for name, held_out in data.held_out.items():
@@ -62,7 +62,8 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
 
 
 def _computed(arm: Arm, rows: Array, q: Array, p_M: Array, at: Array) -> Array:
-    """SMR positions (m, 3) [m] at ``at`` (m, N) by plain rows (N, 4), base and SMR registered to readings (n, 3)."""
+    """Return SMR positions (m, 3) [m] at ``at`` (m, N) by plain rows (N, 4), base and SMR registered to readings (n,
+    3)."""
     published = published_rows(arm)
     chain = replace(nominal_geometry(published, np.zeros(3)), rows=hayati_rows(rows, published))
     return smr_positions(start_from_nominal(chain, q, p_M, tool_unknown=True), at)

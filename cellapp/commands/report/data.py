@@ -153,7 +153,7 @@ def read_report_data(run: RunFile) -> ReportData:
 
 
 def _placed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Readings]:
-    """The readings, a ball in sockets with its points where the model finds them."""
+    """Return the readings, a ball in sockets with its points where the model finds them."""
     if not any(in_sockets(its) for its in readings.values()):
         return dict(readings)
     conditions = conditions_of_arms(model.arms, readings)

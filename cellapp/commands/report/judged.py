@@ -28,7 +28,7 @@ class JudgedMatrix:
 
 
 def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> JudgedMatrix:
-    """Judgements of one characteristic by one tolerance beside each other."""
+    """Return judgements of one characteristic by one tolerance beside each other."""
     rows: list[JudgedRow] = []
     for one in judgements:
         label = CHARACTERISTIC_WORDS[one.characteristic]

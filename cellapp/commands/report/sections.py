@@ -96,7 +96,7 @@ _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
-    """The sections that have something to show, in their order."""
+    """Build the sections that have something to show, in their order."""
     made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
     made["plan"] = plan_section(run)
     made["power"] = power_section(run)
@@ -108,7 +108,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
-    """Sections by their anchors in the order of the report, with their titles and why they no longer hold."""
+    """Build sections by their anchors in the order of the report, with their titles and why they no longer hold."""
     found = []
     for key, (title, stages) in SECTIONS.items():
         section = made.get(key)
@@ -165,7 +165,8 @@ def _accuracy(data: ReportData) -> Section:
 
 
 def accuracy_charts(data: ReportData) -> Iterator[Chart]:
-    """Errors by configuration and as a histogram, of each arm and of the pair where those of each stop are stored."""
+    """Yield errors by configuration and as a histogram, of each arm and of the pair where those of each stop are
+    stored."""
     for name, held_out in data.held_out.items():
         floor = data.calibrate.arms[name].tracker_mm
         yield stop_error_chart(name, held_out, floor)
@@ -176,7 +177,7 @@ def accuracy_charts(data: ReportData) -> Iterator[Chart]:
 
 
 def _absent_stages(data: ReportData) -> Iterator[str]:
-    """Why a stage is not drawn."""
+    """Return why a stage is not drawn."""
     for name, held_out in data.held_out.items():
         if "geometry" not in held_out.errors_mm:
             yield (
@@ -217,7 +218,7 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
 
 
 def _tracker_words(calibrate: CalibrateResult) -> str:
-    """The error that the tracker's stated uncertainty alone would cause, by arm and for the pair."""
+    """Return the error that the tracker's stated uncertainty alone would cause, by arm and for the pair."""
     words = [
         f"arm {name}: position {arm.tracker_mm:.4f} mm, distance {distance_mm(arm.tracker_mm, arm.tracker_mm):.4f} mm"
         for name, arm in calibrate.arms.items()
@@ -230,7 +231,7 @@ def _tracker_words(calibrate: CalibrateResult) -> str:
 
 
 def _accuracy_message(data: ReportData) -> str:
-    """Mean held-out errors of each arm and of the pair with the nominal and the best model."""
+    """Return the mean held-out errors of each arm and of the pair with the nominal and the best model."""
     parts = []
     for name, arm in data.calibrate.arms.items():
         if not arm.converged:
@@ -251,7 +252,7 @@ def _accuracy_message(data: ReportData) -> str:
 
 
 def _targets(data: ReportData) -> Section | None:
-    """Targets that were compensated or measured, while that holds."""
+    """Show targets that were compensated or measured, while that holds."""
     compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
     if compensate is None and data.verify is None:
         return None
@@ -281,7 +282,8 @@ def _check(data: ReportData) -> Section | None:
 
 
 def _discovery(data: ReportData) -> Section | None:
-    """The discovery, with how sure the model is at held-out configurations and what its effects turn each joint by."""
+    """Show the discovery, with how sure the model is at held-out configurations and what its effects turn each joint
+    by."""
     return (
         None if data.discover is None else discovery_section(data.discover, data.profile.discovery, _model_charts(data))
     )
@@ -324,7 +326,7 @@ def _station(data: ReportData) -> Section | None:
 
 
 def _residuals(data: ReportData) -> Section:
-    """Residuals of the newest model over the run, those of the identified geometry as vectors, and how it went."""
+    """Show residuals of the newest model over the run, those of the identified geometry as vectors, and how it went."""
     left = {
         name: arm.validate_["geometry"].position_mm.rms
         for name, arm in data.calibrate.arms.items()
@@ -362,7 +364,7 @@ def _pair(data: ReportData) -> Section | None:
 
 
 def _pair_message(calibrate: CalibrateResult) -> str:
-    """The distance of the two bases and how well both ways of identifying it agree; empty without a pair."""
+    """Return the distance of the two bases and how well both ways of identifying it agree; empty without a pair."""
     method = best_method(calibrate)
     if method is None:
         return ""
@@ -408,7 +410,8 @@ def _parameters(data: ReportData, lost: list[str]) -> Section:
 
 
 def _parameters_message(data: ReportData) -> str:
-    """How many parameters of each arm were identified, and the length of its chain that differs most from nominal."""
+    """Say how many parameters of each arm were identified, and the length of its chain that differs most from
+    nominal."""
     parts = []
     for name, arm in data.calibrate.arms.items():
         nominal = data.calibrated.arms[name].nominal

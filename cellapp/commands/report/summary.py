@@ -55,7 +55,8 @@ class Summary:
 
 
 def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> Summary:
-    """The first screen of a run with the judgements on its results; ``today`` tells which instruments are due."""
+    """Return the first screen of a run with the judgements on its results; ``today`` tells which instruments are
+    due."""
     return Summary(
         verdict=verdict(data, judgements),
         judged=judged_matrix(judgements, list(data.profile.arms)),
@@ -66,7 +67,7 @@ def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> S
 
 
 def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
-    """All judgements in a title and a sentence, or how to give tolerances."""
+    """Return all judgements in a title and a sentence, or how to give tolerances."""
     if CALIBRATE in data.out_of_date:
         return Verdict(
             "cannot say", VERDICT_TITLES["cannot say"], "The calibration is out of date: nothing is judged on it."
@@ -81,7 +82,7 @@ def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
 
 
 def header_facts(data: ReportData) -> list[str]:
-    """What was calibrated, with what, and when."""
+    """Say what was calibrated, with what, and when."""
     traced = data.profile.traceability
     facts = []
     for name, arm in data.profile.arms.items():
@@ -96,7 +97,7 @@ def header_facts(data: ReportData) -> list[str]:
 
 
 def nothing_found(data: ReportData) -> str:
-    """Why no effect is named where there is no discovery that holds."""
+    """Say why no effect is named where there is no discovery that holds."""
     if DISCOVER in data.out_of_date:
         return "The search for missing effects is out of date."
     return "Missing effects were not searched for yet."
@@ -168,7 +169,7 @@ def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
 
 
 def _first_sentence(text: str) -> str:
-    """A text up to its first full stop that ends a sentence."""
+    """Return a text up to its first full stop that ends a sentence."""
     first, stop, _ = text.partition(". ")
     return first + stop.rstrip()
 

@@ -11,7 +11,7 @@ from cellapp.commands.view.table import Table
 
 
 def all_tables(results: RunResults) -> list[Table]:
-    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
+    """Build tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
     tables: list[Table] = []
     if results.calibrate is not None:
         tables += calibration_tables(results.calibrate)
@@ -25,5 +25,5 @@ def all_tables(results: RunResults) -> list[Table]:
 
 
 def out_of_date_sentences(results: RunResults) -> list[str]:
-    """One sentence for each result that no longer holds, with the reason."""
+    """Return one sentence for each result that no longer holds, with the reason."""
     return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]

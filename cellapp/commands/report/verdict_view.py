@@ -47,12 +47,12 @@ def read_verdict(run: RunFile, today: date) -> RunVerdict:
 
 
 def verdict_tables(verdict: RunVerdict) -> list[Table]:
-    """Every judgement: error, expanded uncertainty, tolerance, decision, what measured it."""
+    """Show every judgement: error, expanded uncertainty, tolerance, decision, what measured it."""
     return [judgement_table(verdict.judgements)] if verdict.judgements else []
 
 
 def verdict_sentences(verdict: RunVerdict) -> list[str]:
-    """The rule of the decisions, and what comes next."""
+    """Return the rule of the decisions, and what comes next."""
     rules = dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements)
     return [*rules, *(f"next: {step}" for step in verdict.steps)]
 

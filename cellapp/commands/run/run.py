@@ -51,7 +51,7 @@ def run_whole(
     sweeps: int | None = None,
     hung: Hung | None = None,
 ) -> WholeRunResult:
-    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
+    """Do everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
 
     ``ask`` is asked before the first motion of real arms, once, and after another load was hung; ``hung`` is asked
     whether it was. ``sweeps`` is as of ``new_planned_run``.

@@ -32,7 +32,8 @@ _DONE: tuple[LastSession, ...] = get_args(End)
 
 
 def list_runs(folder: Path | None = None) -> RunsResult:
-    """Every run in ``folder`` and below, newest first; links are not followed. None is ``logs``, which may be missing.
+    """Return every run in ``folder`` and below, newest first; links are not followed. None is ``logs``, which may be
+    missing.
 
     Raises
     ------
@@ -48,19 +49,19 @@ def list_runs(folder: Path | None = None) -> RunsResult:
 
 
 def resumable(folder: Path | None = None) -> RunSummary | None:
-    """The newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
+    """Return the newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
     return next((run for run in list_runs(folder).runs if run.resumable), None)
 
 
 def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
-    """The newest run in which a job of this computer works now, else ``resumable``. Raises as ``list_runs``."""
+    """Return the newest run in which a job of this computer works now, else ``resumable``. Raises as ``list_runs``."""
     runs = list_runs(folder).runs
     used = (run for run in runs if run.in_use == RUNS_NOW)
     return next(used, None) or next((run for run in runs if run.resumable), None)
 
 
 def summarise(folder: Path) -> RunSummary:
-    """The state of one run; it states the problem where the run cannot be read."""
+    """Return the state of one run; it states the problem where the run cannot be read."""
     changed, size = _on_disk(folder)
     known = RunSummary(run=str(folder), changed=changed, size_bytes=size, in_use=who_uses(folder))
     try:
@@ -87,7 +88,7 @@ def check_folder(folder: Path) -> None:
 
 
 def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
-    """Folders of runs in ``folder`` and below; links are not followed, what cannot be read is passed over."""
+    """Yield folders of runs in ``folder`` and below; links are not followed, what cannot be read is passed over."""
     if os.path.lexists(folder / FILE_NAME):
         yield folder
         return
@@ -110,7 +111,7 @@ def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
 
 
 def _on_disk(folder: Path) -> tuple[str, int]:
-    """When the run file last changed (ISO 8601, UTC), and the size of all files of the folder."""
+    """Return when the run file last changed (ISO 8601, UTC), and the size of all files of the folder."""
     changed_s, size = 0.0, 0
     try:
         with os.scandir(folder) as entries:
@@ -174,6 +175,6 @@ def _due(profile: Profile) -> str:
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:
-    """How the last session ended that collected what was left; None if there is none."""
+    """Return how the last session ended that collected what was left; None if there is none."""
     last = next((one for one in reversed(sessions) if not one.again), None)
     return None if last is None else last.outcome or "no end"

@@ -70,7 +70,7 @@ class _Verified(_Part):
 
 
 def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageName, str]]:
-    """The figures of each arm, and the stages that cannot be read with the reason."""
+    """Return the figures of each arm, and the stages that cannot be read with the reason."""
     unreadable: dict[StageName, str] = {}
 
     def read(name: StageName, kind: type[P]) -> P | None:

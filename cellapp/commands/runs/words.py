@@ -17,7 +17,7 @@ CELL_WORDS: dict[CellKind, str] = {
 
 
 def short_name(run: RunSummary, folder: str) -> str:
-    """The run's folder as seen from the listed one."""
+    """Return the run's folder as seen from the listed one."""
     path = Path(run.run)
     return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
 
@@ -31,18 +31,18 @@ def stops_words(run: RunSummary) -> str:
 
 
 def session_words(run: RunSummary) -> str:
-    """How the last session of collecting ended, or that it still runs."""
+    """Say how the last session of collecting ended, or that it still runs."""
     if run.in_use and run.last_session == "no end":
         return "running"
     return run.last_session or ("" if run.stops_measured else "not begun")
 
 
 def next_words(run: RunSummary) -> str:
-    """The verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
+    """Return the verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
     outdated = any(stage.out_of_date for stage in run.stages)
     return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
 
 
 def effects_words(effects: Sequence[str]) -> str:
-    """Names of effects as words."""
+    """Return names of effects as words."""
     return ", ".join(slug.replace("_", " ") for slug in effects)

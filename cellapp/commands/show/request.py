@@ -39,7 +39,7 @@ class ShowRequest(Request):
 
 
 def show_verb(verbs: Sequence[Verb]) -> Verb:
-    """The record of ``show``, for verbs of which some store results."""
+    """Return the record of ``show``, for verbs of which some store results."""
     first, *others = OWN_PARTS
     literal: Any = Literal  # typed as any: the words are known as late as here
     annotated: Any = Annotated

@@ -67,7 +67,7 @@ def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
 
 
 def _target(run: RunFile, name: str) -> Shown:
-    """All that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
+    """Return all that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
     results = read_results(run)
     state = stored_state(results, name)
     if state is None or results.compensate is None:
@@ -79,7 +79,7 @@ def _target(run: RunFile, name: str) -> Shown:
 
 
 def _stored(run: RunFile, request: ShowRequest) -> Shown:
-    """The stored result of one verb, and whether it still holds."""
+    """Return the stored result of one verb, and whether it still holds."""
     results = read_results(run)
     verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])

@@ -18,7 +18,7 @@ _MOST_BYTES = 100_000
 
 
 def is_encrypted(path: Path) -> bool:
-    """Whether a private key needs a passphrase. Raises ``InputError`` if the file cannot be read."""
+    """Return whether a private key needs a passphrase. Raises ``InputError`` if the file cannot be read."""
     return _ENCRYPTED in _content(path)
 
 
@@ -47,7 +47,7 @@ def load_sign_key(path: Path, passphrase: str = "") -> Ed25519PrivateKey:
 
 
 def load_public_key(given: str) -> PublicKey:
-    """A public key from its file, or from its line in base64 itself. Raises ``InputError`` if it is none."""
+    """Return a public key from its file, or from its line in base64 itself. Raises ``InputError`` if it is none."""
     try:
         return PublicKey.parse(given)
     except FormatError:

@@ -41,7 +41,7 @@ class PublicKey:
 
     @classmethod
     def of(cls, private: Ed25519PrivateKey) -> PublicKey:
-        """The public key of a private one; its id is a hash of it."""
+        """Return the public key of a private one; its id is a hash of it."""
         key = private.public_key().public_bytes_raw()
         return cls(hashlib.blake2b(key, digest_size=_ID_BYTES).digest(), key)
 
@@ -67,7 +67,7 @@ class PublicKey:
         return base64.b64encode(_KEY_ALGORITHM + self.key_id + self.key).decode()
 
     def text(self) -> str:
-        """The content of a public key file."""
+        """Return the content of a public key file."""
         return f"{_UNTRUSTED}minisign public key {self.id_text}\n{self.line}\n"
 
 
@@ -97,7 +97,7 @@ class Signature:
         return id_text(self.key_id)
 
     def text(self) -> str:
-        """The content of a signature file."""
+        """Return the content of a signature file."""
         signed = base64.b64encode(_HASHED + self.key_id + self.signature).decode()
         whole = base64.b64encode(self.global_signature).decode()
         return (
@@ -106,11 +106,11 @@ class Signature:
         )
 
     def is_by(self, key: PublicKey) -> bool:
-        """Whether it states the id of ``key``."""
+        """Return whether it states the id of ``key``."""
         return hmac.compare_digest(self.key_id, key.key_id)
 
     def holds(self, content: bytes, key: PublicKey) -> bool:
-        """Whether ``key`` signed both the file's content and the trusted comment."""
+        """Return whether ``key`` signed both the file's content and the trusted comment."""
         public = Ed25519PublicKey.from_public_bytes(key.key)
         try:
             public.verify(self.signature, _hash(content))
@@ -130,7 +130,7 @@ def sign(content: bytes, private: Ed25519PrivateKey, trusted_comment: str) -> Si
 
 
 def id_text(key_id: bytes) -> str:
-    """An id as minisign prints it."""
+    """Return an id as minisign prints it."""
     return key_id[::-1].hex().upper()
 
 
@@ -139,7 +139,7 @@ def _hash(content: bytes) -> bytes:
 
 
 def _split(line: str, size: int) -> tuple[bytes, bytes, bytes]:
-    """Algorithm, key id and the ``size`` bytes behind them."""
+    """Return algorithm, key id and the ``size`` bytes behind them."""
     raw = _decoded(line, len(_HASHED) + _ID_BYTES + size)
     return raw[:2], raw[2 : 2 + _ID_BYTES], raw[2 + _ID_BYTES :]
 

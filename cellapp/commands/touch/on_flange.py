@@ -47,7 +47,7 @@ class FlangeHand:
         return FlangeTouch(self.arm, socket, *self.read(socket, len(self._places(touches, socket))))
 
     def doubt(self, touch: FlangeTouch) -> str:
-        """Why the name of a touch is doubted, by the published arms; empty where it is not."""
+        """Say why the name of a touch is doubted, by the published arms; empty where it is not."""
         with RunFile.open(self.folder) as run:
             off = float(self._off_m(run, [*_all(run), touch])[-1])
         if not off > OFF_M:
@@ -75,7 +75,7 @@ class FlangeHand:
         return f"the touch of '{last.socket}' on arm {self.other} was taken back"
 
     def points(self) -> tuple[TouchedPoint, ...]:
-        """The sockets with their touches."""
+        """Return the sockets with their touches."""
         with RunFile.open(self.folder) as run:
             touches = _all(run)
             off = self._off_m(run, touches)
@@ -94,7 +94,7 @@ class FlangeHand:
         return tuple(found)
 
     def _places(self, touches: list[FlangeTouch], socket: str) -> list[int]:
-        """Places of the touches of a socket with this arm's ball."""
+        """Return places of the touches of a socket with this arm's ball."""
         return [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, socket)]
 
     def _off_m(self, run: RunFile, touches: list[FlangeTouch]) -> Array:

@@ -70,7 +70,7 @@ class TouchRequest(Request):
 
 
 def socket_name(text: str) -> str:
-    """A checked name of a socket. Raises ``ValueError`` with what is wrong."""
+    """Return a checked name of a socket. Raises ``ValueError`` with what is wrong."""
     name = text.strip()
     if not name:
         raise ValueError("the name of the socket is empty; expected a name as front_0")

@@ -95,7 +95,7 @@ class _Hand:
         return self.read(point, 0 if before is None else (before.point or ()).count(point))
 
     def doubt(self, touch: Reading) -> str:
-        """Why the name of a touch is doubted, by the published arm; empty where it is not."""
+        """Say why the name of a touch is doubted, by the published arm; empty where it is not."""
         before = touches_before(self.folder, self.profile, self.arm)
         if before is None:
             return ""

@@ -49,7 +49,8 @@ class Noise:
 
 
 def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
-    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by ``seed``."""
+    """Return the profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by
+    ``seed``."""
     assert profile.plant is not None
     plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
     settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
@@ -82,7 +83,7 @@ class _Visits:
 
 
 def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]) -> _Visits:
-    """Visits of a designed plan as planned; of other stops in the given order, straight from stop to stop."""
+    """Return visits of a designed plan as planned; of other stops in the given order, straight from stop to stop."""
     homes = home_positions(profile)
     q = dict(plan.q) if isinstance(plan, PlannedStops) else {name: rows[order] for name, rows in plan.items()}
     step = {name: np.diff(np.vstack([homes[name], rows]), axis=0) for name, rows in q.items()}
@@ -101,7 +102,7 @@ def blind_readings(
     noise: Noise | None = None,
     session: Session = USUAL_SESSION,
 ) -> dict[str, Readings]:
-    """Readings of all arms at the stops of ``plan``.
+    """Return readings of all arms at the stops of ``plan``.
 
     Stops without a plan of their own (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from
     stop to stop; a designed plan in its order and with its approaches. The rest before a measurement varies from 1 to
@@ -159,7 +160,7 @@ def blind_readings(
 def _measured_orientation(
     profile: Profile, plant: Plant, name: str, q: Array, conditions: Conditions, seed: Sequence[int]
 ) -> dict[str, Any]:
-    """Measured orientations of a 6-D probe, and their uncertainty; nothing for an arm without one."""
+    """Return measured orientations of a 6-D probe, and their uncertainty; nothing for an arm without one."""
     probe = profile.arms[name].smr.probe
     if probe is None:
         return {}
@@ -173,7 +174,7 @@ def _measured_orientation(
 def _drawn_conditions(
     profile: Profile, n: int, duration_s: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
+    """Return times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
     time_s = np.sort(rng.uniform(0.0, duration_s, n))
     dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
@@ -183,7 +184,7 @@ def _drawn_conditions(
 
 
 def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
-    """Payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
+    """Return payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
     heavy = (np.arange(n) * blocks // n) % 2 == 1
     return {
         name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
@@ -191,7 +192,7 @@ def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
 
 
 def _heavy_tailed(exact: Array, covariance: Array, draw: np.random.Generator) -> Array:
-    """Points (n, 3) [m] with noise of the stated covariance (n, 3, 3) [m^2] drawn from Student's t."""
+    """Return points (n, 3) [m] with noise of the stated covariance (n, 3, 3) [m^2] drawn from Student's t."""
     t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
     return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
 

@@ -77,7 +77,8 @@ class MatrixResult(Result, schema="cellapp-trials-blind-matrix"):
 
 
 def matrix_cells(pattern: str = "*") -> tuple[MatrixCell, ...]:
-    """All cells whose name (``conditions.kind``) matches a shell pattern. Raises ``InputError`` if there is none."""
+    """Return all cells whose name (``conditions.kind``) matches a shell pattern. Raises ``InputError`` if there is
+    none."""
     every = [
         MatrixCell(f"{name}.{kind}", setup.model_copy(update={"kind": kind}))
         for name, setup in CONDITIONS.items()
@@ -137,7 +138,7 @@ def _seal(profile: Profile, folder: Path, n: int, setup: Setup, seed: int | None
 
 
 def _together(results: Mapping[str, JudgeResult]) -> MatrixResult:
-    """Scores over all cells and of each."""
+    """Return scores over all cells and of each."""
     runs: list[ScoredRun] = [run for result in results.values() for run in result.trials]
     whole = scores(runs)
     last = list(results.values())[-1]

@@ -45,7 +45,7 @@ class PlantChange:
 
 
 def parameter_plant(profile: Profile, arm: str, name: str, change: float) -> Plant:
-    """The cell after one D-H parameter of an arm changed, by [m] or [rad]."""
+    """Return the cell after one D-H parameter of an arm changed, by [m] or [rad]."""
     plant = build_plant(profile)
     word = name.rstrip("0123456789")
     joint = int(name.removeprefix(word)) - 1
@@ -61,7 +61,7 @@ def parameter_plant(profile: Profile, arm: str, name: str, change: float) -> Pla
 
 
 def remounted_smr(profile: Profile, arm: str, shift_F: Array) -> Profile:
-    """The profile whose SMR was mounted elsewhere on the flange, by (3,) [m]."""
+    """Return the profile whose SMR was mounted elsewhere on the flange, by (3,) [m]."""
     smr = profile.arms[arm].smr
     assert not isinstance(smr.offset, str)
     offset = tuple((np.array(smr.offset) + shift_F).tolist())
@@ -70,7 +70,7 @@ def remounted_smr(profile: Profile, arm: str, shift_F: Array) -> Profile:
 
 
 def moved_base(profile: Profile, arm: str, motion_C: Array) -> Profile:
-    """The profile whose arm stands elsewhere, by a motion (4, 4) in the cell's frame."""
+    """Return the profile whose arm stands elsewhere, by a motion (4, 4) in the cell's frame."""
     base = profile.arms[arm].base
     assert base is not None
     changed = profile.arms[arm].model_copy(update={"base": _pose_after(base, motion_C)})
@@ -78,7 +78,7 @@ def moved_base(profile: Profile, arm: str, motion_C: Array) -> Profile:
 
 
 def moved_tracker(profile: Profile, motion_C: Array) -> Profile:
-    """The profile whose tracker stands elsewhere, by a motion (4, 4) in the cell's frame."""
+    """Return the profile whose tracker stands elsewhere, by a motion (4, 4) in the cell's frame."""
     assert profile.plant is not None
     assert profile.tracker.pose is not None
     pose = _pose_after(profile.plant.tracker_pose or profile.tracker.pose, motion_C)
@@ -86,14 +86,15 @@ def moved_tracker(profile: Profile, motion_C: Array) -> Profile:
 
 
 def small_motion(rng: np.random.Generator, size: float, about: Array) -> Array:
-    """A motion (4, 4) by ``size`` [m] in a random direction, and by as many rad about a random axis through a point."""
+    """Return a motion (4, 4) by ``size`` [m] in a random direction, and by as many rad about a random axis through a
+    point."""
     shift, turn = rng.standard_normal((2, 3))
     rotation = rotation_from_vector(size * turn / np.linalg.norm(turn))
     return transform(rotation, about - rotation @ about + size * shift / np.linalg.norm(shift))
 
 
 def rigid_changes(profile: Profile, sizes: tuple[float, ...], rng: np.random.Generator) -> Iterator[PlantChange]:
-    """Tracker, every base and every SMR moved by each of the sizes [m, rad]."""
+    """Yield tracker, every base and every SMR moved by each of the sizes [m, rad]."""
     plant = build_plant(profile)
     first = next(iter(profile.arms))
     T_M_C = plant.true_T_M_B(first) @ invert(plant.true_T_C_B(first))
@@ -114,7 +115,8 @@ def rigid_changes(profile: Profile, sizes: tuple[float, ...], rng: np.random.Gen
 
 
 def effect_changes(profile: Profile, moved_m: float, at_stops: Moved) -> Iterator[PlantChange]:
-    """Stiffness, play and eccentricity of every joint, changed so that the SMR moves by ``moved_m`` rms at the stops.
+    """Yield stiffness, play and eccentricity of every joint, changed so that the SMR moves by ``moved_m`` rms at the
+    stops.
 
     Left out is what no plausible change moves so far.
     """
@@ -133,7 +135,7 @@ def effect_changes(profile: Profile, moved_m: float, at_stops: Moved) -> Iterato
 
 
 def with_effect(profile: Profile, arm: str, effect: str, joint: int, size: float) -> Profile:
-    """The profile with more compliance [rad/Nm], play [rad] or eccentricity [rad] of one joint (from 0)."""
+    """Return the profile with more compliance [rad/Nm], play [rad] or eccentricity [rad] of one joint (from 0)."""
     assert profile.plant is not None
     count = len(profile.arms[arm].type.joints)
     hidden: dict[str, dict[str, Any]] = {name: dict(own) for name, own in profile.plant.effects.get(arm, {}).items()}
@@ -166,7 +168,7 @@ def _more_eccentric(own: Mapping[str, Any] | None, joint: int, size: float) -> d
 
 
 def _pose_after(pose: Pose, motion: Array) -> Pose:
-    """A pose of the profile after a motion in the frame it is given in."""
+    """Return a pose of the profile after a motion in the frame it is given in."""
     T = motion @ pose_matrix(pose)
     rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
     return pose.model_copy(update={"position": tuple(T[:3, 3].tolist()), "rpy": tuple(rpy)})

@@ -57,7 +57,7 @@ def real_check_trials(
     planned: int,
     checks: int,
 ) -> CheckTrialResult:
-    """Checks of measured series, in which nothing changed but what drifts. Raises as ``Work.gather`` does."""
+    """Return checks of measured series, in which nothing changed but what drifts. Raises as ``Work.gather`` does."""
     tasks = [
         RealCheckTask(series=name, seed=seed, rows=rows, planned=planned, checks=checks)
         for name in texts.series
@@ -76,7 +76,7 @@ def real_check_trials(
 
 
 def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChecks:
-    """All checks of one draw of rows."""
+    """Return all checks of one draw of rows."""
     entrant = entrants[task.series]
     readings = entrant.readings
     rng = np.random.default_rng([task.seed, 0xC4EC])

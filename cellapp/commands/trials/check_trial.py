@@ -78,7 +78,7 @@ def check_trials(
     seeds: Sequence[int],
     work: Work = IN_PLACE,
 ) -> CheckTrialResult:
-    """Checks of simulated cells, one for each seed.
+    """Return checks of simulated cells, one for each seed.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def check_trials(
 
 
 def checked_cell(plan: CheckPlan, drawn: Seed) -> CheckedCell:
-    """All checks of one cell."""
+    """Return all checks of one cell."""
     seed = drawn.seed
     profile = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = _calibration_readings(profile, plan.earlier, seed)
@@ -124,7 +124,8 @@ CELLS = TaskKind("cellapp.commands.trials.check_trial:CELLS", CheckPlan, Seed, C
 
 
 def _calibration_readings(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Readings at a plan of the cell's own; a seed from which the planner finds too few stops gives way to another."""
+    """Return readings at a plan of the cell's own; a seed from which the planner finds too few stops gives way to
+    another."""
     for number in range(_PLANS - 1):
         with contextlib.suppress(InputError):
             return measured_stops(profile, stops, seed + _NEXT_PLAN * number)
@@ -158,7 +159,7 @@ class _Trial:
         return self.design.belief
 
     def changes(self, unchanged: int) -> Iterator[PlantChange]:
-        """The cell as it was, several times, then changed in one way after another."""
+        """Yield the cell as it was, several times, then changed in one way after another."""
         before = build_plant(self.profile)
         for _ in range(unchanged):
             yield PlantChange("unchanged", "", "", before)
@@ -174,12 +175,12 @@ class _Trial:
         yield from rigid_changes(self.profile, _RIGID_M, rng)
 
     def points(self, plant: Plant) -> Array:
-        """Positions of all SMRs at the stops, arm by arm (m, 3) [m], without noise."""
+        """Return positions of all SMRs at the stops, arm by arm (m, 3) [m], without noise."""
         exact = measured_by(plant, self.homes, self.q, 0, noise=False)
         return np.concatenate([its.p_M for its in exact.values()])
 
     def check(self, number: int, change: PlantChange) -> CheckedChange:
-        """One check of a changed plant."""
+        """Return one check of a changed plant."""
         readings = self._readings(change.plant, number)
         stops = stop_rows(self.belief, readings, self.design.directions)
         some, state = decided_prefix(self.design, stops)
@@ -215,7 +216,7 @@ class _Trial:
         return measured_by(plant, self.homes, self.q, _NOISE_SEED * (self.seed + 1) + number)
 
     def _words(self, change: PlantChange) -> tuple[str, bool]:
-        """What the check calls a change, and whether it is a visible one."""
+        """Return what the check calls a change, and whether it is a visible one."""
         if change.group == "unchanged":
             return "", False
         if change.group in ("parameter", "effect"):
@@ -227,7 +228,7 @@ class _Trial:
 
 
 def words_of(change: PlantChange) -> str:
-    """A change of a parameter or an effect in the words of the check."""
+    """Return a change of a parameter or an effect in the words of the check."""
     if change.group == "parameter":
         return parameter_words(change.what)
     slug, joint = change.what.split()
@@ -235,7 +236,7 @@ def words_of(change: PlantChange) -> str:
 
 
 def _solved_mm(design: Design, change: PlantChange, cause: Cause, stops: StopRows) -> float | None:
-    """Largest error [mm] of a solved motion at the points of the stops that it moves."""
+    """Return the largest error [mm] of a solved motion at the points of the stops that it moves."""
     if change.motion is None or cause.motion is None:
         return None
     names = list(design.belief.arms)

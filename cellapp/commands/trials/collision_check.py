@@ -95,7 +95,7 @@ class CollisionCheck:
                     break
 
     def _first_collision(self, q: Targets) -> tuple[int, str, str] | None:
-        """Row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
+        """Return the row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
         poses = self._poses(q)
         reach = np.stack([np.abs(pose[:, :3, :3]) @ body.half for pose, body in zip(poses, self._bodies, strict=True)])
         centre = np.stack(
@@ -115,7 +115,7 @@ class CollisionCheck:
         return bool(self._coal.collide(first.geometry, poses[0], second.geometry, poses[1], request, result))
 
     def _poses(self, q: Targets) -> list[Array]:
-        """Poses of all bodies in the cell frame at configurations, arm -> (n, N) [rad]: each (n, 4, 4)."""
+        """Return poses of all bodies in the cell frame at configurations, arm -> (n, N) [rad]: each (n, 4, 4)."""
         frames = {name: _frames(self._profile.arms[name], value) for name, value in q.items()}
         count = len(next(iter(q.values())))
         return [
@@ -124,7 +124,8 @@ class CollisionCheck:
         ]
 
     def _may_not_touch(self, i: int, k: int) -> bool:
-        """Whether two bodies must keep apart by the rules of the gate: what is mounted on something may touch it."""
+        """Return whether two bodies must keep apart by the rules of the gate: what is mounted on something may touch
+        it."""
         first, second = self._bodies[i], self._bodies[k]
         if first.arm is not None and first.arm == second.arm and not _stands(first) and not _stands(second):
             return abs(first.frame - second.frame) > _TOUCHING_FRAMES
@@ -136,7 +137,7 @@ class CollisionCheck:
         return link.frame > 1 or (link.frame == 1 and not self._base_is_near(link.arm, obstacle))
 
     def _base_is_near(self, arm: str | None, obstacle: _Body) -> bool:
-        """Whether an obstacle is nearer to an arm's base bodies than the clearance: the arm may stand on it."""
+        """Return whether an obstacle is nearer to an arm's base bodies than the clearance: the arm may stand on it."""
         at_zero = {name: np.zeros((1, len(one.type.joints))) for name, one in self._profile.arms.items()}
         poses = [pose[0] for pose in self._poses(at_zero)]
         place = {id(body): pose for body, pose in zip(self._bodies, poses, strict=True)}
@@ -175,7 +176,7 @@ class CollisionCheck:
 
 
 def _stands(body: _Body) -> bool:
-    """Whether a body never moves: an obstacle of the cell or on a base."""
+    """Return whether a body never moves: an obstacle of the cell or on a base."""
     return body.obstacle and body.frame == 0
 
 
@@ -190,7 +191,7 @@ def _library() -> ModuleType:
 
 
 def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
-    """A solid for Coal, centre and half the sizes of its bounding box, (3,) each [m]."""
+    """Return a solid for Coal, centre and half the sizes of its bounding box, (3,) each [m]."""
     nowhere = np.zeros(3)
     if isinstance(entry, BoxObstacle):
         return coal.Box(*entry.size), nowhere, 0.5 * np.array(entry.size)
@@ -213,7 +214,7 @@ def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
 
 
 def _frames(arm: Arm, q: Array) -> NDArray[np.float64]:
-    """Poses of an arm's D-H frames in the cell frame, base first, at ``q`` (n, N): (N + 1, n, 4, 4)."""
+    """Return poses of an arm's D-H frames in the cell frame, base first, at ``q`` (n, N): (N + 1, n, 4, 4)."""
     if arm.base is None:
         raise InputError("arms.*.base is needed to check motions")
     frames = [np.broadcast_to(pose_matrix(arm.base), (len(q), 4, 4))]
@@ -230,7 +231,7 @@ def _frames(arm: Arm, q: Array) -> NDArray[np.float64]:
 
 
 def _z_along(direction: Array) -> Array:
-    """A rotation (3, 3) whose z axis has the given direction; the identity for a zero vector."""
+    """Return a rotation (3, 3) whose z axis has the given direction; the identity for a zero vector."""
     length = float(np.linalg.norm(direction))
     if length < 1e-12:
         return np.eye(3)

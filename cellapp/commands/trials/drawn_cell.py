@@ -27,7 +27,7 @@ def require_simulated(profile: Profile) -> None:
 
 
 def drawn_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
-    """The profile of a simulated cell whose true geometry, plan and splits are drawn by ``seed``.
+    """Return the profile of a simulated cell whose true geometry, plan and splits are drawn by ``seed``.
 
     ``mix``: with hidden effects of the arms themselves, curves drawn by ``seed``.
     """
@@ -52,7 +52,7 @@ def _with_mix(profile: Profile, seed: int) -> Profile:
 
 
 def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Readings of all arms at a plan of its own; all but the last are to learn from."""
+    """Return readings of all arms at a plan of its own; all but the last are to learn from."""
     planned = profile.model_copy(
         update={
             "seed": seed,
@@ -65,7 +65,7 @@ def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Reading
 
 
 def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
-    """Calibration and discovery of all arms."""
+    """Return calibration and discovery of all arms."""
     models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
     conditions = conditions_of_arms(models, readings)
     return {

@@ -160,7 +160,8 @@ def judge_run(folder: Path, source: str) -> None:
 
 
 def source_digest() -> str:
-    """Short SHA-256 of the modules that calibrate and search: it distinguishes results of different program states."""
+    """Return the short SHA-256 of the modules that calibrate and search: it distinguishes results of different program
+    states."""
     root = Path(str(files("cellapp")))
     found = hashlib.sha256()
     for package in _SEARCHING:
@@ -174,7 +175,7 @@ def source_digest() -> str:
 
 
 def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mapping[str, Readings]) -> ArmDiscoveryResult:
-    """What was found in an arm with recordings, with the errors at its held-out stops alone."""
+    """Return what was found in an arm with recordings, with the errors at its held-out stops alone."""
     at_rest = HeldOut.of(stops[name], conditions_of_arms(model.arms, stops)[name])
     errors = BeforeAfter(before=at_rest.rms_mm(model.arms[name]), after=at_rest.rms_mm(found.model))
     floor_mm = at_rest.noise_floor_mm()
@@ -183,7 +184,7 @@ def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mappin
 
 
 def _stored(folder: Path) -> StoredTrial | None:
-    """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
+    """Return what was found in a run; None where nothing is stored, or by a version that this one cannot read."""
     with RunFile.open(folder) as run:
         text = run.read_result(TRIAL_RESULT)
     try:
@@ -227,7 +228,7 @@ def _compare(
 
 
 def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
-    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [µm]."""
+    """Return what was found in an arm, beside the rms length of the noise drawn at its held-out stops [µm]."""
     found = stored.discovery
     return ArmFindings(
         accepted=tuple(effect.effect for effect in found.accepted),
@@ -255,7 +256,8 @@ def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
 
 
 def _posteriors(found: ArmDiscoveryResult) -> dict[str, float]:
-    """Stated probability of each effect: of the candidates, and of what was accepted; empty where none is stated."""
+    """Return the stated probability of each effect: of the candidates, and of what was accepted; empty where none is
+    stated."""
     candidates: Mapping[str, float | None] = getattr(found, "candidates", None) or {}
     stated = {slug: float(value) for slug, value in candidates.items() if value is not None}
     for effect in found.accepted:

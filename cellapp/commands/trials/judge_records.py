@@ -31,7 +31,7 @@ class Spread(Record):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread | None:
-        """Median and range of the finite values; None of none."""
+        """Return the median and range of the finite values; None of none."""
         known = [value for value in values if np.isfinite(value)]
         if not known:
             return None
@@ -183,7 +183,7 @@ class OutcomeCounts(EndState):
     in_answer_set: int
 
     def count(self, outcome: Outcome) -> int:
-        """Number of one outcome."""
+        """Return the number of one outcome."""
         found: int = getattr(self, outcome)
         return found
 

@@ -17,7 +17,8 @@ from drivers.plant import Plant
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
-    """Readings of all arms at ``plan`` (name -> (n, N) [rad]), noise drawn by ``seed``, splits by the profile's seed.
+    """Return readings of all arms at ``plan`` (name -> (n, N) [rad]), noise drawn by ``seed``, splits by the profile's
+    seed.
 
     Joints approach each stop from the one before, the first stop from home.
     """
@@ -29,7 +30,7 @@ def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dic
 def measured_by(
     plant: Plant, homes: Mapping[str, Array], plan: Mapping[str, Array], seed: int, *, noise: bool = True
 ) -> dict[str, Readings]:
-    """Readings of all arms of a simulated cell at ``plan``, without splits; see ``measured_plan``.
+    """Return readings of all arms of a simulated cell at ``plan``, without splits; see ``measured_plan``.
 
     Without ``noise`` the points are exact.
     """

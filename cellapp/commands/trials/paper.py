@@ -89,7 +89,7 @@ def paper_trials(
 
 
 def paper_trial(profile: Profile, seed: int) -> PaperTrial:
-    """One seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
+    """Return one seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: the comparison needs a section 'plant' and two arms")
     profile = drawn_cell(profile, seed)
@@ -118,7 +118,7 @@ def paper_trial(profile: Profile, seed: int) -> PaperTrial:
 
 
 def _moved(profile: Profile, seed: int) -> Profile:
-    """The same cell with the tracker moved to one side of it and laid on its side."""
+    """Return the same cell with the tracker moved to one side of it and laid on its side."""
     pose = profile.tracker.pose
     if pose is None:
         raise InputError(f"profile {profile.name}: tracker.pose is missing; it says where the tracker stands")
@@ -132,7 +132,7 @@ def _moved(profile: Profile, seed: int) -> Profile:
 
 
 def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, float]:
-    """Mean errors [mm] on held-out stops from another station, the base registered there from geometry alone."""
+    """Return mean errors [mm] on held-out stops from another station, the base registered there from geometry alone."""
     learn, held_out = readings.in_split("identify"), readings.in_split("validate")
     p_B = smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), readings.q)
     T_M_B = register(readings.p_M[learn], p_B[learn])
@@ -150,7 +150,7 @@ def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, floa
 
 
 def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> PaperResult:
-    """Median and worst over the seeds beside the paper's figures."""
+    """Return the median and worst over the seeds beside the paper's figures."""
     gains = [trial.gain for trial in trials]
     errors = {method: [trial.cooperative_mm[method] for trial in trials] for method in _METHODS}
     return PaperResult(
@@ -167,7 +167,7 @@ def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> 
 
 
 def paper_tables(result: PaperResult) -> list[Table]:
-    """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
+    """Show the paper's methods over seeds beside the paper, and position errors at both tracker stations."""
     gain = (result.gain.median, result.gain.worst, result.gain.paper)
     rows = [
         *(

@@ -55,7 +55,7 @@ class ParameterSetsResult(Result, schema="cellapp-trials-parameter-sets"):
 
 
 def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[Geometry, int, bool]:
-    """The paper's iteration, without regularisation of dependent columns, until |dg| < 1e-5.
+    """Return the paper's iteration, without regularisation of dependent columns, until |dg| < 1e-5.
 
     Returns the last finite geometry, the iterations and whether it converged.
     """
@@ -106,7 +106,7 @@ def parameter_set_trials(
 
 
 def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
-    """Redundant and reduced models, one table for each arm."""
+    """Show redundant and reduced models, one table for each arm."""
     return [
         table_of(
             f"Arm {arm}: redundant and reduced models, medians over seeds",
@@ -122,7 +122,7 @@ def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
 
 
 def compared_sets(planned: PlannedCell, drawn: ArmSeed) -> Solutions:
-    """Both solvers on all parameter sets, for one arm and seed."""
+    """Return both solvers on all parameter sets, for one arm and seed."""
     arm, profile, stops = drawn.arm, planned.profile, IDENTIFY_STOPS + VALIDATE_STOPS
     nominal, q = nominal_arm(profile.arms[arm]), planned.stops(arm)
     plant = build_plant(bare_profile(profile, stops, plant_seed=drawn.seed))
@@ -154,7 +154,7 @@ SETS = TaskKind("cellapp.commands.trials.parameter_sets:SETS", PlannedCell, ArmS
 
 
 def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> list[tuple[str, Geometry, int, bool]]:
-    """Name of each solver, its geometry, iterations, and whether it converged."""
+    """Return the name of each solver, its geometry, iterations, and whether it converged."""
     ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
     return [
         ("plain", *plain_gauss_newton(start, q, p_M, chosen)),

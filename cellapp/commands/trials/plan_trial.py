@@ -65,7 +65,7 @@ class PlanTrialsResult(Result, schema="cellapp-trials-plans"):
     """Seeds that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What failed, and what whole plans must never have."""
+        """Say what failed, and what whole plans must never have."""
         colliding = [
             f"seed {one.seed}: {counted(one.collisions, 'motion collides', 'motions collide')}"
             for one in self.plans
@@ -74,7 +74,7 @@ class PlanTrialsResult(Result, schema="cellapp-trials-plans"):
         return [*self.failed, *colliding]
 
     def worth(self, arm: str, error: ErrorName) -> float:
-        """Random stops that one designed stop of an arm is worth: median over seeds."""
+        """Return random stops that one designed stop of an arm is worth: median over seeds."""
         return float(np.median([one.equal[error] / one.stops for one in self.trials if one.arm == arm]))
 
 
@@ -100,7 +100,7 @@ def plan_trials(
     whole: int = 0,
     work: Work = IN_PLACE,
 ) -> PlanTrialsResult:
-    """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
+    """Return trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
 
     With ``whole`` stops also whole plans with each seed. Raises as ``gather`` and ``whole_plans`` do.
     """
@@ -164,7 +164,7 @@ def _bound(
     rng: np.random.Generator,
     cancel: CancelToken,
 ) -> dict[ErrorName, float]:
-    """Numbers of random stops that tell as much as the best weights of all candidates."""
+    """Return numbers of random stops that tell as much as the best weights of all candidates."""
     others = {other: pool.q for other, pool in pools.items() if other != name}
     with threadpool_limits(limits=1, user_api="blas"):
         judge = Judge.of(profile, name, others, stops, rng, cancel)

@@ -20,7 +20,7 @@ Statement = tuple[float, bool]
 
 
 def posterior_scores(runs: Sequence[ScoredRun]) -> tuple[PosteriorScore, ...]:
-    """Scores of the statements in all arms; without any, none.
+    """Return scores of the statements in all arms; without any, none.
 
     About every effect that the plan can show (one that is not among the stated ones counts as stated with probability
     zero), about those that were stated, and about accepted names. Not counted are hidden effects below the noise, which

@@ -65,7 +65,7 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
 
 
 def _library_name(truth: GroundTruth, effect: str) -> str:
-    """How a hidden effect should be called: a hard case may hide some that the library lacks beside others."""
+    """Say how a hidden effect should be called: a hard case may hide some that the library lacks beside others."""
     return UNKNOWN if truth.kind == HARD and effect not in EFFECTS else effect
 
 
@@ -82,7 +82,7 @@ def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
 
 
 def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Likeness:
-    """How well the best data-driven term matches; a channel in one direction only counts as that channel."""
+    """Return how well the best data-driven term matches; a channel in one direction only counts as that channel."""
     if expected.variables == (POSITION,):
         return _field_description(described)
     best: Likeness = ""
@@ -112,7 +112,7 @@ def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
 
 
 def _says_convention(found: ArmFindings) -> bool:
-    """Whether the verdict or a description says that a sign is opposite to what it should be."""
+    """Return whether the verdict or a description says that a sign is opposite to what it should be."""
     return any(_CONVENTION.search(text) for text in (found.sentence, *(term.sentence for term in found.described)))
 
 
@@ -122,7 +122,8 @@ def _says_convention(found: ArmFindings) -> bool:
 def _second_names(
     called: Sequence[str], hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
 ) -> tuple[SecondName, ...]:
-    """What was accepted beyond as many effects as were hidden; one for each name that is missing counts as wrong.
+    """Return what was accepted beyond as many effects as were hidden; one for each name that is missing counts as
+    wrong.
 
     ``called`` are the names that the hidden effects should get.
     """
@@ -147,7 +148,7 @@ def _second_names(
 
 
 def _widened(drivers: frozenset[DriverVariable]) -> frozenset[DriverVariable]:
-    """These quantities and those that stand for them."""
+    """Return these quantities and those that stand for them."""
     return drivers.union(*(group for group in _ALIKE if group & drivers))
 
 
@@ -161,7 +162,7 @@ def _term_drivers(term: DescribedTerm | None) -> frozenset[DriverVariable]:
 
 
 def _drivers(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[DriverVariable]:
-    """What the hidden effects depend on."""
+    """Return what the hidden effects depend on."""
     if expected is not None and expected.variables == (POSITION,):
         return frozenset({DriverVariable.BEAM, DriverVariable.JOINT_ANGLE})
     if expected is not None:

@@ -26,7 +26,7 @@ from cellapp.ground.grouping import grouped
 
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
-    """Counts and targets over all runs."""
+    """Return counts and targets over all runs."""
     one = [run for run in runs if run.kind in ("one", "flipped")]
     outside = [run for run in runs if run.kind == "outside"]
     several = [run for run in runs if len(run.hidden) > 1]
@@ -56,7 +56,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Runs that hide the same, look-alikes last."""
+    """Return runs that hide the same, look-alikes last."""
     ordered = sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names))
     return grouped((run.hidden_names, run) for run in ordered)
 

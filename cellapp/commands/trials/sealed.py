@@ -185,7 +185,7 @@ def seal_trials(
 
 
 def check_seal(folder: Path) -> bytes:
-    """The bytes of ``truth.json``, unread, if they are those that were sealed.
+    """Return the bytes of ``truth.json``, unread, if they are those that were sealed.
 
     Raises
     ------
@@ -241,7 +241,8 @@ def check_readings(folder: Path, truth: GroundTruth) -> None:
 
 
 def digest_of(run: RunFile) -> str:
-    """SHA-256 of the joint positions and points of all arms, in the arms' order by name, and of their recordings."""
+    """Return the SHA-256 of the joint positions and points of all arms, in the arms' order by name, and of their
+    recordings."""
     found = hashlib.sha256()
     for name in sorted(run.arms()):
         readings = run.readings(name)
@@ -257,7 +258,7 @@ def digest_of(run: RunFile) -> str:
 
 
 def without_truth(profile: Profile, number: int) -> Profile:
-    """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
+    """Return the profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
     arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
     return profile.model_copy(
         update={
@@ -332,15 +333,15 @@ class _HiddenCell:
     session: Session
 
     def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
-        """Readings with noise."""
+        """Return readings with noise."""
         return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise, self.session)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
-        """Readings at the same stops without noise."""
+        """Return readings at the same stops without noise."""
         return blind_readings(self.cell(effects, noise=False), self.plan, self.noise_seed, session=self.session)
 
     def cell(self, effects: _Effects, *, noise: bool) -> Profile:
-        """The simulated cell with some effects."""
+        """Return the simulated cell with some effects."""
         hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
         assert hidden.plant is not None
         settings = hidden.plant.model_copy(update={"noise": noise})
@@ -391,7 +392,7 @@ def _write_run(
 def _drawn_parameters(
     profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of every effect of a case, drawn for its arm."""
+    """Return parameters of every effect of a case, drawn for its arm."""
     if not case.slugs:
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
@@ -400,7 +401,7 @@ def _drawn_parameters(
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:
-    """Every hidden effect; ``with_all`` are the exact readings with all of them."""
+    """Return every hidden effect; ``with_all`` are the exact readings with all of them."""
     found = []
     for slug, own in parameters.items():
         without = cell.exact({other: values for other, values in parameters.items() if other != slug})
@@ -416,7 +417,7 @@ def _hidden_law(
     without: Mapping[str, Readings],
     with_all: Mapping[str, Readings],
 ) -> HiddenLaw:
-    """One hidden effect in arm ``name``, from exact readings of all arms without it and with all effects."""
+    """Return one hidden effect in arm ``name``, from exact readings of all arms without it and with all effects."""
     own = without[name]
     moved = with_all[name].p_M - own.p_M
     models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}
@@ -433,7 +434,7 @@ def _hidden_law(
 
 
 def _rms_um(vectors: Array) -> float:
-    """Root mean square length [µm] of vectors (n, 3) [m]; NaN of none."""
+    """Return the root mean square length [µm] of vectors (n, 3) [m]; NaN of none."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
 
 

@@ -108,12 +108,12 @@ class Case:
 
 
 def library_name(plant: str) -> str:
-    """The library's name of an effect of the plant."""
+    """Return the library's name of an effect of the plant."""
     return IN_THE_LIBRARY.get(plant, plant)
 
 
 def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
-    """What each of ``n`` runs hides: every law of a kind in turn, in alternating arms; the runs in random order.
+    """Return what each of ``n`` runs hides: every law of a kind in turn, in alternating arms; the runs in random order.
 
     The seed decides which law comes first, so that few runs do not always hide the same.
     """

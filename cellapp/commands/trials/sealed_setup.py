@@ -128,7 +128,8 @@ class Setup(Record):
             )
 
     def cell(self, profile: Profile) -> Profile:
-        """The profile with the number of stops, the splits and the masses of these trials, and nothing hidden."""
+        """Return the profile with the number of stops, the splits and the masses of these trials, and nothing
+        hidden."""
         assert profile.plant is not None
         geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
@@ -151,7 +152,7 @@ class Setup(Record):
         return profile.model_copy(update=changes)
 
     def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array] | PlannedStops:
-        """Stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
+        """Return stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
         if self.ranges == "full":
             if self.plan_method == "random":
                 return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
@@ -167,7 +168,7 @@ class Setup(Record):
         raise InputError(f"--ranges narrow: about none of {_CENTRES} centres does the tracker see enough stops")
 
     def reported(self, readings: Readings) -> Readings:
-        """The readings as a run of these trials holds them."""
+        """Return the readings as a run of these trials holds them."""
         if not self.stated:
             readings = replace(readings, covariance_M=None)
         if self.flip_approach:
@@ -180,7 +181,7 @@ USUAL_SETUP = Setup()
 
 
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
-    """The profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
+    """Return the profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
     centre = draw_stops(cell_bodies(profile), profile, 1, rng)
     arms: dict[str, Arm] = {}
     for name, arm in profile.arms.items():

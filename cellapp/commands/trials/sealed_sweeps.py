@@ -29,14 +29,15 @@ class SweepPlan:
 
     @classmethod
     def of(cls, profile: Profile, count: int, seed: int, cancel: CancelToken) -> SweepPlan:
-        """Sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and ``Cancelled``."""
+        """Return sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and
+        ``Cancelled``."""
         plan = profile.plan.model_copy(update={"stops": count, "reserve": 0, "other_arm": "resting"})
         asked = profile.model_copy(update={"plan": plan, "seed": seed})
         stops, _ = make_stops(asked, cancel=cancel)
         return cls(stops, plan_sweeps(asked, stops, cancel=cancel).sweeps)
 
     def recorded(self, profile: Profile) -> list[RecordedStreams]:
-        """The sweeps in the simulated cell of ``profile``, by clocks and devices of its own."""
+        """Return the sweeps in the simulated cell of ``profile``, by clocks and devices of its own."""
         plant, found = build_plant(profile), list[RecordedStreams]()
         recorder = recorder_of(plant)
         for sweep in self.sweeps:

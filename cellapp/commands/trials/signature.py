@@ -109,7 +109,7 @@ class SignatureResult(Result, schema="cellapp-trials-signature"):
     """Cells or draws that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What failed and bars that are missed, in words."""
+        """Say what failed and bars that are missed, in words."""
         return [
             *self.failed,
             *(f"{bar.what}: {bar.reached:.4g}, at most {bar.most:.4g}" for bar in self.bars if not bar.met),
@@ -154,7 +154,7 @@ def twin_trials(
     seeds: Sequence[int],
     work: Work = IN_PLACE,
 ) -> SignatureResult:
-    """Simulated cells whose arms were mounted elsewhere, one for each seed.
+    """Return simulated cells whose arms were mounted elsewhere, one for each seed.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def twin_trials(
 
 
 def twin_draws(plan: TwinPlan, drawn: Seed) -> Draws:
-    """Both arms of one simulated cell, from few and from many stops."""
+    """Return both arms of one simulated cell, from few and from many stops."""
     seed = drawn.seed
     first = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = measured_stops(first, plan.earlier, seed)
@@ -207,7 +207,7 @@ TWINS = TaskKind("cellapp.commands.trials.signature:TWINS", TwinPlan, Seed, Draw
 
 
 def remounted(profile: Profile, seed: int) -> Profile:
-    """The profile with every base and every SMR mounted elsewhere, drawn by ``seed``."""
+    """Return the profile with every base and every SMR mounted elsewhere, drawn by ``seed``."""
     generator = np.random.default_rng([seed, _REMOUNT_SEED])
     arms = {}
     for name, arm in profile.arms.items():
@@ -230,7 +230,7 @@ def real_trials(
     data: Path,
     profiles: Path,
 ) -> SignatureResult:
-    """A measured series of an arm, with an earlier series of the same arm as prior.
+    """Return a measured series of an arm, with an earlier series of the same arm as prior.
 
     Raises
     ------
@@ -277,7 +277,7 @@ def calibrated_earlier(series: RealSeries) -> RealArm:
 
 
 def real_draw(arm: RealArm, task: RealTask) -> SignatureDraw:
-    """One draw of rows with and without the earlier series."""
+    """Return one draw of rows with and without the earlier series."""
     entrant = arm.entrant
     readings = draw_rows(entrant, task.rows, task.seed).split(entrant.readings)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
@@ -292,7 +292,7 @@ REAL = TaskKind(
 
 
 def lines_of(draws: Sequence[SignatureDraw]) -> tuple[SignatureLine, ...]:
-    """Means over draws by cell and number of stops."""
+    """Return means over draws by cell and number of stops."""
     groups = grouped(((draw.cell, draw.stops), draw) for draw in draws)
     return tuple(_line(cell, stops, some) for (cell, stops), some in groups.items())
 
@@ -313,7 +313,7 @@ def _line(cell: str, stops: int, draws: Sequence[SignatureDraw]) -> SignatureLin
 
 
 def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:
-    """The first ``stops`` readings to learn from, those from ``learnable`` on held out."""
+    """Return the first ``stops`` readings to learn from, those from ``learnable`` on held out."""
     count = len(readings)
     words = ["identify" if k < stops else "validate" if k >= learnable else None for k in range(count)]
     return replace(readings, split=tuple(words))
@@ -329,7 +329,7 @@ def _draw(
     geometry: ArmModel,
     earlier: Earlier | None,
 ) -> SignatureDraw:
-    """One arm without and, where ``earlier`` is given, with its earlier calibration."""
+    """Return one arm without and, where ``earlier`` is given, with its earlier calibration."""
     rows = readings.in_split("validate")
     held_out, its = readings.take(rows), conditions.take(rows)
 

@@ -35,7 +35,7 @@ class Work:
         *,
         all_may_fail: bool = False,
     ) -> Gathered[Found]:
-        """Results of all tasks; ``name`` is the format of what a task with some parameters is called.
+        """Return results of all tasks; ``name`` is the format of what a task with some parameters is called.
 
         Raises as ``gather`` of ``cellapp.ground.scale`` does.
         """
@@ -61,12 +61,12 @@ class Trial(Protocol):
     """A result that knows what failed and which bars are missed."""
 
     def complaints(self) -> list[str]:
-        """What failed and bars that are missed, in words."""
+        """Say what failed and bars that are missed, in words."""
         ...
 
 
 def not_computed(failed: Sequence[str]) -> str:
-    """The first tasks that failed, in words; empty if none did."""
+    """Return the first tasks that failed, in words; empty if none did."""
     if not failed:
         return ""
     more = f"; and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
@@ -74,6 +74,6 @@ def not_computed(failed: Sequence[str]) -> str:
 
 
 def complained(trial: str, result: Trial) -> str:
-    """The complaints of a trial of some name in one line; empty without any."""
+    """Return the complaints of a trial of some name in one line; empty without any."""
     said = result.complaints()
     return f"trials {trial}: {'; '.join(said)}" if said else ""

@@ -26,7 +26,8 @@ _OTHER_LAWS = 0.5
 
 
 def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """Effects of every arm: the profile's own, and a case of the mixture that sealed trials hide; words on the laws.
+    """Return effects of every arm: the profile's own, and a case of the mixture that sealed trials hide; words on the
+    laws.
 
     ``duration_s`` is the length of the run in which onsets and time constants lie.
     """
@@ -102,7 +103,7 @@ def _both_allowed(cell: CellBodies, q: Mapping[str, Array]) -> bool:
 
 
 def _pose(nominal: Geometry, q: Array) -> Array:
-    """SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
+    """Return the SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
     rotations, origins = flange_poses(nominal, q[None])
     return transform(rotations[0], origins[0] + rotations[0] @ nominal.tool)
 

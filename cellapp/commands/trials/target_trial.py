@@ -166,7 +166,7 @@ class _Bench:
 
 
 def _models(run: RunFile) -> tuple[CellModel, CellModel]:
-    """The model in force, and that of the calibration."""
+    """Return the model in force, and that of the calibration."""
     stages = read_stages(run)
     return model_of(run, stage_in_force(run, stages)), model_of(run, stages.current[CALIBRATE])
 
@@ -239,7 +239,7 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
 
 
 def _pair_figures(bench: _Bench, result: VerifyResult) -> PairFigures:
-    """Figures of the cooperative targets; each arm's part is a target of the same name."""
+    """Return figures of the cooperative targets; each arm's part is a target of the same name."""
     done = [pair for pair in result.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
     parts = {(target.name, target.arm): target for target in result.targets}
     names = done[0].arms
@@ -260,7 +260,7 @@ def _pair_figures(bench: _Bench, result: VerifyResult) -> PairFigures:
 
 
 def _paper_pair_mm(bench: _Bench, q: Mapping[str, Array], apart: Array) -> float | None:
-    """Mean absolute error [mm] of distances between the SMRs as the paper's proposed method predicts them."""
+    """Return mean absolute error [mm] of distances between the SMRs as the paper's proposed method predicts them."""
     paper = bench.paper
     if paper.pair is None or paper.T_R_L is None:
         return None
@@ -269,7 +269,7 @@ def _paper_pair_mm(bench: _Bench, q: Mapping[str, Array], apart: Array) -> float
 
 
 def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
-    """Errors (k, n, 3) [m] of k repeated measurements at ``q``, arm -> (n, N) [rad]: noise and repeatability."""
+    """Return errors (k, n, 3) [m] of k repeated measurements at ``q``, arm -> (n, N) [rad]: noise and repeatability."""
     rng = np.random.default_rng([bench.seed, _FLOOR_SEED])
     plant, errors = bench.plant, {}
     for name, here in q.items():
@@ -283,7 +283,7 @@ def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _changed(bench: _Bench, name: str, q: Array) -> Array:
-    """Displacement (n, 3) [m] at ``q`` (n, N) [rad] since the model was last made to fit, by effects of time.
+    """Return displacement (n, 3) [m] at ``q`` (n, N) [rad] since the model was last made to fit, by effects of time.
 
     No calibration can foresee it, unless it follows a law that the run shows.
     """
@@ -293,7 +293,8 @@ def _changed(bench: _Bench, name: str, q: Array) -> Array:
 
 
 def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRanges) -> Array:
-    """Standard deviations (n, 3) [m] of measured coordinates about their prediction, as the product states them."""
+    """Return standard deviations (n, 3) [m] of measured coordinates about their prediction, as the product states
+    them."""
     conditions = MeasurementConditions(approach=approach)
     covariance = spread_of(model, q, conditions, ranges).of_model
     if model.posterior is not None and ranges.noise is not None:
@@ -302,7 +303,7 @@ def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRa
 
 
 def _rows(vectors: Sequence[tuple[float, ...] | None]) -> Array:
-    """Vectors (n, N) of measured targets, which have them all."""
+    """Return vectors (n, N) of measured targets, which have them all."""
     return np.array(vectors, dtype=np.float64)
 
 

@@ -23,7 +23,8 @@ _STATEMENTS = 100
 def targets(
     runs: Sequence[ScoredRun], clean: Sequence[ArmFindings], posteriors: Sequence[PosteriorScore]
 ) -> list[TargetScore]:
-    """The wanted and the reached share of every target for which there are trials; ``clean`` arms hide nothing."""
+    """Return the wanted and the reached share of every target for which there are trials; ``clean`` arms hide
+    nothing."""
     every = [found for run in runs for found in run.arms.values()]
     beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.kind in ("one", "pair", "triple")]
@@ -45,12 +46,12 @@ def targets(
 
 
 def _false(arms: Sequence[ArmFindings]) -> list[bool]:
-    """Whether anything was named or called unknown in arms that hide nothing."""
+    """Return whether anything was named or called unknown in arms that hide nothing."""
     return [bool(found.accepted) or found.unknown for found in arms]
 
 
 def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Exact names of visible effects."""
+    """Return exact names of visible effects."""
     one = [run for run in visible if run.kind == "one"]
     several = [run for run in visible if run.kind != "one"]
     ordinary = [run.outcome == "named" for run in several if not run.look_alikes]
@@ -64,18 +65,18 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
 
 
 def _wrong_below(known: Sequence[ScoredRun]) -> list[bool]:
-    """Whether a single effect below the noise made the search accept anything else."""
+    """Return whether a single effect below the noise made the search accept anything else."""
     below = [run for run in known if run.kind == "one" and not run.visible]
     return [run.outcome not in ("none", "named") for run in below]
 
 
 def _too_many(runs: Sequence[ScoredRun]) -> list[bool]:
-    """Whether a hard case got more names, or unknown terms, than it has causes."""
+    """Return whether a hard case got more names, or unknown terms, than it has causes."""
     return [bool(run.second_names) for run in runs if run.kind == "hard"]
 
 
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """What the library lacks, and signs of the wrong convention; above the noise only."""
+    """Return what the library lacks, and signs of the wrong convention; above the noise only."""
     called = [run.findings.unknown for run in outside if run.visible]
     described = [run.description == "right" for run in outside if run.visible]
     said = [run.findings.unknown and bool(run.says_convention) for run in flipped if run.visible]
@@ -87,7 +88,7 @@ def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list
 
 
 def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Names beyond those of the hidden effects."""
+    """Return names beyond those of the hidden effects."""
     beyond = [bool(run.second_names) for run in known]
     same = [any(one.same_cause for one in run.second_names) for run in known]
     further = [bool(run.second_names) for run in outside]
@@ -99,7 +100,7 @@ def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[Ta
 
 
 def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
-    """Held-out errors where something of the library is hidden."""
+    """Return held-out errors where something of the library is hidden."""
     stated = [found.to_stated for found in known]
     return [
         _at_least(
@@ -118,7 +119,7 @@ def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
 
 
 def _brier(score: PosteriorScore) -> TargetScore:
-    """The Brier score of some statements as a target."""
+    """Return the Brier score of some statements as a target."""
     held = score.brier <= _BRIER
     return TargetScore(
         kind="all",
@@ -135,7 +136,7 @@ def _brier(score: PosteriorScore) -> TargetScore:
 
 
 def _at_least(kind: str, what: str, wanted: float, hits: Sequence[bool], bar_from: int = 0) -> TargetScore | None:
-    """A target to reach; a bar from ``bar_from`` trials, if that is given."""
+    """Return a target to reach; a bar from ``bar_from`` trials, if that is given."""
     return _target(kind, what, wanted, hits, at_most=False, trials_wanted=max(bar_from, 1), bar=bar_from > 0)
 
 
@@ -148,7 +149,7 @@ def _at_most(
 def _target(
     kind: str, what: str, wanted: float, hits: Sequence[bool], *, at_most: bool, trials_wanted: int, bar: bool
 ) -> TargetScore | None:
-    """One target; None where there is no trial for it. Too few trials can refute it but not confirm it."""
+    """Return one target; None where there is no trial for it. Too few trials can refute it but not confirm it."""
     n, reached = len(hits), sum(hits)
     if not n:
         return None

@@ -117,7 +117,7 @@ class TruthResult(Result, schema="cellapp-trials-truth-sets"):
 
 
 def sizes_of(text: str) -> dict[str, int]:
-    """Runs of each set from ``clean=300,single=100``; sets that are not named have their usual size.
+    """Return runs of each set from ``clean=300,single=100``; sets that are not named have their usual size.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def truth_trials(
 
 
 def truth_score(runs: Sequence[ScoredRun], wanted: int) -> TruthScore:
-    """Scores over some runs."""
+    """Return scores over some runs."""
     empty = [found for run in runs for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.hidden and run.expected is None and run.visible]
     outside = [run for run in runs if run.expected is not None and run.visible]
@@ -212,7 +212,7 @@ def truth_score(runs: Sequence[ScoredRun], wanted: int) -> TruthScore:
 
 
 def truth_table(result: TruthResult) -> Table:
-    """A row for each set: counts, and the interval of each share."""
+    """Build a row for each set: counts, and the interval of each share."""
     rows = [*result.sets.items(), ("total", result.total)]
     shares = {
         "false names": "false_names",
@@ -241,7 +241,7 @@ def truth_table(result: TruthResult) -> Table:
 
 
 def truth_sentence(result: TruthResult) -> str:
-    """What was judged, by which program."""
+    """Say what was judged, by which program."""
     return (
         f"{counted(result.total.runs, 'run')} of {result.total.wanted}, two arms each; {result.date}, {result.program},"
         f" source {result.source}, profile {result.profile}, seed {result.seed}. False names: of arms in which nothing"
@@ -269,7 +269,7 @@ class _Block:
 
 
 def _blocks(sizes: Mapping[str, int], seed: int) -> list[_Block]:
-    """All blocks, those of each set spread evenly."""
+    """Return all blocks, those of each set spread evenly."""
     found = []
     for place, (name, one) in enumerate(SETS.items()):
         count = -(-sizes.get(name, 0) // BLOCK)

@@ -22,7 +22,7 @@ _TUNING_ROUNDS = 6
 
 
 def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
-    """The part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot follow.
+    """Return the part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot follow.
 
     ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] the SMR positions without the effect. Linear, about the nominal
     arm registered to the tracker: the part of the displacement orthogonal to the columns of its Jacobian.
@@ -36,14 +36,15 @@ def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
 
 
 def registered_model(profile: Profile, name: str, q: Array, p_M: Array) -> ArmModel:
-    """The nominal model of an arm with its base registered to SMR positions ``p_M`` (n, 3) [m] at ``q`` (n, N)."""
+    """Return the nominal model of an arm with its base registered to SMR positions ``p_M`` (n, 3) [m] at ``q`` (n,
+    N)."""
     arm = profile.arms[name]
     geometry = _registered(arm, q, p_M)
     return ArmModel(geometry, geometry, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
 
 
 def beyond_law(model: ArmModel, slug: str, q: Array, conditions: MeasurementConditions, moved: Array) -> Array | None:
-    """The part of displacements ``moved`` (n, 3) [m] that geometry with the best law of an effect cannot follow.
+    """Return the part of displacements ``moved`` (n, 3) [m] that geometry with the best law of an effect cannot follow.
 
     ``q`` (n, N) [rad] are the stops and ``conditions`` their measurement conditions. All parameters are free. None
     where the library has no law of few columns for these data.
@@ -82,7 +83,7 @@ def _registered(arm: Arm, q: Array, p_M: Array) -> Geometry:
 
 
 def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
-    """Displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are those per radian of each joint."""
+    """Return displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are those per radian of each joint."""
     rows = []
     for column in columns:
         if column.shift_M is not None:
@@ -94,7 +95,7 @@ def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
 
 
 def _left(rows: Array, y: Array) -> Array:
-    """The part of ``y`` (k,) orthogonal to ``rows`` (m, k), each of which counts whatever its unit."""
+    """Return the part of ``y`` (k,) orthogonal to ``rows`` (m, k), each of which counts whatever its unit."""
     lengths = np.linalg.norm(rows, axis=1)
     rows = rows[lengths > 0.0] / lengths[lengths > 0.0, None]
     gram = rows @ rows.T

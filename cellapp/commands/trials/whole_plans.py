@@ -119,7 +119,7 @@ PLANS = TaskKind(
 
 
 def planned_motions(stops: PlannedStops, homes: Configuration) -> list[tuple[dict[str, Array], dict[str, Array]]]:
-    """All motions of a plan from home and back, each from where all arms are to where all arms are then."""
+    """Return all motions of a plan from home and back, each from where all arms are to where all arms are then."""
     here = {name: homes.get(name, q[0]) for name, q in stops.q.items()}
     motions = []
     for stop in range(len(stops)):
@@ -132,7 +132,7 @@ def planned_motions(stops: PlannedStops, homes: Configuration) -> list[tuple[dic
 
 
 def as_driven(stops: PlannedStops, homes: Configuration) -> PlannedStops:
-    """A plan without approaches whose last motions are the whole ways, so that their sides can be judged."""
+    """Return a plan without approaches whose last motions are the whole ways, so that their sides can be judged."""
     begin = {name: np.vstack([homes.get(name, q[0]), q[:-1]]) for name, q in stops.q.items()}
     return replace(stops, approach_from=begin)
 

@@ -37,7 +37,7 @@ RULE_WORDS: Mapping[DecisionRule, str] = {
 
 
 def undecided_words(not_given: Sequence[str]) -> str:
-    """Why the guarded rule decides nothing; empty where all contributions to U are given."""
+    """Say why the guarded rule decides nothing; empty where all contributions to U are given."""
     if not not_given:
         return ""
     return f"U is not known, so that nothing is proven: not given in traceability or the run: {', '.join(not_given)}."
@@ -61,7 +61,7 @@ class Verdict:
 
 
 def verdict_of(judgements: Sequence[Judgement]) -> Verdict:
-    """All judgements in a title and a sentence."""
+    """Return all judgements in a title and a sentence."""
     state = overall(judgements) or "cannot say"
     if not judgements:
         return Verdict(state, VERDICT_TITLES[state], "Nothing that has a tolerance was measured.")
@@ -69,7 +69,7 @@ def verdict_of(judgements: Sequence[Judgement]) -> Verdict:
 
 
 def judged_sentence(judgements: Sequence[Judgement]) -> str:
-    """How many errors conform, which do not, how many are not decided or not measured."""
+    """Say how many errors conform, which do not, how many are not decided or not measured."""
     total = len(judgements)
     counts = {state: [one for one in judgements if one.conformity == state] for state in _STATES}
     out, unsure = counts["does not conform"], counts["cannot say"]
@@ -87,14 +87,14 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
 
 
 def named_errors(judgements: Sequence[Judgement]) -> str:
-    """What is judged and where, in one list."""
+    """Say what is judged and where, in one list."""
     places = grouped((one.characteristic, one.where) for one in judgements)
     words = ((CHARACTERISTIC_WORDS[characteristic], where) for characteristic, where in places.items())
     return ", ".join(f"{name[0].lower()}{name[1:]} of {' and '.join(where)}" for name, where in words)
 
 
 def judgement_table(judgements: Sequence[Judgement]) -> Table:
-    """Every judgement with its uncertainty; 80 columns show it up to the verdict, then comes what it rests on."""
+    """Show every judgement with its uncertainty; 80 columns show it up to the verdict, then comes what it rests on."""
     turned = any(one.unit == "mrad" for one in judgements)
     return table_of(
         f"Errors against their tolerances [mm{', of orientation mrad' if turned else ''}]",

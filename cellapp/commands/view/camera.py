@@ -14,7 +14,7 @@ def evenly_spread(n: int, most: int) -> NDArray[np.intp]:
 
 
 def levelling_rotation(up_M: Array) -> Array:
-    """The smallest rotation (3, 3) that takes ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
+    """Return the smallest rotation (3, 3) that takes ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
     x, y, z = up_M
     if z < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

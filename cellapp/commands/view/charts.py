@@ -141,39 +141,40 @@ def series(
     mark: str = "",
     hints: Iterable[str] = (),
 ) -> Series:
-    """A series from anything that numpy takes as an array."""
+    """Build a series from anything that numpy takes as an array."""
     as_array = np.asarray(x, dtype=np.float64)
     width = None if band is None else np.asarray(band, dtype=np.float64)
     return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark, tuple(hints))
 
 
 def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:
-    """One bar for each name, with its value and that value as a text."""
+    """Show one bar for each name, with its value and that value as a text."""
     values, texts = [value for value, _ in bars.values()], tuple(text for _, text in bars.values())
     drawn = (series(title, np.arange(float(len(bars))), values, "bars"),) if bars else ()
     return Chart(title, Axis(""), axis, drawn, message, categories=tuple(bars), bar_texts=texts)
 
 
 def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str = "noise floor") -> tuple[Limit, ...]:
-    """The limit at a noise floor [mm]; none where it is not known."""
+    """Return the limit at a noise floor [mm]; none where it is not known."""
     return () if floor_mm is None else (Limit(name, floor_mm, axis),)
 
 
 def drawable_mm(errors_mm: ArrayLike) -> Array:
-    """Errors [mm] for a logarithmic axis."""
+    """Return errors [mm] for a logarithmic axis."""
     return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
 
 
 def error_counts(
     errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
 ) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
-    """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
+    """Return edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each
+    bin."""
     edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 
 
 def mm(value: float) -> str:
-    """A length [mm] with two or three significant digits, and no more than four decimals."""
+    """Return a length [mm] with two or three significant digits, and no more than four decimals."""
     if not np.isfinite(value):
         return "unknown"
     decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
@@ -187,5 +188,5 @@ def enumerated(parts: Iterable[str]) -> str:
 
 
 def styles(names: Sequence[str]) -> dict[str, int]:
-    """Style of each arm or reference, by its place in the profile or the data."""
+    """Return the style of each arm or reference, by its place in the profile or the data."""
     return {name: number for number, name in enumerate(dict.fromkeys(names))}

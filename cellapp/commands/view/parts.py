@@ -61,7 +61,7 @@ class Section:
 
 
 def printed(parts: Parts, depth: int = 0) -> Iterator[Table | str]:
-    """Lines and tables in their order, as plain text shows them: without charts, details, and what explains them.
+    """Yield lines and tables in their order, as plain text shows them: without charts, details, and what explains them.
 
     What stands in a section is indented below its title, and wrapped for a terminal of 80 columns.
     """
@@ -85,12 +85,12 @@ def _indented(text: str, depth: int) -> list[str]:
 
 
 def sentence(text: str) -> str:
-    """Words as a sentence: with a capital letter and a full stop."""
+    """Return words as a sentence: with a capital letter and a full stop."""
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
 def section_of(title: str, parts: Parts, *, message: str = "", about: str = "", key: str = "") -> Section:
-    """A section whose message, where none is given, is the first line of its parts."""
+    """Build a section whose message, where none is given, is the first line of its parts."""
     if not message:
         first = next(place for place, part in enumerate(parts) if isinstance(part, str))
         message, parts = str(parts[first]), [*parts[:first], *parts[first + 1 :]]

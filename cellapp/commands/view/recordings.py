@@ -27,7 +27,7 @@ _OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
-    """A table with two rows for each recording; none without one."""
+    """Build a table with two rows for each recording; none without one."""
     rows: list[tuple[Cell, ...]] = []
     for one in states:
         for kind, its in (("joints", one.joints), ("points", one.points)):

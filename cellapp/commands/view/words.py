@@ -31,7 +31,7 @@ TWO_SIDED = 1.959964
 
 
 def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
-    """The effect's own words for a law of a stored result; the law's name where this version does not know it.
+    """Return the effect's own words for a law of a stored result; the law's name where this version does not know it.
 
     ``joints`` (from 1) are those whose constants are included, such as knee torques.
     """
@@ -43,7 +43,7 @@ def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
 
 
 def place_words(where: Place) -> str:
-    """Where an effect acts: ``joints 1-3, 6``, or the names of frames."""
+    """Say where an effect acts: ``joints 1-3, 6``, or the names of frames."""
     joints = where.joints
     if not joints and all(place.startswith("joint ") for place in where.acts_on):
         joints = tuple(int(place.removeprefix("joint ")) for place in where.acts_on)
@@ -66,7 +66,7 @@ def ranges(numbers: Sequence[int]) -> str:
 
 
 def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
-    """Value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
+    """Return value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
 
     The interval is None where there is no standard error.
     """
@@ -92,12 +92,12 @@ def probability_words(probability: float | None) -> str:
 
 
 def geometry_unit(unit: str) -> tuple[float, str]:
-    """Factor and display unit of a geometric parameter stored in m or rad: mm and degrees."""
+    """Return the factor and display unit of a geometric parameter stored in m or rad: mm and degrees."""
     return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """Factor and display unit of a parameter of any kind: micrometres, microradians and the like."""
+    """Return the factor and display unit of a parameter of any kind: micrometres, microradians and the like."""
     return _UNITS.get(unit, (1.0, unit))
 
 
@@ -117,7 +117,7 @@ METHOD_WORDS: Mapping[Method, str] = {
 
 
 def short_reason(reason: str) -> str:
-    """The reason why an effect cannot be seen, without the words of the table heading."""
+    """Return the reason why an effect cannot be seen, without the words of the table heading."""
     for prefix in ("not testable: ", "invisible: "):
         reason = reason.removeprefix(prefix)
     return reason.removesuffix(" under this plan")

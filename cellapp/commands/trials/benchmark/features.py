@@ -24,7 +24,7 @@ class Feature:
 
 
 def joint_features(context: EffectContext, joint: int) -> list[Feature]:
-    """Features of a joint (from 0): waves of its angle, its load, its last motion, time and temperature."""
+    """Return features of a joint (from 0): waves of its angle, its load, its last motion, time and temperature."""
     q, j = context.q[:, joint], joint
     found = [
         Feature(f"{name}({k} q)", "encoder_eccentricity" if k == 1 else "transmission_error", wave(k * q))
@@ -55,12 +55,12 @@ class Scaling:
 
     @classmethod
     def of(cls, features: list[Feature]) -> Scaling:
-        """Over all rows."""
+        """Rate over all rows."""
         table = np.column_stack([one.values for one in features])
         return cls(table.mean(axis=0), table.std(axis=0))
 
     def table(self, features: list[Feature]) -> Array:
-        """Standardised values (n, m)."""
+        """Return the standardised values (n, m)."""
         table = np.column_stack([one.values for one in features]) - self.mean
         return np.where(self.sd > 0.0, table / np.where(self.sd > 0.0, self.sd, 1.0), 0.0)
 

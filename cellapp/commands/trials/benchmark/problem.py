@@ -70,7 +70,7 @@ class Problem:
     def of(
         cls, name: str, profile: Profile, arm: str, readings: Readings, conditions: MeasurementConditions
     ) -> Problem:
-        """The problem of an arm's readings: those of the validate split are held out."""
+        """Return the problem of an arm's readings: those of the validate split are held out."""
         held = np.zeros(len(readings), dtype=np.bool_)
         held[readings.in_split("validate")] = True
         hidden = readings.take(held)
@@ -85,7 +85,7 @@ class Problem:
         )
 
     def with_motion(self, recordings: tuple[Recording, ...]) -> Problem:
-        """The same arm with recordings of motion. Raises ``InputError`` if one is of no use."""
+        """Return the same arm with recordings of motion. Raises ``InputError`` if one is of no use."""
         fit, _ = calibrate_arm_with_motion(self.profile, self.arm, self.learn, recordings)
         samples = samples_of(fit, self.learn.joints)
         samples = samples.take(samples.in_split("identify"))
@@ -112,7 +112,7 @@ class Problem:
         return self.learn.p_M - self.geometry_fit.model.predict(self.learn.q, conditions=self.learn_conditions)
 
     def predicted(self, model: ArmModel) -> Array:
-        """SMR positions (m, 3) [m] at the held-out stops by a model."""
+        """Return SMR positions (m, 3) [m] at the held-out stops by a model."""
         return model.predict(self.held_out.q, conditions=self.held_out_conditions)
 
 
@@ -164,12 +164,12 @@ class JointProjection:
         return cls(problem, np.einsum("naj,na->nj", J, projected))
 
     def predicted(self, offsets: Array) -> Array:
-        """SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""
+        """Return SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""
         own = self.problem
         J = _by_joints(own.geometry_fit.model, own.held_out.q)
         return np.asarray(own.predicted(own.geometry_fit.model) + np.einsum("naj,nj->na", J, offsets))
 
 
 def _by_joints(model: ArmModel, q: Array) -> Array:
-    """Derivatives (n, 3, N) [m/rad] of the SMR position by the joints."""
+    """Return derivatives (n, 3, N) [m/rad] of the SMR position by the joints."""
     return joint_jacobian(model.geometry, JointAngles.of(q))[1].transpose(2, 0, 1)

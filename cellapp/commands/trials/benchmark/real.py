@@ -63,7 +63,7 @@ REAL_ANSWERS = TaskKind(
 
 
 def records_words(series: Sequence[str]) -> list[str]:
-    """What others published of these series."""
+    """Say what others published of these series."""
     return [
         f"{SERIES[name].title}: {SERIES[name].published_mm} mm published for the rows that its authors held out,"
         f" {SERIES[name].published_how}"

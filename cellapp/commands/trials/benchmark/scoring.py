@@ -151,5 +151,5 @@ def set_score(answers: Sequence[ScoredAnswer]) -> SetScore:
 
 
 def _over(values: Sequence[Any], of: Callable[[Any], Any] = np.mean) -> float | None:
-    """The mean of some values, or what else is asked for; None of none."""
+    """Return the mean of some values, or what else is asked for; None of none."""
     return float(of(values)) if values else None

@@ -174,7 +174,7 @@ def benchmark_trials(
 
 
 def benchmark_table(result: BenchmarkResult) -> Table:
-    """A row for each method and set."""
+    """Build a row for each method and set."""
     everything = {result.method: MethodScore(sets=result.sets, total=result.total), **result.compared}
     rows = [
         (method, name, score)
@@ -198,7 +198,7 @@ def benchmark_table(result: BenchmarkResult) -> Table:
 
 
 def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
-    """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
+    """Return an arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
     with RunFile.open(folder / run) as file:
         profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
         recordings = read_recordings_of(file, arm)
@@ -211,7 +211,7 @@ def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
 
 
 def refused(result: BenchmarkResult) -> str:
-    """What could not be answered, in words; empty if all was."""
+    """Say what could not be answered, in words; empty if all was."""
     said = not_computed(result.failed)
     return f"trials benchmark: {said}" if said else ""
 
@@ -232,7 +232,7 @@ def _sets(profile: Profile, cells: Sequence[Profile], sweeps: int | None) -> dic
 
 
 def _known(methods: Sequence[str]) -> list[str]:
-    """The methods that are meant. Raises ``InputError`` for one that is not there or cannot run here."""
+    """Return the methods that are meant. Raises ``InputError`` for one that is not there or cannot run here."""
     names = [name for one in methods for name in (METHODS if one == ALL else (one,))]
     for name in names:
         if name not in METHODS:

@@ -96,7 +96,7 @@ class DrawnRows:
         return next(iter(self.held_out.values()))
 
     def split(self, readings: Readings) -> Readings:
-        """The readings, divided into those to learn from and the held-out ones."""
+        """Return the readings, divided into those to learn from and the held-out ones."""
         words = np.full(len(readings), None, dtype=object)
         words[self.learned], words[self.judged] = "identify", "validate"
         return replace(readings, split=tuple(words.tolist()))
@@ -128,7 +128,7 @@ def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
 
 
 def series_texts(names: Sequence[str], data: Path, profiles: Path) -> SeriesTexts:
-    """The texts of some series. Raises ``InputError`` as ``load_entrant`` does."""
+    """Return the texts of some series. Raises ``InputError`` as ``load_entrant`` does."""
     texts = {}
     for name in dict.fromkeys(names):
         profile, csv = _files(name, data, profiles)
@@ -137,7 +137,7 @@ def series_texts(names: Sequence[str], data: Path, profiles: Path) -> SeriesText
 
 
 def parse_entrants(texts: SeriesTexts) -> dict[str, Entrant]:
-    """The series with their readings. Raises ``InputError`` if a text is not as expected."""
+    """Return the series with their readings. Raises ``InputError`` if a text is not as expected."""
     entrants = {}
     with TemporaryDirectory() as folder:
         for name, its in texts.series.items():
@@ -148,7 +148,7 @@ def parse_entrants(texts: SeriesTexts) -> dict[str, Entrant]:
 
 
 def _files(name: str, data: Path, profiles: Path) -> tuple[Profile, Path]:
-    """Profile of a series, and the file of its readings."""
+    """Return profile of a series, and the file of its readings."""
     if name not in SERIES:
         raise InputError(f"--series: '{name}' is not a series of the league; series are {', '.join(SERIES)}")
     csv = data / SERIES[name].folder / "readings.csv"
@@ -200,7 +200,7 @@ def draw_rows(entrant: Entrant, rows: Rows, seed: int, learnable: int | None = N
 
 
 def parse_rows(text: str) -> list[Rows]:
-    """Numbers of rows, or ``all``, separated by commas. Raises ``InputError`` for anything else."""
+    """Return numbers of rows, or ``all``, separated by commas. Raises ``InputError`` for anything else."""
     sizes: list[Rows] = []
     for word in (word.strip() for word in text.split(",")):
         if word != "all" and not (word.isascii() and word.isdigit() and int(word) > 0):

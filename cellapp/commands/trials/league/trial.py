@@ -110,7 +110,7 @@ class LeagueResult(Result, schema="cellapp-trials-league"):
     failed: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Draws that failed and bars that are missed, in words."""
+        """Return draws that failed and bars that are missed, in words."""
         return [
             *self.failed,
             *(
@@ -122,7 +122,7 @@ class LeagueResult(Result, schema="cellapp-trials-league"):
 
 
 def bar_words(bar: LeagueBar) -> str:
-    """The limits in words."""
+    """Return the limits in words."""
     return f"at most {bar.most:g}" if bar.least is None else f"{bar.least:g} to {bar.most:g}"
 
 
@@ -183,7 +183,7 @@ def results_of(
     jobs: int,
     failed: tuple[str, ...] = (),
 ) -> LeagueResult:
-    """Lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
+    """Return lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
     lines = _lines(draws)
     return LeagueResult(
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
@@ -213,7 +213,7 @@ def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
 
 
 def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
-    """Means over the draws of one series and size."""
+    """Return means over the draws of one series and size."""
     first, scores = draws[0], [draw.scores[group] for draw in draws]
     errors = [score.discovery_mm for score in scores]
     networks = [score.network_mm for score in scores if score.network_mm is not None]
@@ -240,7 +240,7 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
 
 
 def _mean_turns(scores: Sequence[TurnScore]) -> TurnScore | None:
-    """Means over draws; None where no orientation was measured."""
+    """Return means over draws; None where no orientation was measured."""
     if not scores:
         return None
     means = {name: float(np.mean([getattr(one, name) for one in scores])) for name in TurnScore.model_fields}
@@ -248,7 +248,7 @@ def _mean_turns(scores: Sequence[TurnScore]) -> TurnScore | None:
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
-    """The bars of every series and size, on all held-out rows; a single draw has no worst."""
+    """Return the bars of every series and size, on all held-out rows; a single draw has no worst."""
     judged: dict[tuple[str, Rows], LeagueLine] = {}
     for line in lines:
         judged.setdefault((line.series, line.rows), line)  # the first line is that of all held-out rows

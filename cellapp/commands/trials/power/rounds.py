@@ -127,7 +127,7 @@ class _Tried:
         return not acts or (len(self.trials) >= _ENOUGH and not any(trial.named for trial in self.trials))
 
     def next_trials(self, most: int) -> Iterator[NamingTrial]:
-        """The trials of the next round, none after ``most``."""
+        """Yield the trials of the next round, none after ``most``."""
         if self.is_hopeless:
             return
         made = len(self.trials) + self.failed
@@ -137,7 +137,8 @@ class _Tried:
             yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
 
     def with_trials(self, asked: Sequence[NamingTrial], found: Sequence[NamingTrial | None]) -> _Tried:
-        """The same with those of the trials ``asked`` that are of this effect and arm; None for one that failed."""
+        """Return the same with those of the trials ``asked`` that are of this effect and arm; None for one that
+        failed."""
         own = [
             result
             for trial, result in zip(asked, found, strict=True)
@@ -147,7 +148,7 @@ class _Tried:
         return replace(self, trials=(*self.trials, *done), failed=self.failed + len(own) - len(done))
 
     def power(self) -> EffectPower:
-        """What the trials say."""
+        """Return what the trials say."""
         low, middle, high = self.belief.size_at(SHARE, _LIMITS)
         largest = max((trial.size_mm for trial in self.trials), default=0.0)
         shown = middle <= largest and any(trial.named for trial in self.trials)
@@ -173,13 +174,13 @@ class _Tried:
 
 
 def _round(tried: Sequence[_Tried], most: int) -> list[NamingTrial]:
-    """Next trials of all effects, the first of each before the second of any; none after ``most`` of each."""
+    """Return next trials of all effects, the first of each before the second of any; none after ``most`` of each."""
     each = [list(one.next_trials(most)) for one in tried]
     return [trial for together in zip_longest(*each) for trial in together if trial is not None]
 
 
 def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
-    """Arm and effect -> why its data cannot show it; empty where they may."""
+    """Return arm and effect -> why its data cannot show it; empty where they may."""
     conditions = conditions_of_arms(cell.models, cell.readings)
     return {
         (name, slug): EFFECTS[slug].missing_data(model.context(cell.readings[name].q, conditions=conditions[name]))
@@ -190,7 +191,7 @@ def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
 
 
 def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize | None:
-    """The largest value that an effect of a size [mm] has, as in trials that named it; None if units differ."""
+    """Return the largest value that an effect of a size [mm] has, as in trials that named it; None if units differ."""
     ratios = [(trial.named.value / trial.size_mm, trial.named.unit) for trial in named if trial.named is not None]
     ((unit, count),) = Counter(unit for _, unit in ratios).most_common(1)
     if 2 * count <= len(ratios):
@@ -200,7 +201,7 @@ def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize |
 
 
 def _limit(trials: Sequence[NamingTrial], from_mm: float) -> str:
-    """What limits naming, from the trials of sizes from ``from_mm`` on."""
+    """Say what limits naming, from the trials of sizes from ``from_mm`` on."""
     if not any(trial.visible for trial in trials):
         return "it does not move the SMR at these stops"
     said = []

@@ -60,7 +60,7 @@ class PlannedCell(Record):
 
     @classmethod
     def of(cls, profile: Profile, stops: PlannedStops) -> PlannedCell:
-        """The cell of a profile at the stops of a plan, reserves left out."""
+        """Return the cell of a profile at the stops of a plan, reserves left out."""
         reserves = profile.plan.reserves(len(stops))
         visited = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
         times = stop_times_of(profile, visited)
@@ -98,7 +98,7 @@ class TrialCell:
         return {name: registered_model(self.profile, name, own.q, own.p_M) for name, own in self.readings.items()}
 
     def noise_rms_m(self, name: str) -> float:
-        """Rms length of the tracker's noise at the stops of an arm [m]."""
+        """Return the rms length of the tracker's noise at the stops of an arm [m]."""
         covariance = self.readings[name].covariance_M
         assert covariance is not None
         return float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
@@ -172,7 +172,7 @@ def _rows(values: Array) -> Rows:
 
 
 def _simulated(profile: Profile) -> Profile:
-    """The profile with a simulated cell behind it: that of its section ``plant``, or of a typical cell."""
+    """Return the profile with a simulated cell behind it: that of its section ``plant``, or of a typical cell."""
     plant = (profile.plant or PlantSection()).model_copy(update={"effects": {}, "noise": True})
     arms = {
         name: arm
@@ -186,7 +186,7 @@ def _simulated(profile: Profile) -> Profile:
 def _measured(
     cell: TrialCell, name: str, plant: Plant, hidden: Plant, size_m: float, rng: np.random.Generator
 ) -> tuple[Readings, float] | None:
-    """Readings of an arm with the effect of a size [m], and the share of it that geometry cannot follow.
+    """Return readings of an arm with the effect of a size [m], and the share of it that geometry cannot follow.
 
     None where the effect does not act at these stops.
     """
@@ -212,7 +212,7 @@ def _measured(
 
 
 def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: float) -> NamingTrial:
-    """The trial with what calibration and search accept."""
+    """Return the trial with what calibration and search accept."""
     name = asked.arm
     profile = cell.profile.model_copy(update={"seed": asked.seed})
     splits, _ = profile_splits(profile, cell.readings)  # of the stops, whatever was measured there
@@ -231,7 +231,7 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
 
 
 def _largest(effect: AcceptedEffect) -> SmallestSize:
-    """The largest value among the parameters of the unit that its law names first."""
+    """Return the largest value among the parameters of the unit that its law names first."""
     values = list(effect.parameters.values())
     unit = values[0].unit if values else ""
     return SmallestSize(value=max((abs(one.value) for one in values if one.unit == unit), default=0.0), unit=unit)

@@ -11,7 +11,7 @@ from cellapp.ground.threads import one_blas_thread
 
 
 def answer_of(method: str, problem: Problem) -> tuple[Answer | None, float]:
-    """What a method answers, None if it does not take the problem, and its processor time [s].
+    """Return what a method answers, None if it does not take the problem, and its processor time [s].
 
     Raises
     ------

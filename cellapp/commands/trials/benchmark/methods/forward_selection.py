@@ -26,23 +26,23 @@ _MOST_BLOCKS = 24
 
 
 def main_columns(candidate: CandidateLaw) -> CandidateLaw:
-    """A law without columns that only refine others."""
+    """Return a law without columns that only refine others."""
     return candidate.keep([place for place, column in enumerate(candidate.columns) if not column.refines])
 
 
 def library_laws(problem: Problem, fit: JointFit) -> list[CandidateLaw]:
-    """All laws that the readings allow to test, their main columns each."""
+    """Return all laws that the readings allow to test, their main columns each."""
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     return [main for one in fit.candidates(problem.data, slugs) if len((main := main_columns(one)).columns)]
 
 
 def even_odds(gain: float) -> float:
-    """Posterior probability of a term with this ``gain`` of the criterion, at even prior odds."""
+    """Return the posterior probability of a term with this ``gain`` of the criterion, at even prior odds."""
     return float(scipy.special.expit(gain / 2.0))
 
 
 def gains(fit: JointFit, blocks: Sequence[CandidateLaw]) -> list[float]:
-    """Gain of the criterion by each block beside all that was fitted."""
+    """Return the gain of the criterion by each block beside all that was fitted."""
     if not blocks:
         return []
     residual, price = fit.projected_residual, 2.0 * math.log(len(blocks))
@@ -78,7 +78,7 @@ def forward_bic(problem: Problem) -> Answer:
 
 
 def _open(law: CandidateLaw, block: Sequence[int], terms: dict[str, ModelTerm]) -> bool:
-    """Whether a block may join: of a new effect, or of the law that its effect was found with."""
+    """Return whether a block may join: of a new effect, or of the law that its effect was found with."""
     if law.slug not in terms:
         return True
     found = terms[law.slug]

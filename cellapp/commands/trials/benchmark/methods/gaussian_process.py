@@ -17,7 +17,7 @@ _MOST_ROWS = 400
 
 
 def on_circles(q: Array) -> Array:
-    """Cosines and sines (n, 2 N) of joint positions (n, N)."""
+    """Return cosines and sines (n, 2 N) of joint positions (n, N)."""
     return np.concatenate([np.cos(q), np.sin(q)], axis=1)
 
 

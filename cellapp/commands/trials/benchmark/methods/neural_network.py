@@ -24,7 +24,7 @@ def neural_network(problem: Problem) -> Answer:
 
 
 def _trained(table: Array, y: Array, asked: Array) -> Array:
-    """Values (m, 3) at rows ``asked`` by the best state of a network that learns ``y`` (n, 3) from ``table``."""
+    """Return values (m, 3) at rows ``asked`` by the best state of a network that learns ``y`` (n, 3) from ``table``."""
     import torch
 
     generator = torch.Generator().manual_seed(_SEED)

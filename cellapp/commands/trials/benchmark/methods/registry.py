@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def _method(name: str, found: object) -> Method:
-    """The method of a plug-in. Raises ``ValueError`` if it cannot be called."""
+    """Return the method of a plug-in. Raises ``ValueError`` if it cannot be called."""
     if not callable(found):
         raise ValueError(f"expected a function of a Problem that returns an Answer, got {found!r}")
     return cast("Method", found)
 
 
 def _built_in(file: str, function: str) -> Method:
-    """The method of a file beside this one."""
+    """Return the method of a file beside this one."""
 
     def method(problem: Problem) -> Answer:
         found: Method = getattr(import_module(f"{__package__}.{file}"), function)

@@ -33,7 +33,7 @@ def search_of_effects(problem: Problem) -> Answer:
 
 
 def _most_probable(named: Sequence[tuple[str, float]]) -> dict[str, float]:
-    """Each name once, with its largest probability."""
+    """Return each name once, with its largest probability."""
     return {slug: max(p for other, p in named if other == slug) for slug, _ in named}
 
 

@@ -26,7 +26,7 @@ def sparse_regression(problem: Problem) -> Answer:
 
 
 def _sparse(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
-    """The rule of the features that are kept, all as probable as the rule."""
+    """Return the rule of the features that are kept, all as probable as the rule."""
     mean, scale = offset.mean(), float(offset.std()) or 1.0
     coefficients, gain = _thresholded(table, (offset - mean) / scale)
     kept = dict.fromkeys(np.flatnonzero(coefficients).tolist(), even_odds(gain))
@@ -34,7 +34,7 @@ def _sparse(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
 
 
 def _thresholded(table: Array, y: Array) -> tuple[Array, float]:
-    """Coefficients (m,) of the best threshold, and their gain of the criterion over none."""
+    """Return coefficients (m,) of the best threshold, and their gain of the criterion over none."""
     from pysindy.optimizers import STLSQ
 
     none = len(y) * math.log(float(np.mean(y**2)))

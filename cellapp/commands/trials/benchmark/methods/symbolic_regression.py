@@ -23,7 +23,8 @@ def symbolic_regression(problem: Problem) -> Answer:
 
 
 def _formula(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
-    """A formula with its variables, as probable as the share of left-out rows that it explains; zero if it is small."""
+    """Return a formula with its variables, as probable as the share of left-out rows that it explains; zero if it is
+    small."""
     from gplearn.genetic import SymbolicRegressor
 
     scale = float(offset.std()) or 1.0
