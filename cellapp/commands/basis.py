@@ -1,4 +1,4 @@
-"""What a stage of a run rests on: hashes of profile, readings, earlier stages and priors."""
+"""The basis of a stage of a run: hashes of the profile, readings, earlier stages and priors that it rests on."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Basis(Record):
 
 
 def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
-    """Return the basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
+    """Return the basis of a stage that is stored now; ``stages`` maps each earlier stage that it uses to its digest."""
     readings, again = {name: run.readings(name) for name in run.arms()}, replaced_counts(run)
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
@@ -72,16 +72,16 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
 
 
 def recordings_basis(run: RunFile) -> dict[str, ReadingsBasis]:
-    """Return what a stage rests on of the recordings of motion, by arm; empty without one."""
+    """Return the count and hash of each arm's recordings of motion; empty if there are none."""
     found = {name: recordings_digest(run, name) for name in run.profile.arms}
     return {name: ReadingsBasis(n=n, sha256=digest) for name, (n, digest) in found.items() if digest}
 
 
 def counted_basis(run: RunFile) -> Basis:
-    """As ``basis_of``, but readings are only counted, which is quick.
+    """Return the basis as ``basis_of`` does, but only count the readings, which is quick.
 
-    No verb changes readings in place: ``collect`` adds them, stops that are measured again are counted, and splits are
-    drawn for readings that have none yet, before a calibration uses them.
+    No verb changes readings in place, so counts suffice. ``collect`` adds readings, stops measured again are counted,
+    and splits are drawn only for readings without one, before a calibration uses them.
     """
     again = replaced_counts(run)
     on_flange = Counter(one.arm for one in flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT)))
@@ -94,7 +94,7 @@ def counted_basis(run: RunFile) -> Basis:
 
 
 def readings_digest(readings: Readings) -> str:
-    """Return SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
+    """Hash the names and little-endian values of all measured arrays of one arm, and its splits (SHA-256)."""
     digest = hashlib.sha256()
     for entry in fields(readings):
         values = getattr(readings, entry.name)

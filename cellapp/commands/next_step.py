@@ -1,4 +1,4 @@
-"""How far a run is: what is measured of each arm, and the verb that comes next."""
+"""Progress of a run: what is measured of each arm, and the verb that comes next."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ArmState(Record):
 
 
 def arm_states(run: RunFile) -> dict[str, ArmState]:
-    """Return how much of each arm's plan is measured; readings are counted, not read."""
+    """Return how much of each arm's plan is measured; counts the readings without reading them."""
     planned, measured = run.planned_counts(), run.split_counts()
     states = {}
     for name, arm in run.profile.arms.items():
@@ -67,21 +67,21 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
-    """Return tests of ISO 9283 that the tolerances of the profile need, of arms that can be driven."""
+    """Return the tests of ISO 9283 that the profile's tolerances need and the run lacks, for arms that can be
+    driven."""
     names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
     stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
     if not run.profile.tolerances.any_given or not names:
         return ()
     try:
         tested = {} if stored is None else Iso9283Result.from_json(stored.text, ISO9283).arms
-    except InputError:  # of a version that wrote it otherwise: the page and the terminal say so
+    except InputError:  # of another version: the page and the terminal say so
         tested = {}
     return unmeasured_tests(run.profile.tolerances, names, tested)
 
 
 def _has_new_stops(run: RunFile) -> bool:
-    """Return whether no session has tried some of the planned stops, as they were added later; reserves do not
-    count."""
+    """Return whether stops were added to the plan that no session has tried yet; reserves do not count."""
     total = max(run.planned_counts().values(), default=0)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

@@ -1,4 +1,4 @@
-"""A plan before it is measured: its check and its forecast as tables and sentences."""
+"""Check and forecast of a plan before it is measured, as tables and sentences."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ TIME_RESTS_ON = (
     "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
 _MOST_SIZES = 6
-"""Parameters of one effect whose smallest sizes are named: those of the first joints."""
+"""Most parameters of one effect whose smallest sizes are named: those of the first joints."""
 
 
 def check_sentences(check: PlanCheckResult) -> list[str]:
-    """Return the verdict first, then every refusal."""
+    """Return the verdict, then every refusal."""
     refusals = [
         refusal_sentence(one) if check.file is None else file_refusal_sentence(check, one) for one in check.refused
     ]
@@ -43,7 +43,7 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
 
 
 def refusal_sentence(one: PlanRefusal) -> str:
-    """Return one refusal: where, why, what follows."""
+    """State one refusal: where, why, and what to do."""
     stop = "home" if one.configuration is None else f"stop {one.configuration + 1}"
     if one.what != "way":
         return f"{stop}: {one.reason}; plan again, or change base, limits or clearance in the profile"
@@ -55,7 +55,7 @@ def refusal_sentence(one: PlanRefusal) -> str:
 
 
 def stop_words(stops: PlannedStops, stop: int) -> str:
-    """Say how a stop is reached and what it is for: way, last motion, rest, repetition."""
+    """Say how a stop is reached and what it is for: path, last motion, rest, repetition."""
     words = []
     if (source := int(stops.repeat_of[stop])) >= 0:
         words.append(f"repeats stop {source + 1}")
@@ -71,7 +71,7 @@ def stop_words(stops: PlannedStops, stop: int) -> str:
 
 
 def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
-    """Return one refusal of a hand-edited plan, by line and configuration."""
+    """State one refusal of a hand-edited plan, by line and configuration."""
     where = f"{check.file}:{one.line}: configuration {one.configuration}"
     if one.configuration is None:
         where = f"{check.file}:{one.line}: home after configuration {one.before}"
@@ -88,7 +88,7 @@ def forecast_tables(forecast: PlanForecastResult) -> list[Table]:
 
 
 def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
-    """Return the time and what it rests on, what the effects' sizes rest on, notes."""
+    """State the time and its assumptions, the assumptions of the effects' sizes, and notes."""
     noise = ", ".join(f"arm {name} {arm.noise_rms_mm:.3f} mm" for name, arm in forecast.arms.items())
     return [
         f"{time_sentence(forecast.time)} It rests on {TIME_RESTS_ON}.",
@@ -134,7 +134,7 @@ def coverage_table(name: str, arm: ArmForecast) -> Table:
 
 
 def accuracy_table(name: str, arm: ArmForecast) -> Table:
-    """Show expected standard errors of predicted positions and of parameters: a column for each scatter."""
+    """Show expected standard errors of predicted positions and of parameters, one column for each scatter."""
     headings = ["tracker alone" if one.scatter_mm == 0.0 else f"{one.scatter_mm:g} mm scatter" for one in arm.accuracy]
     columns = (Column("standard error of"), *(number_column(title, ".4f") for title in headings), Column("unit"))
     rows: list[tuple[Cell, ...]] = [
@@ -153,7 +153,7 @@ def accuracy_table(name: str, arm: ArmForecast) -> Table:
 
 
 def effects_table(name: str, arm: ArmForecast) -> Table:
-    """For each effect whether the plan can show it, and from which displacement of the SMR on."""
+    """Show whether the plan can show each effect, and from which displacement of the SMR on."""
     return table_of(
         f"Arm {name}: effects that the plan can show",
         arm.effects,
@@ -166,7 +166,7 @@ def effects_table(name: str, arm: ArmForecast) -> Table:
 
 
 def coverage_bar(one: JointCoverage, width: int) -> str:
-    """Return the allowed range as a bar of ``width`` cells, full where the plan uses it."""
+    """Draw the allowed range as a bar of ``width`` cells, filled where the plan uses it."""
     low, high = one.allowed
     scale = width / max(high - low, 1e-12)
     first, last = (min(max(round((value - low) * scale), 0), width) for value in one.used)
@@ -174,12 +174,12 @@ def coverage_bar(one: JointCoverage, width: int) -> str:
 
 
 def effect_title(one: PlannedEffect) -> str:
-    """Return the name of an effect in reports; its slug where this version does not know it."""
+    """Return the title of an effect; its slug if this version does not know it."""
     return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
 
 
 def effect_sentence(one: PlannedEffect) -> str:
-    """Say whether and from which size on an effect would be seen, or why not."""
+    """Say from which size on an effect would be seen, or why it cannot be seen."""
     title = effect_title(one)
     if not one.visible:
         return f"{title} cannot be seen: {short_reason(one.reason)}."

@@ -28,7 +28,7 @@ _DEG = ".2f"
 def view(
     result: PlanResult | PlanCheckResult | PlanForecastResult | ViewResult | StopsResult, request: Request | None = None
 ) -> View:
-    """Show what was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
+    """Show what was planned, refused, predicted or seen; a check fails if the gate refuses something."""
     match result:
         case PlanResult():
             tables = (*plan_result_tables(result), *sweep_tables(result.sweeps))
