@@ -1,4 +1,4 @@
-"""Tables that only the page shows."""
+"""Tables of a calibration that only the page shows."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
 
 
 def merged_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Show parameters that the data cannot separate from others, and those that take their place."""
+    """Show the parameters that the data cannot separate from others, and those that stand for them."""
     columns = (Column("parameter"), Column("merged into"))
     return [
         Table(
@@ -91,7 +91,7 @@ def merged_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def calibration_facts(calibrate: CalibrateResult) -> Table:
-    """Show figures of the identification and of the network training, one column for each arm."""
+    """Show figures of the identification and of the network's training, one column for each arm."""
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
     every = dict.fromkeys(what for arm in facts for what in arm)
     rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
@@ -136,7 +136,7 @@ def _network_words(network: NetworkResult | None) -> str:
 
 
 def network_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Show network shapes that were compared inside the training split."""
+    """Show the network shapes that were compared within the training split."""
     columns = (Column("number"), Column("inputs, hidden layers"), number_column("left-out rms", MM, "mm"))
     tables = []
     for name, arm in calibrate.arms.items():

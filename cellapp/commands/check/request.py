@@ -12,7 +12,7 @@ from cellapp.commands.record import Asked, Request, Stored, Verb
 
 STOPS = 20
 FEWEST_STOPS = 4
-"""Fewer stops of one arm do not tell a motion of its base from one of its joints."""
+"""Least stops of an arm: fewer do not tell a motion of its base from that of a joint."""
 
 
 class CheckRequest(Request):

@@ -1,4 +1,4 @@
-"""The verb ``check``: a few stops that show whether the stored calibration of a run still holds, and what changed."""
+"""The verb ``check``: measure a few stops to see whether a run's calibration still holds, and what changed."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ def check_run(
 ) -> CheckResult:
     """Measure at most ``stops`` stops of all arms, judge the model in force by them, and store the result.
 
-    The test ends early when it is sure. ``simulated_plant`` takes the place of the simulated cell's hidden physics for
-    this job, to show a change. ``ask`` is asked before the first motion of real arms, ``open_with`` opens the cell.
+    The test ends early once it decides. ``simulated_plant`` replaces the simulated cell's hidden physics for this job,
+    to show a change. ``ask`` is called before the first motion of real arms, ``open_with`` opens the cell.
 
     Raises
     ------

@@ -53,7 +53,7 @@ class CollectRequest(Request):
 
 
 def _loads(text: str) -> dict[str, float]:
-    """Return arm -> what it carries [kg]. Raises ``ValueError``."""
+    """Parse the load [kg] of each arm. Raises ``ValueError``."""
     found: dict[str, float] = {}
     for part in text.split(","):
         name, _, number = (piece.strip() for piece in part.partition("="))

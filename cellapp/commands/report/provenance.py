@@ -1,4 +1,4 @@
-"""Where the numbers of a page come from: programs, seeds, settings, readings, hashes."""
+"""Provenance of a page's numbers: programs, seeds, settings, readings, hashes."""
 
 from __future__ import annotations
 
