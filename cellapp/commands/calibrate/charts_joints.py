@@ -68,7 +68,7 @@ def joint_curve_charts(
 def _context(
     model: ArmModel, q: Array, conditions: MeasurementConditions, joint: int, angles: Array, sign: float
 ) -> EffectContext:
-    """Return row conditions with the angle of one joint replaced, reached by a motion of that joint in one
+    """Return the context of a stop with the angle of one joint replaced, reached by a motion of that joint in one
     direction."""
     swept = np.tile(q, (len(angles), 1))
     swept[:, joint] = angles

@@ -1,4 +1,4 @@
-"""Tables and sentences on collecting: what a session stored and what it lacks."""
+"""Tables and sentences on collecting: what a session stored and what is missing."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
-"""Missing readings that are printed one by one; ``show DIR collection`` has all."""
+"""Most missing readings that are printed one by one; ``show DIR collection`` has all."""
 
 
 def view(result: CollectResult, request: Request | None = None) -> View:
-    """Show what is stored, what is missing, and what was noticed."""
+    """Show what is stored, what is missing, and notes."""
     return View((*collect_lines(result), *other_notes(result, result.notes)), result.complaints())
 
 
 def stored_view(state: CollectionResult) -> View:
-    """Show how a run was collected so far, and how far its references moved."""
+    """Show the run's collection so far, and the drift of its references."""
     ranges = residual_range_words(state)
     drawn = (*_drift_charts(state), *([] if state.sweep is None else [sweep_chart(state.sweep)]))
     return View((*([ranges] if ranges else []), *collection_tables(state), *drawn))
 
 
 def collection_section(state: CollectionResult) -> Section:
-    """Show how a run was collected, with sessions, missing readings and drift in one sentence."""
+    """Show the run's collection, with sessions, missing readings and drift in one sentence."""
     count, missing = len(state.sessions), len(state.missing)
     words = [counted(count, "session"), f"{counted(missing, 'planned reading')} missing"]
     drifts = [reference.drift_mm for reference in state.references]
@@ -48,7 +48,7 @@ def collection_section(state: CollectionResult) -> Section:
 
 
 def _drift_charts(state: CollectionResult) -> list[Chart]:
-    """Show the reference drift over the run with its limit; empty if nothing was measured twice."""
+    """Show the drift of the references over the run with its limit; empty if none was measured twice."""
     twice = any(len(rows) > 1 for rows in drift_by_reference(state.references).values())
     return [drift_chart(state.references, state.drift_limit_mm)] if twice else []
 
@@ -71,16 +71,15 @@ def collect_lines(result: CollectResult) -> list[str]:
 
 
 def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]:
-    """Return notes that do not repeat why a reading is missing."""
+    """Return the notes other than reasons of missing readings."""
     reasons = {f": {one.reason}" for one in result.missing} if result is not None else set()
     return [note for note in notes if not any(note.endswith(reason) for reason in reasons)]
 
 
 def collection_tables(state: CollectionResult) -> list[Table]:
-    """Show sessions, what happened in them, missing and replaced readings, drift, standard errors, stops to look at
-    first.
+    """Show sessions, their events, missing and replaced readings, drift, standard errors, the most doubtful stops.
 
-    Only those with rows.
+    Tables without rows are left out.
     """
     tables = [
         _sessions(state),
@@ -96,7 +95,7 @@ def collection_tables(state: CollectionResult) -> list[Table]:
 
 
 def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
-    """Show the residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` ones."""
+    """Show residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` stops."""
     return table_of(
         title,
         stops,
@@ -118,12 +117,12 @@ def _retried(one: CollectedStop) -> str:
 
 
 def residual_ratio(one: CollectedStop) -> float | None:
-    """Return the residual in sigmas; None without a reading or a model."""
+    """Return the residual in units of sigma; None without a reading or a model."""
     return one.residual_mm / one.sigma_mm if one.residual_mm is not None and one.sigma_mm else None
 
 
 def residual_range_words(state: CollectionResult) -> str:
-    """Say what is normal for a residual of each arm before and after calibration; empty without a model."""
+    """State the normal residuals of each arm before and after calibration; empty without a model."""
     words = []
     for arm, its in state.residual_ranges.items():
         before = "" if its.before_mm is None else f"up to {mm(its.before_mm)} before calibration (running model)"
@@ -134,12 +133,12 @@ def residual_range_words(state: CollectionResult) -> str:
 
 
 def _doubt(one: CollectedStop) -> tuple[bool, float]:
-    """Return how doubtful a stop is: suspicions first, then by the ratio of residual and sigma."""
+    """Return a sort key for doubt: suspicion first, then the ratio of residual and sigma."""
     return bool(one.suspicion), residual_ratio(one) or 0.0
 
 
 def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:
-    """Return stops, arm, kind and reason of missing readings; stops in a row that differ in nothing else are one
+    """Return stops, arm, kind and reason of missing readings; successive stops that differ in nothing else share a
     row."""
     groups: list[list[MissingReading]] = []
     latest: dict[str, list[MissingReading]] = {}
@@ -157,7 +156,7 @@ def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str
 
 
 def _stop_words(first: int, last: int) -> str:
-    """Return numbers of stops as persons count them, from 1."""
+    """Return the numbers of stops as people count them, from 1."""
     return f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
 
 
@@ -196,7 +195,7 @@ def _missing(state: CollectionResult) -> Table:
 
 
 def _replaced(state: CollectionResult) -> Table:
-    """Show readings that were replaced by later ones: residuals before and now."""
+    """Show readings replaced by later ones: residuals before and now."""
     now = {(one.stop, one.arm): one.residual_mm for one in state.stops}
     return table_of(
         "Stops measured again: the readings before, which are kept and not used",

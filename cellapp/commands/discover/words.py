@@ -218,7 +218,7 @@ def size_sentence(picture: Picture) -> str:
 
 
 def _loop_width(picture: Picture, values: Sequence[float]) -> float:
-    """Return the mean after upward minus that after downward motion; NaN if either direction is missing."""
+    """Return the distance of the means after upward and after downward motion; NaN if either direction is missing."""
     directions = picture.direction or ()
     up, down = ([v for v, d in zip(values, directions, strict=True) if d == sign] for sign in (1, -1))
     return abs(sum(up) / len(up) - sum(down) / len(down)) if up and down else math.nan

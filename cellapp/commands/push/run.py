@@ -103,7 +103,7 @@ def push_targets(
     if not out_of_date:
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
-    # the tracker's present station, also in a simulated cell
+    # simulated cell: the tracker where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
     used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
 
