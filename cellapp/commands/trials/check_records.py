@@ -1,4 +1,4 @@
-"""Results of ``trials check``: single checks, shares with their intervals, and the bars."""
+"""Results of ``trials check``: single checks, shares with their intervals, and bars."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.ground.results import Record, Result
 
 MOST_FALSE = 0.01
 LEAST_FOUND = 0.95
-"""Bars: share of false alarms at most, and of visible changes that are detected at least."""
+"""Bars: largest share of false alarms, and least share of visible changes that are detected."""
 Group = Literal["unchanged", "parameter", "effect", "tracker", "base", "smr"]
 
 
@@ -47,7 +47,7 @@ class CheckedChange(Record):
 
 
 def exact_interval(k: int, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a probability of which k of n cases are hits (Clopper, Pearson, Biometrika 26 (1934)
+    """Compute the 95 % interval of a probability with k hits in n cases (Clopper, Pearson, Biometrika 26 (1934)
     404)."""
     low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
     return low, float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
@@ -109,5 +109,5 @@ class CheckTrialResult(Result, schema="cellapp-trials-check"):
 
 
 def share(checks: Sequence[CheckedChange], fact: Callable[[CheckedChange], bool]) -> Share:
-    """Return the share of the checks of which a fact is true."""
+    """Return the share of checks for which a fact is true."""
     return Share.of([fact(one) for one in checks])

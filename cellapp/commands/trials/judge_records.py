@@ -1,4 +1,4 @@
-"""Records of judged trials: what was found in an arm, how a run scored, counts, targets, misses."""
+"""Records of judged trials: findings in an arm, score of a run, counts, targets, misses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VERDICTS = ("explained", "ambiguous", NOT_KNOWN, NOTHING)
 Outcome = Literal["named", "extra", "part", "wrong", "unknown", "none"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 Likeness = Literal["", "part", "right"]
-"""How much of a law outside the library a description has."""
+"""How far a description matches a law outside the library."""
 
 
 class Spread(Record):
@@ -169,7 +169,7 @@ class EndState(Record):
 
 
 class OutcomeCounts(EndState):
-    """Number of each outcome in runs that hide the same."""
+    """Number of each outcome over runs that hide the same."""
 
     n: int
     visible_um: Spread | None

@@ -41,7 +41,7 @@ def _information(result: PlanTrialsResult) -> Table:
 
 
 def _worth(result: PlanTrialsResult, arm: str, error: ErrorName) -> tuple[str, ErrorName, list[float], float | None]:
-    """Return random stops that one designed stop of an arm is worth with each seed, and at best."""
+    """Return how many random stops one designed stop of an arm is worth, with each seed and at best."""
     its = [one for one in result.trials if one.arm == arm]
     best = next((one.bound[error] / result.trials[0].stops for one in its if one.bound), None)
     return arm, error, [one.equal[error] / one.stops for one in its], best
@@ -75,7 +75,7 @@ def _safety(profile: str, plans: Sequence[WholePlan]) -> Table:
 
 
 def plan_trial_sentences(result: PlanTrialsResult) -> list[str]:
-    """Say what the tables rest on, in words."""
+    """State the assumptions of the tables."""
     return [
         "Errors: mean standard error of geometry parameters and effect coefficients, standard uncertainty of predicted"
         " positions over the workspace, and at its worst point; at configurations that no choice has seen.",

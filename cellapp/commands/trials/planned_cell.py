@@ -1,4 +1,4 @@
-"""A simulated cell without hidden effects and the stops at which its arms of all seeds are measured."""
+"""A simulated cell without hidden effects, and the stops at which its arms are measured with every seed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def of_all_arms(
     seeds: Sequence[int],
     work: Work,
 ) -> tuple[dict[str, list[Found]], tuple[str, ...]]:
-    """Return results of every arm with every seed, by arm, and what failed. Raises as ``Work.gather`` does."""
+    """Compute the results of every arm with every seed; return them by arm, and the failures. Raises as
+    ``Work.gather``."""
     drawn = [ArmSeed(arm=arm, seed=seed) for arm in cell.profile.arms for seed in seeds]
     gathered = work.gather(kind, job, cell, drawn, "arm {0.arm}, seed {0.seed}")
     by_arm: dict[str, list[Found]] = {arm: [] for arm in cell.profile.arms}
@@ -51,7 +52,7 @@ def of_all_arms(
 
 
 def planned_cell(profile: Profile, stops: int) -> PlannedCell:
-    """Plan so many stops. Raises ``InputError`` if the profile has no simulated cell or they cannot be reached."""
+    """Plan ``stops`` stops. Raises ``InputError`` if the profile has no simulated cell or too few can be reached."""
     planned = plan_stops(bare_profile(profile, stops))
     return PlannedCell(
         profile=profile, planned={arm: tuple(tuple(row) for row in q.tolist()) for arm, q in planned.items()}

@@ -1,4 +1,4 @@
-"""Conditions under which sealed trials are made: number of stops, joint ranges, masses, laws, what readings state."""
+"""Conditions of sealed trials: number of stops, joint ranges, masses, laws, what readings state."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ NOISES: Mapping[str, Noise] = {
     "heavy": Noise("heavy"),
     "repeatability": Noise("gaussian", 8e-6),
 }
-"""How readings scatter: as stated, with heavy tails, or with 8 µrad unstated repeatability of each joint."""
+"""Scatter of readings: as stated, with heavy tails, or with 8 µrad of unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
 MASS_ERROR = 0.05
-"""Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
+"""Relative standard deviation of true link masses about the nominal ones: they are never known better."""
 FEWEST_HELD_OUT = 10
 FEWEST_STOPS = 15 + FEWEST_HELD_OUT
-"""Of these 15 just determine the geometry."""
+"""Least number of stops: 15 just determine the geometry, the others are held out."""
 HELD_OUT = 100
-"""Stops at rest that judge what recordings of motion show, where no number is given."""
+"""Stops at rest that judge recordings of motion, unless a number is given."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
-"""Widths of narrow joint ranges."""
+"""Range of the width of narrow joint ranges."""
 _CENTRES = 30
-"""Centres of narrow ranges that are tried: about a few of them the wrist never shows the SMR to the tracker."""
+"""Centres of narrow ranges that are tried: around some the wrist never shows the SMR to the tracker."""
 
 
 class Setup(Record):
@@ -177,7 +177,7 @@ class Setup(Record):
 
 
 USUAL_SETUP = Setup()
-"""One hidden effect in each run, by the library's laws, and stated Gaussian noise."""
+"""Default: one hidden effect in each run, by the library's laws, and stated Gaussian noise."""
 
 
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:

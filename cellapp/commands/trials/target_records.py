@@ -10,13 +10,14 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 
 LEAST_RATIO = 15.0
-"""Bar: nominal mean error over compensated mean error."""
+"""Bar: least ratio of nominal to compensated mean error."""
 MOST_OF_FLOOR = 1.5
-"""Bar: compensated mean error over what measuring and repeatability leave of a perfect model."""
+"""Bar: largest ratio of compensated mean error to the error that measuring and repeatability leave of a perfect
+model."""
 LEAST_GAIN = 0.4
-"""Bar: share of the cooperative error of the paper's proposed method that compensation removes."""
+"""Bar: least share of the cooperative error of the paper's proposed method that compensation removes."""
 COVERAGE = (0.93, 0.97)
-"""Bar: share of measurements within the stated 95 % limits."""
+"""Bar: range of the share of measurements within the stated 95 % limits."""
 CALIBRATED, RELOCATED = "calibrated", "tracker moved"
 """States of the cell: as calibrated, and after the tracker was moved and located again from 4 points."""
 
@@ -138,7 +139,7 @@ class TargetTrialsResult(Result, schema="cellapp-trials-targets"):
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Return the mean of the values that are there; None of none."""
+    """Return the mean of the values that are not None; None if there are none."""
     there = [value for value in values if value is not None]
     return float(np.mean(there)) if there else None
 
