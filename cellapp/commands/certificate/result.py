@@ -149,7 +149,7 @@ class CertifiedData(Record):
 
 
 SIMULATED = "simulated cell"
-"""How the warning begins that says so: it must not pass for a real one."""
+"""Begin of the warning that a cell is simulated: its certificate must not pass for that of a real one."""
 
 
 class CertificateResult(Result, schema="cellapp-certificate"):

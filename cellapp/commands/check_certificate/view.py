@@ -15,7 +15,7 @@ def view(result: CertificateCheckResult, request: CheckCertificateRequest | None
 
 
 def check_sentences(result: CertificateCheckResult) -> list[str]:
-    """Say what of a certificate holds, and every problem."""
+    """State what of a certificate holds, and every problem."""
     named = f"certificate {result.number}" if result.number else result.certificate
     key = f" (key {result.key_id})" if result.key_id else ""
     said = [f"{named}: signature {result.signature}{key}"]

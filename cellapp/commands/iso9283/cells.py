@@ -1,4 +1,4 @@
-"""What the tables of a test by ISO 9283 share."""
+"""Shared parts of the tables of a test by ISO 9283."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.results import Record
 
 
 def tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
-    """Yield arm, commands and what was measured with them."""
+    """Yield arm, commands and the tests with these commands."""
     for name, arm in result.arms.items():
         for kind in ISO_COMMANDS:
             if kind in arm.tests:
@@ -20,14 +20,14 @@ def tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, Commande
 
 
 def series_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, SpeedSeries]]:
-    """Yield arm, commands and the tests that were repeated at another speed."""
+    """Yield arm, commands and the tests repeated at another speed."""
     for name, kind, tests in tests_of(result):
         for one in tests.series:
             yield name, kind, one
 
 
 class Commanded(NamedTuple):
-    """What was measured at an arm with one kind of commands; ``of`` is what it is a part of, as a series of tests."""
+    """A measurement of an arm with one kind of commands; ``of`` is what it is part of, as a series of tests."""
 
     arm: str
     commands: IsoCommands
@@ -36,13 +36,13 @@ class Commanded(NamedTuple):
 
 
 COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
-"""The first columns of a table of ``Commanded``."""
+"""First columns of a table of ``Commanded``."""
 
 
 def pair_fields(
     first: str, second: str, accuracy: str = "accuracy", repeatability: str = "repeatability"
 ) -> Iterator[Field]:
-    """Yield two characteristics of ``Commanded.one``, each with its uncertainty, and their number of cycles."""
+    """Yield two characteristics of ``Commanded.one`` with their uncertainties, and their number of cycles."""
     for name, attribute in ((first, accuracy), (second, repeatability)):
         yield name, f"one.{attribute}.value_mm", ".3f"
         yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
@@ -61,5 +61,5 @@ def pair_columns(first: str, second: str) -> tuple[Column, ...]:
 
 
 def value_cells(value: IsoValue) -> tuple[Cell, Cell]:
-    """Return a characteristic and its uncertainty."""
+    """Return the cells of a characteristic and its uncertainty."""
     return value.value_mm, value.expanded_mm

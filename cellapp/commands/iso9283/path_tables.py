@@ -1,4 +1,4 @@
-"""Tables of what the tracker measured while an arm moved: paths, velocity, corners, how it comes to rest."""
+"""Tables of measurements in motion: paths, velocity, corners, weaving, settling."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.estimation.iso9283.records import Iso9283Result, PathCharacteristic
 
 
 def path_tables(result: Iso9283Result) -> list[Table]:
-    """Show what was measured along paths and at the end of motions."""
+    """Show measurements along paths and at the end of motions."""
     return [_paths(result), _velocities(result), _corners(result), _weaving(result), _settling(result)]
 
 

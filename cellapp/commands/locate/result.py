@@ -8,7 +8,7 @@ from typing import Literal
 from cellapp.ground.results import Matrix, Point, Record, Result
 
 LocateVerdict = Literal["located", "base moved", "smr moved", "not explained"]
-"""What explains the points: the tracker's motion alone; besides it a moved base, or an SMR that was remounted; none."""
+"""Explanation of the points: the tracker's motion alone; also a moved base or a remounted SMR; none."""
 
 
 class StationPose(Record):
