@@ -1,4 +1,4 @@
-"""How the sizes from which effects are named are shown."""
+"""Sizes from which effects are named, as sentence, table and chart."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ WITHOUT_VERB: tuple[type[Result], ...] = (
     RequestResult,
     ErrorResult,
 )
-"""Results that no verb declares as its own: parts that ``show`` prints, requests to a running job, failures."""
+"""Results that no verb declares: parts that ``show`` prints, requests to a running job, failures."""
 
 
 def written_results(verbs: Iterable[Verb]) -> tuple[type[Result], ...]:
@@ -34,13 +34,12 @@ def written_results(verbs: Iterable[Verb]) -> tuple[type[Result], ...]:
 
 
 def results_by_name(results: Iterable[type[Result]]) -> dict[str, type[Result]]:
-    """Return results by the name that their JSON objects carry under ``schema``."""
+    """Return results by the name in their JSON objects under ``schema``."""
     return {str(result.model_fields["schema_"].default): result for result in results}
 
 
 def json_schema(result: type[Result]) -> dict[str, Any]:
-    """Return JSON Schema (2020-12) of a result. As ``--json`` writes NaN and infinity as null, every number may be
-    null."""
+    """Return the JSON Schema (2020-12) of a result. Every number may be null: ``--json`` writes NaN and infinity so."""
     schema: dict[str, Any] = _nullable_numbers(result.model_json_schema())
     return schema
 

@@ -1,4 +1,4 @@
-"""What ``show`` found, as the view of the verb that made it."""
+"""View of what ``show`` found, by the verb that made it."""
 
 from __future__ import annotations
 
