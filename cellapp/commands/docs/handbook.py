@@ -89,7 +89,7 @@ def chapter_text(chapter: str) -> str:
 
 def effect_sections() -> dict[str, str]:
     """Return each effect's section by slug: from the chapter on effects, or a plug-in effect's declaration."""
-    from cellapp.commands.docs.effect_parts import declared_part  # late: it loads the mathematics, which chapters do not need
+    from cellapp.commands.docs.effect_parts import declared_part  # late: chapters do not need it
     from cellapp.robot.effects import EFFECTS
 
     text = chapter_text("effects")

@@ -85,7 +85,7 @@ def search(words: str) -> tuple[Found, ...]:
         for one in sections(chapter)
         if all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
     ]
-    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable: keeps the order otherwise
+    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable sort
     return tuple(Found(one, _line_with(one.text, wanted)) for one in hits)
 
 

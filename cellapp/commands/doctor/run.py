@@ -114,5 +114,5 @@ def installed_findings() -> list[Finding]:
     installed = installed_plugins()
     added = in_words(one for one in installed if not one.problem)
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
-    refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # an unreadable list of entry points has no group
+    refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # an unreadable list has no group
     return [*findings, *(Finding("plug-in", "warning", words) for words in refused)]

@@ -166,8 +166,8 @@ def emulate(
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free on return.
 
-    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move. Real-time
-    threads run with priority over other programs, if permitted: real controllers have their own computers.
+    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move. In real time
+    they run with priority over other programs, if permitted: real controllers have their own computers.
 
     Parameters
     ----------

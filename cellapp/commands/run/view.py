@@ -14,7 +14,7 @@ from cellapp.commands.view.parts import Part
 
 
 def view(result: WholeRunResult, request: Request | None = None) -> View:
-    """Show the results of each step, notes, and where run and page are; fails if a step did not hold."""
+    """Show the results of each step, notes, and the paths of run and page; the failures are those of the first step that fails."""
     parts: list[Part] = []
     if result.collect is not None:
         parts += collect_lines(result.collect)
