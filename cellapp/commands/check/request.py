@@ -1,4 +1,4 @@
-"""What ``check`` is asked for."""
+"""Request of the verb ``check``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``collect`` is asked for."""
+"""Request of the verb ``collect``."""
 
 from __future__ import annotations
 

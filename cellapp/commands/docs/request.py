@@ -1,4 +1,4 @@
-"""What ``docs`` is asked for."""
+"""Request of the verb ``docs``."""
 
 from __future__ import annotations
 

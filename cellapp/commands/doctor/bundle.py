@@ -104,7 +104,7 @@ def _secrets(profile: Profile) -> set[str]:
 
 
 def _without_commands(profile: Profile) -> str:
-    """Return the whole profile as JSON, without the arguments of the section's command."""
+    """Return the whole profile as JSON, without the arguments of the command in its section ``notify``."""
     content = json.loads(profile_to_json(profile))
     if profile.notify is not None:
         content["notify"]["command"] = [profile.notify.command[0], *([REDACTED] * (len(profile.notify.command) - 1))]

@@ -1,4 +1,4 @@
-"""What ``export`` is asked for."""
+"""Request of the verb ``export``."""
 
 from __future__ import annotations
 

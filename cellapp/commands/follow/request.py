@@ -1,4 +1,4 @@
-"""What ``follow`` is asked for."""
+"""Request of the verb ``follow``."""
 
 from __future__ import annotations
 

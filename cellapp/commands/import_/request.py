@@ -1,4 +1,4 @@
-"""What ``import`` is asked for."""
+"""Request of the verb ``import``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``init`` is asked for."""
+"""Request of the verb ``init``."""
 
 from __future__ import annotations
 

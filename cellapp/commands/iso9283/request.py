@@ -1,4 +1,4 @@
-"""What ``iso9283`` is asked for."""
+"""Request of the verb ``iso9283``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``power`` is asked for."""
+"""Request of the verb ``power``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``push`` is asked for."""
+"""Request of the verb ``push``."""
 
 from __future__ import annotations
 

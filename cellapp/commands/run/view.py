@@ -14,7 +14,7 @@ from cellapp.commands.view.parts import Part
 
 
 def view(result: WholeRunResult, request: Request | None = None) -> View:
-    """Show the results of each step, notes, and the paths of run and page; the failures are those of the first step that fails."""
+    """Show the results of each step, notes, the paths of run and page; and the failures of the first failed step."""
     parts: list[Part] = []
     if result.collect is not None:
         parts += collect_lines(result.collect)

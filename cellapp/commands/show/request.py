@@ -1,4 +1,4 @@
-"""What ``show`` is asked for; which parts there are comes from the verbs that store something."""
+"""Request of the verb ``show``; which parts there are comes from the verbs that store something."""
 
 from __future__ import annotations
 

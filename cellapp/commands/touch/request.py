@@ -1,4 +1,4 @@
-"""What ``touch`` is asked for."""
+"""Request of the verb ``touch``."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ _CHANGE_SEED = 0xC4A6
 _NOISE_SEED = 10_000
 """Factor on the seed of a cell, so that no two checks have the same noise."""
 _PLANS, _NEXT_PLAN = 4, 100_000
-"""Most plans that are tried, and the step of the seed between them: about one seed in some hundred finds no way on."""
+"""Most plans that are tried, and the step of the seed between them: one seed in some hundred finds no path."""
 
 
 class CheckPlan(Record):

@@ -160,7 +160,7 @@ def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str
 
 
 def drawable_mm(errors_mm: ArrayLike) -> Array:
-    """Raise errors [mm] below ``SMALLEST_MM`` to that, for a logarithmic axis."""
+    """Return errors [mm] of at least ``SMALLEST_MM``, for a logarithmic axis."""
     return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
 
 
