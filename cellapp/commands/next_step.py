@@ -67,8 +67,7 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
-    """Return the tests of ISO 9283 that the profile's tolerances need and the run lacks, for arms that can be
-    driven."""
+    """Return the tests of ISO 9283 that the tolerances need and the run lacks, for arms that can be driven."""
     names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
     stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
     if not run.profile.tolerances.any_given or not names:

@@ -78,8 +78,7 @@ class StoredStage:
     sole: bool = False
 
     def has_outcome(self, name: StageName, digest: str) -> bool:
-        """Return whether a later stage with basis ``name`` and ``digest`` used this stage, or one of the same
-        outcome."""
+        """Return whether a later stage with basis ``name`` and ``digest`` used this stage or one of its outcome."""
         return (self.sole and self.name == name) or self.digest == digest
 
     @cached_property
@@ -117,8 +116,8 @@ class RunStages:
     in_force: StoredStage | None
 
     def stale_model(self) -> str:
-        """Say why the model in force should not be used; empty if it and the newest discovery hold and the tracker has
-        not moved."""
+        """Say why the model in force should not be used; empty if it and the newest discovery hold and no tracker
+        moved."""
         return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
 
     def stale_arms(self) -> str:

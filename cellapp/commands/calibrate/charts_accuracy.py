@@ -80,8 +80,7 @@ def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
 
 
 def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
-    """Show a histogram of the cooperative errors by method, with the error that the tracker's noise alone would
-    cause."""
+    """Show a histogram of the cooperative errors by method, with the error by the tracker's noise alone."""
     errors = {method: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()}
     x = Axis("cooperative error", "mm", logarithmic=True)
     floor_mm = cooperative_noise_mm(calibrate)
@@ -96,8 +95,7 @@ def _histogram(
     words: Mapping[Key, str],
     floor_mm: float | None,
 ) -> Chart:
-    """Show the outlines of several histograms; ``style`` and ``words`` give each its style and its name in the
-    message."""
+    """Show the outlines of several histograms; ``style`` and ``words`` give their styles and names in the message."""
     y = Axis("configurations")
     errors = {key: finite for key, values in errors_mm.items() if len(finite := values[np.isfinite(values)])}
     if not errors:

@@ -68,8 +68,7 @@ def joint_curve_charts(
 def _context(
     model: ArmModel, q: Array, conditions: MeasurementConditions, joint: int, angles: Array, sign: float
 ) -> EffectContext:
-    """Return the context of a stop with the angle of one joint replaced, reached by a motion of that joint in one
-    direction."""
+    """Return the context of a stop with one joint angle replaced, reached by a motion of that joint with ``sign``."""
     swept = np.tile(q, (len(angles), 1))
     swept[:, joint] = angles
     approach = np.zeros(swept.shape) if conditions.approach is None else np.array(conditions.approach, dtype=np.float64)

@@ -24,7 +24,7 @@ _OTHER_STYLE = 5
 
 
 def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
-    """Yield residuals of one arm's identified geometry: from above in the tracker frame, two views in the base
+    """Yield residuals of one arm's identified geometry: from above in the tracker frame, two views in its base
     frame."""
     readings, geometry = held_out.readings, held_out.calibrated.geometry
     shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))

@@ -213,8 +213,7 @@ def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
 
 
 def _undecided(one: Judgement, why: str) -> Judgement:
-    """Return the judgement without a decision because of ``why``; unchanged if that is empty or nothing was
-    measured."""
+    """Return the judgement without a decision because of ``why``; unchanged if that is empty or nothing measured."""
     if not why or one.value is None:
         return one
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})

@@ -224,8 +224,7 @@ def certified_basis(run: RunFile, stages: RunStages) -> Basis:
 
 
 def _times_of_measuring(run: RunFile, stages: RunStages) -> tuple[str, ...]:
-    """Return the first and last time (ISO 8601, UTC) of collecting and of the certified measurements; empty if
-    unknown."""
+    """Return the first and last time (ISO 8601, UTC) of collecting and of certified measurements; empty if unknown."""
     times = [time for one in run.sessions() for time in (one.began, one.ended) if time is not None]
     times += [stages.current[name].written for name in CERTIFIED_STAGES if name in stages.current]
     return (min(times), max(times)) if times else ()

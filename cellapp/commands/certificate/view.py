@@ -69,8 +69,7 @@ _NOWHERE = (None, None, None)
 
 
 def view(result: CertificateResult, request: CertificateRequest | None = None) -> View:
-    """Show what is certified and where it was written; with ``strict`` everything that does not confirm conformity
-    fails."""
+    """Show what is certified and where it was written; ``strict`` fails on all that does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
     doubts = "; it does not confirm conformity" if result.complaints() else ""

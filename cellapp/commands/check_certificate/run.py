@@ -150,8 +150,8 @@ def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
 
 
 def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) -> list[str]:
-    """Name changed stages; ``stored`` are digests of all measurements in the run, else the certified one was
-    changed."""
+    """Name changed stages; ``stored`` are the digests of all measurements in the run: they include the certified
+    one."""
     if set(data.stages) - set(CERTIFIED_STAGES) != set(now.stages) - set(CERTIFIED_STAGES):
         return [_OTHER_MODEL]
     words = {VERIFY: "targets were verified since", ISO9283: "the cell was tested by ISO 9283 since"}

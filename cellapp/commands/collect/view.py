@@ -138,8 +138,7 @@ def _doubt(one: CollectedStop) -> tuple[bool, float]:
 
 
 def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:
-    """Return stops, arm, kind and reason of missing readings; successive stops that differ in nothing else share a
-    row."""
+    """Return stops, arm, kind and reason of missing readings; successive stops with the same values share a row."""
     groups: list[list[MissingReading]] = []
     latest: dict[str, list[MissingReading]] = {}
     for one in missing:

@@ -95,8 +95,7 @@ def compensate_lines(result: CompensateResult) -> list[str]:
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
-    """State how many targets can be commanded, how many are predicted in and out, the largest bound, what is not
-    seen."""
+    """State how many targets can be commanded and are predicted in or out, the largest bound, what is not seen."""
     return [
         _count_words(result),
         *_prediction_words(result),
@@ -222,7 +221,7 @@ def verify_message(verify: VerifyResult) -> str:
 
 
 def push_lines(pushed: VerifyResult) -> list[str]:
-    """Return the lines that ``push`` prints: measurements, or else how many targets were reached and why not the
+    """Return the lines that ``push`` prints: measurements, or else which targets were reached and why not the
     others."""
     if any(target.compensated_mm is not None for target in pushed.targets):
         return verify_lines(pushed)

@@ -43,8 +43,7 @@ def _gap_message(arm: ArmDiscoveryResult, floor_mm: float | None) -> str:
 
 
 def _largest_step(arm: ArmDiscoveryResult) -> tuple[float, str]:
-    """Return the largest share of the squared error that one effect removed, and that effect; empty if none is
-    named."""
+    """Return the largest share of the squared error that one effect removed, and the effect; empty if none is named."""
     total = arm.heldout_mm.before**2 - arm.heldout_mm.after**2
     taken: dict[str, float] = {}
     for before, step in zip(arm.steps, arm.steps[1:], strict=False):

@@ -65,8 +65,7 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
 
 
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
-    """Return the address of the emulated tracker; None without a simulated cell or a loopback address in the
-    profile."""
+    """Return the address of the emulated tracker; None without a simulated cell or a loopback address."""
     bridge = profile.tracker.driver.emulated_bridge()
     return None if profile.plant is None or bridge is None else EmulatedTracker(host=bridge.host, port=bridge.port)
 

@@ -400,6 +400,5 @@ def _transforms(stored: _Stored) -> dict[Method, dict[str, Estimate]]:
 
 
 def _rms_error(rms: float, stops: int) -> float | None:
-    """Return the standard error of an rms length over 3 ``stops`` normal coordinates: rms / sqrt(2 n), for n of
-    them."""
+    """Return the standard error of an rms length over 3 ``stops`` normal coordinates: rms / sqrt(2 n) for n of them."""
     return rms / math.sqrt(6.0 * stops) if stops else None

@@ -72,8 +72,8 @@ class OwnData:
 
 @dataclass(frozen=True)
 class OwnDataWritten:
-    """The written files, and how the data were understood; without readings for recordings of motion, which may have
-    points in the same file."""
+    """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
+    be in the same file."""
 
     profile: Path
     readings: Path | None

@@ -69,8 +69,8 @@ def iso9283_run(
 ) -> Iso9283Result:
     """Make tests of ISO 9283 in a run and store the result; of a stopped job, what was measured until then.
 
-    By default ``request`` has both kinds of commands in a calibrated run, else nominal ones; base and SMR of each arm
-    are found first then. ``ask`` is called before the first motion of real arms. ``open_with`` opens the cell.
+    By default commands are of both kinds in a calibrated run, else nominal; base and SMR of each arm are then found
+    first. ``ask`` is called before the first motion of real arms. ``open_with`` opens the cell.
 
     Raises
     ------

@@ -45,8 +45,7 @@ def last_location(run: RunFile, stages: RunStages) -> LocateResult | None:
 
 
 def refuse_second_station(run: RunFile) -> None:
-    """Raise ``InputError`` if the tracker moved since the run's readings: further readings would be in another
-    frame."""
+    """Raise ``InputError`` if ``locate`` found a move that new readings cannot share with those of the run."""
     located = read_stages(run).current.get(LOCATE)
     if located is None or (located.model is not None and not tracker_moved(located)):
         return

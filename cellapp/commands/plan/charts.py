@@ -26,8 +26,7 @@ _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
 
 
 def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
-    """Show each arm's expected errors by stops, time, correlations; only the time if the plan was not designed
-    (None)."""
+    """Show each arm's expected errors by stops, time, correlations; only the time without a design (None)."""
     if design is None:
         return (time_chart(None, time),)
     told = (information_chart(name, arm) for name, arm in design.arms.items())

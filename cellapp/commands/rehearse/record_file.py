@@ -24,8 +24,7 @@ def arms_hash(profile: Profile) -> str:
 
 
 def read_log(path: Path, profile: Profile) -> RehearsalLog:
-    """Return the recorded rungs of these arms; none without a file, or if it is of other arms. Raises
-    ``InputError``."""
+    """Return the recorded rungs of these arms; none without a file or if it is of other arms. Raises ``InputError``."""
     new = RehearsalLog(arms=arms_hash(profile), rungs={})
     file = rehearsals_path(path)
     if not file.is_file():

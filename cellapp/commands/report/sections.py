@@ -287,8 +287,7 @@ def _discovery(data: ReportData) -> Section | None:
 
 
 def _model_charts(data: ReportData) -> dict[str, tuple[list[Chart], list[Chart]]]:
-    """Return for each arm the charts of its model's uncertainty, if predicted, and of the joints that effects turn
-    most."""
+    """Return for each arm the charts of its model's uncertainty, if known, and of the joints that effects turn most."""
     stops = typical_stops(data.readings)
     charts = {}
     for name, arm in data.model.arms.items():

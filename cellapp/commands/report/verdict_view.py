@@ -18,8 +18,7 @@ from cellapp.ground.errors import InputError
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """The judgements on a run with a title and a sentence, and the next steps; ``state`` is None if nothing is
-    judged."""
+    """The judgements on a run with a title and a sentence, and next steps; ``state`` is None if nothing is judged."""
 
     state: Conformity | None
     title: str

@@ -49,8 +49,7 @@ def list_runs(folder: Path | None = None) -> RunsResult:
 
 
 def resumable(folder: Path | None = None) -> RunSummary | None:
-    """Return the newest run that was interrupted while collecting and is not in use, if any. Raises as
-    ``list_runs``."""
+    """Return the newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
     return next((run for run in list_runs(folder).runs if run.resumable), None)
 
 

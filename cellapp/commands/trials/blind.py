@@ -1,5 +1,4 @@
-"""Readings of the simulated cell for blind trials: random order, and factors varied so that effects can be told
-apart."""
+"""Simulated readings for blind trials: random order, and factors varied so that effects can be told apart."""
 
 from __future__ import annotations
 

@@ -86,8 +86,8 @@ def moved_tracker(profile: Profile, motion_C: Array) -> Profile:
 
 
 def small_motion(rng: np.random.Generator, size: float, about: Array) -> Array:
-    """Draw a motion (4, 4): ``size`` [m] in a random direction, and ``size`` [rad] about a random axis through a
-    point."""
+    """Draw a motion (4, 4): ``size`` [m] in a random direction, ``size`` [rad] about a random axis through
+    ``about``."""
     shift, turn = rng.standard_normal((2, 3))
     rotation = rotation_from_vector(size * turn / np.linalg.norm(turn))
     return transform(rotation, about - rotation @ about + size * shift / np.linalg.norm(shift))

@@ -47,8 +47,7 @@ class CheckedChange(Record):
 
 
 def exact_interval(k: int, n: int) -> tuple[float, float]:
-    """Compute the 95 % interval of a probability with k hits in n cases (Clopper, Pearson, Biometrika 26 (1934)
-    404)."""
+    """Compute the 95 % interval of a probability, k of n cases hit (Clopper, Pearson, Biometrika 26 (1934) 404)."""
     low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
     return low, float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
 

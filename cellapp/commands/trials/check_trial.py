@@ -235,8 +235,7 @@ def words_of(change: PlantChange) -> str:
 
 
 def _solved_mm(design: Design, change: PlantChange, cause: Cause, stops: StopRows) -> float | None:
-    """Return the largest error [mm] of a solved motion at the points of the stops that it moves; None without
-    motion."""
+    """Return the largest error [mm] of a solved motion at the points that it moves; None without a motion."""
     if change.motion is None or cause.motion is None:
         return None
     names = list(design.belief.arms)

@@ -95,8 +95,7 @@ class CollisionCheck:
                     break
 
     def _first_collision(self, q: Targets) -> tuple[int, str, str] | None:
-        """Return row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None if there is
-        none."""
+        """Return row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
         poses = self._poses(q)
         reach = np.stack([np.abs(pose[:, :3, :3]) @ body.half for pose, body in zip(poses, self._bodies, strict=True)])
         centre = np.stack(

@@ -40,8 +40,7 @@ def of_all_arms(
     seeds: Sequence[int],
     work: Work,
 ) -> tuple[dict[str, list[Found]], tuple[str, ...]]:
-    """Compute the results of every arm with every seed; return them by arm, and the failures. Raises as
-    ``Work.gather``."""
+    """Compute every arm with every seed; return the results by arm, and the failures. Raises as ``Work.gather``."""
     drawn = [ArmSeed(arm=arm, seed=seed) for arm in cell.profile.arms for seed in seeds]
     gathered = work.gather(kind, job, cell, drawn, "arm {0.arm}, seed {0.seed}")
     by_arm: dict[str, list[Found]] = {arm: [] for arm in cell.profile.arms}

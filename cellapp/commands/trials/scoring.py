@@ -142,8 +142,7 @@ def _miss(run: ScoredRun, arm: str) -> Miss:
 
 
 def _hidden_words(effect: HiddenEffect) -> str:
-    """Describe an effect, ``backlash/many_plays (84, beyond its law 12)``: visible size, and size beyond the law
-    [µm]."""
+    """Describe an effect, ``backlash/many_plays (84, beyond its law 12)``: visible size, size beyond the law [µm]."""
     law = f"/{effect.law}" if effect.law else ""
     beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
     return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"

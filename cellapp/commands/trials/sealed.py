@@ -416,8 +416,7 @@ def _hidden_law(
     without: Mapping[str, Readings],
     with_all: Mapping[str, Readings],
 ) -> HiddenLaw:
-    """Return one hidden effect of arm ``name`` with its size, from exact readings of all arms without it and with
-    all."""
+    """Return one hidden effect of arm ``name`` with its size, from exact readings without it and with all effects."""
     own = without[name]
     moved = with_all[name].p_M - own.p_M
     models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}

@@ -72,8 +72,7 @@ HARD_CASES: tuple[tuple[str, ...], ...] = (
     ("tracker_drift",),
     ("crosstalk",),
 )
-"""Cases once answered with a name too many: fields of short length, couplings, quadruples, slow drift; by other
-laws."""
+"""Cases once answered with a name too many: fields of short length, couplings, quadruples, slow drift; other laws."""
 IN_MOTION: tuple[tuple[str, ...], ...] = (
     ("joint_compliance",),
     ("backlash",),

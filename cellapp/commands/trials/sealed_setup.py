@@ -128,8 +128,7 @@ class Setup(Record):
             )
 
     def cell(self, profile: Profile) -> Profile:
-        """Return the profile with the number of stops, the splits and the masses of these trials, and nothing
-        hidden."""
+        """Return the profile with these trials' number of stops, splits and masses, and nothing hidden."""
         assert profile.plant is not None
         geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})

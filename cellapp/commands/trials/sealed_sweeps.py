@@ -29,8 +29,7 @@ class SweepPlan:
 
     @classmethod
     def of(cls, profile: Profile, count: int, seed: int, cancel: CancelToken) -> SweepPlan:
-        """Plan sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep at any stop, and
-        ``Cancelled``."""
+        """Plan sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and ``Cancelled``."""
         plan = profile.plan.model_copy(update={"stops": count, "reserve": 0, "other_arm": "resting"})
         asked = profile.model_copy(update={"plan": plan, "seed": seed})
         stops, _ = make_stops(asked, cancel=cancel)

@@ -12,8 +12,7 @@ from cellapp.ground.results import Record, Result
 LEAST_RATIO = 15.0
 """Bar: least ratio of nominal to compensated mean error."""
 MOST_OF_FLOOR = 1.5
-"""Bar: largest ratio of compensated mean error to the error that measuring and repeatability leave of a perfect
-model."""
+"""Bar: largest ratio of compensated mean error to what measuring and repeatability leave of a perfect model."""
 LEAST_GAIN = 0.4
 """Bar: least share of the cooperative error of the paper's proposed method that compensation removes."""
 COVERAGE = (0.93, 0.97)

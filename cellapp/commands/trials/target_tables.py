@@ -18,8 +18,7 @@ from cellapp.commands.view.table import Field, Table, table_of
 
 
 def target_trial_tables(result: TargetTrialsResult) -> list[Table]:
-    """Show errors by arm and by pair in every state, a row for each cell and one of the means; then the hidden
-    effects."""
+    """Show errors by arm and by pair in every state, a row for each cell and one of the means; then hidden effects."""
     tables = []
     for state in result.states():
         tables += [_arms(result, state), _promises(result, state)]

@@ -289,8 +289,7 @@ def _changed(bench: _Bench, name: str, q: Array) -> Array:
 
 
 def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRanges) -> Array:
-    """Return standard deviations (n, 3) [m] of measured coordinates about their prediction, as the product states
-    them."""
+    """Return standard deviations (n, 3) [m] of measured coordinates about the prediction, as the product states."""
     conditions = MeasurementConditions(approach=approach)
     covariance = spread_of(model, q, conditions, ranges).of_model
     if model.posterior is not None and ranges.noise is not None:

@@ -82,8 +82,7 @@ def _registered(arm: Arm, q: Array, p_M: Array) -> Geometry:
 
 
 def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
-    """Stack the displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are the displacements per radian of a
-    joint."""
+    """Stack the displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are displacements per radian of a joint."""
     rows = []
     for column in columns:
         if column.shift_M is not None:
@@ -95,8 +94,7 @@ def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
 
 
 def _left(rows: Array, y: Array) -> Array:
-    """Return the part of ``y`` (k,) orthogonal to ``rows`` (m, k); rows are scaled, so that their units do not
-    matter."""
+    """Return the part of ``y`` (k,) orthogonal to ``rows`` (m, k), whose scale does not matter."""
     lengths = np.linalg.norm(rows, axis=1)
     rows = rows[lengths > 0.0] / lengths[lengths > 0.0, None]
     gram = rows @ rows.T

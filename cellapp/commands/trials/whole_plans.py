@@ -1,5 +1,4 @@
-"""Whole plans over seeds, designed against random: reached stops, travel, correlations, and an independent collision
-check of every motion."""
+"""Whole plans over seeds, designed against random: stops, travel, correlations, an independent collision check."""
 
 from __future__ import annotations
 

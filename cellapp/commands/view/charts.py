@@ -167,8 +167,8 @@ def drawable_mm(errors_mm: ArrayLike) -> Array:
 def error_counts(
     errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
 ) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
-    """Return bin edges (bins + 1,) [mm] from ``low`` to ``high``, evenly on a logarithmic axis, and the errors in each
-    bin."""
+    """Return bin edges (bins + 1,) [mm] from ``low`` to ``high``, even on a logarithmic axis, and the errors in
+    each."""
     edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 

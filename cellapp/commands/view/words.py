@@ -83,8 +83,7 @@ def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
 
 
 def probability_words(probability: float | None) -> str:
-    """Format a probability: ``97 %``; ``> 99 %`` and ``< 1 %`` near the ends, where rounding would claim certainty;
-    empty for None."""
+    """Format a probability: ``97 %``; ``> 99 %`` and ``< 1 %`` where rounding would claim certainty; empty for None."""
     if probability is None:
         return ""
     if probability > _NEARLY_CERTAIN:

@@ -28,8 +28,7 @@ _PRUNED = 1e6
 
 
 def relevant_rows(rows: Array, y: Array) -> NDArray[np.intp]:
-    """Return which rows (m,) keep a finite prior precision; ``rows`` (m, d) of unit length, ``y`` (d,) of unit
-    noise."""
+    """Return which rows (m,) keep a finite prior precision; ``rows`` (m, d) have unit length, ``y`` (d,) unit noise."""
     kept = np.arange(len(rows))
     alpha = np.ones(len(rows))
     gram, moment = rows @ rows.T, rows @ y

@@ -23,8 +23,7 @@ def symbolic_regression(problem: Problem) -> Answer:
 
 
 def _formula(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
-    """Fit a formula; the probability of its variables is the explained share of left-out rows, zero if that is
-    small."""
+    """Fit a formula; its variables' probability is the explained share of left-out rows, zero if that is small."""
     from gplearn.genetic import SymbolicRegressor
 
     scale = float(offset.std()) or 1.0
