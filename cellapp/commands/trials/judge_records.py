@@ -169,7 +169,7 @@ class EndState(Record):
 
 
 class OutcomeCounts(EndState):
-    """Number of each outcome over runs that hide the same."""
+    """Number of each outcome in runs that hide the same."""
 
     n: int
     visible_um: Spread | None
