@@ -116,8 +116,7 @@ class RunStages:
     in_force: StoredStage | None
 
     def stale_model(self) -> str:
-        """Say why the model in force should not be used; empty if it and the newest discovery hold and no tracker
-        moved."""
+        """Say why the model in force should not be used, for its arms or the tracker's station; empty if it may be."""
         return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
 
     def stale_arms(self) -> str:

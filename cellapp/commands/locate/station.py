@@ -45,7 +45,7 @@ def last_location(run: RunFile, stages: RunStages) -> LocateResult | None:
 
 
 def refuse_second_station(run: RunFile) -> None:
-    """Raise ``InputError`` if something was moved since the run's readings: new ones would not fit to them."""
+    """Raise ``InputError`` if something was moved since the run's readings: new ones would not fit them."""
     located = read_stages(run).current.get(LOCATE)
     if located is None or (located.model is not None and not tracker_moved(located)):
         return

@@ -62,7 +62,7 @@ class Share(Record):
 
     @classmethod
     def of(cls, facts: Sequence[bool]) -> Share:
-        """Of how many facts are true."""
+        """Count the true facts."""
         n, k = len(facts), sum(facts)
         low, high = exact_interval(k, n)
         return cls(n=n, count=k, low=low, high=high)

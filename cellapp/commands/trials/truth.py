@@ -66,7 +66,7 @@ class Share(Record):
 
     @classmethod
     def of(cls, hits: Sequence[bool]) -> Share | None:
-        """Of cases that are hits or not; None without any."""
+        """Count the hits among cases; None without any case."""
         if not hits:
             return None
         low, high = exact_interval(sum(hits), len(hits))
