@@ -91,7 +91,7 @@ def _versions() -> dict[str, str]:
 
 
 def _secrets(profile: Profile) -> set[str]:
-    """Collect the secrets that the profile contains or refers to."""
+    """Collect the secrets of the profile and of environment variables with such names."""
     found = set[str]()
     with suppress(SettingError, OSError):
         found.add(profile.tracker.driver.token() or "")

@@ -19,7 +19,7 @@ _LEAST = 4
 
 
 def redacted(text: str, secrets: Collection[str] = ()) -> str:
-    """Remove values of keys such as ``token`` or ``password``, PEM keys, users in addresses, ``secrets`` from a text."""
+    """Remove values of keys such as ``token`` or ``password``, PEM keys, users in addresses, ``secrets`` from texts."""
     for secret in sorted((one for one in secrets if len(one) >= _LEAST), key=len, reverse=True):
         text = text.replace(secret, REDACTED)
     text = _PRIVATE.sub(REDACTED, text)
