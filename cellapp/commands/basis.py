@@ -1,4 +1,4 @@
-"""What a stage of a run rests on: hashes of profile, readings, earlier stages and priors."""
+"""The basis of a stage of a run: hashes of the profile, readings, earlier stages and priors that it rests on."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReadingsBasis(Record):
     again: int = 0
 
     def is_same(self, other: ReadingsBasis) -> bool:
-        """Whether both are of the same readings, as far as both know them."""
+        """Return whether both are of the same readings, as far as both know them."""
         hashes = {self.sha256, other.sha256} - {""}
         return (self.n, self.again) == (other.n, other.again) and len(hashes) < 2
 
@@ -56,7 +56,7 @@ class Basis(Record):
 
 
 def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
-    """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
+    """Return the basis of a stage that is stored now; ``stages`` maps each earlier stage that it uses to its digest."""
     readings, again = {name: run.readings(name) for name in run.arms()}, replaced_counts(run)
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
@@ -72,16 +72,16 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
 
 
 def recordings_basis(run: RunFile) -> dict[str, ReadingsBasis]:
-    """What a stage rests on of the recordings of motion, by arm; empty without one."""
+    """Return the count and hash of each arm's recordings of motion; empty if there are none."""
     found = {name: recordings_digest(run, name) for name in run.profile.arms}
     return {name: ReadingsBasis(n=n, sha256=digest) for name, (n, digest) in found.items() if digest}
 
 
 def counted_basis(run: RunFile) -> Basis:
-    """As ``basis_of``, but readings are only counted, which is quick.
+    """Return the basis as ``basis_of`` does, but only count the readings, which is quick.
 
-    No verb changes readings in place: ``collect`` adds them, stops that are measured again are counted, and splits are
-    drawn for readings that have none yet, before a calibration uses them.
+    No verb changes readings in place, so counts suffice. ``collect`` adds readings, stops measured again are counted,
+    and splits are drawn only for readings without one, before a calibration uses them.
     """
     again = replaced_counts(run)
     on_flange = Counter(one.arm for one in flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT)))
@@ -94,7 +94,7 @@ def counted_basis(run: RunFile) -> Basis:
 
 
 def readings_digest(readings: Readings) -> str:
-    """SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
+    """Hash the names and little-endian values of all measured arrays of one arm, and its splits (SHA-256)."""
     digest = hashlib.sha256()
     for entry in fields(readings):
         values = getattr(readings, entry.name)
@@ -110,5 +110,5 @@ def readings_digest(readings: Readings) -> str:
 
 
 def sha256_of(text: str) -> str:
-    """SHA-256 of a text, in hexadecimal digits."""
+    """Return the SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode("utf-8")).hexdigest()

@@ -1,4 +1,4 @@
-"""What each step of a run concluded, in a word: the one place that tells done from decided, undecided and stopped."""
+"""What each step of a run concluded, in a word. Only this module tells done from decided, undecided and stopped."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ WORST_FIRST: tuple[Kind, ...] = ("out of date", "does not conform", "part", "can
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a step concluded, and that in words that a person reads: "stopped after 3 of 40 targets"."""
+    """What a step concluded, and the same in words for people: "stopped after 3 of 40 targets"."""
 
     kind: Kind
     words: str
 
 
 def worst(found: Iterator[Conclusion] | list[Conclusion]) -> Conclusion | None:
-    """The worst of several; None of none."""
+    """Return the worst conclusion; None if there are none."""
     return min(found, key=lambda one: WORST_FIRST.index(one.kind), default=None)
 
 
 def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
-    """What each stored stage concluded; one that no longer holds concludes nothing else."""
+    """Return the conclusion of each stored stage; for a stage that no longer holds it is always "out of date"."""
     found: dict[StageName, Conclusion] = dict(_concluded(results))
     for name, reason in results.out_of_date.items():
         found[name] = Conclusion("out of date", f"{name} is out of date: {reason}")
@@ -56,7 +56,7 @@ def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
 
 
 def conformity(run: RunFile, results: StageResults) -> Conformity | None:
-    """The verdict on the tolerances of a run's profile; None where nothing is judged."""
+    """Return the verdict on the tolerances of a run's profile; None if the profile has none or nothing is judged."""
     if not run.profile.tolerances.any_given:
         return None
     if CALIBRATE in results.out_of_date:

@@ -1,4 +1,4 @@
-"""Permission of a person before real arms move: after a doctor that is green now, with the first path in words.
+"""A person's permission before real arms move: the doctor must find no fault now, and the first path is shown in words.
 
 A cell whose arms are simulated, or emulated on this computer, never asks.
 """
@@ -18,16 +18,16 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 Ask = Callable[[str], bool]
-"""Shows a person the first motion in words and returns whether it is allowed."""
+"""Shows a person the first motion in words; returns whether the person allows it."""
 
 _STILL_RAD = 1e-4
-"""Smaller steps are no motion that a person could see."""
+"""Smaller steps are shown as no motion: nobody could see them."""
 _MOST_SHOWN = 3
-"""Failed checks that one sentence names; the doctor shows all."""
+"""Most failed checks in one message; the doctor shows all."""
 
 
 class MotionNotConfirmed(InputError):
-    """Real arms would move and nobody allowed it; nothing has moved."""
+    """Error: real arms would move and nobody allowed it. Nothing has moved."""
 
 
 def require_permission(profile: Profile, ask: Ask | None) -> None:
@@ -41,7 +41,7 @@ def require_permission(profile: Profile, ask: Ask | None) -> None:
 
 
 def confirmation(profile: Profile, ask: Ask | None) -> Confirm | None:
-    """Return what the engine asks before its first motion; None for a cell without real arms.
+    """Return the callable with which the engine asks before its first motion; None for a cell without real arms.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def confirmation(profile: Profile, ask: Ask | None) -> Confirm | None:
 
 
 def asked_once(ask: Ask) -> Ask:
-    """Return ``ask`` for a job of several parts: once allowed, later parts are not asked for again."""
+    """Return ``ask`` for a job of several parts: once allowed, it does not ask again for later parts."""
     allowed = False
 
     def asked(words: str) -> bool:
@@ -75,7 +75,7 @@ def asked_once(ask: Ask) -> Ask:
 
 
 def first_path_words(profile: Profile, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> str:
-    """Return in words which arm goes from where to where, a line for each arm; positions (N,) [rad] by name."""
+    """Say which arm goes from where to where, one line for each arm; positions (N,) [rad] by name."""
     lines = ["First motion, all arms at once:"]
     lines += [f"  arm {name}: {_path(profile, name, q, targets.get(name, q))}" for name, q in start.items()]
     slow = profile.collection.slow_start

@@ -1,4 +1,4 @@
-"""The folders of the verbs, in the order of the work; a new verb is a folder and a word here. Loads none of them."""
+"""Folders of the verbs, in the order of the work; a new verb is a folder and a word here. Imports none of them."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FOLDERS = (
 
 
 def name_of(folder: str) -> str:
-    """The verb as it is typed."""
+    """Return the verb's name on the command line."""
     return folder.rstrip("_").replace("_", "-")
 
 
 def help_of(folder: str) -> str:
-    """The help of a verb, the docstring of its request, from the source: its types take too long to load for a list."""
+    """Return the help of a verb, its request's docstring, from the source: importing all requests would be slow."""
     source = (Path(__file__).parent / folder / "request.py").read_text(encoding="utf-8")
     declared = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
     request = next(node for node in declared if any(ast.unparse(base) == "Request" for base in node.bases))

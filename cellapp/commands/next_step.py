@@ -1,4 +1,4 @@
-"""How far a run is: what is measured of each arm, and the verb that comes next."""
+"""Progress of a run: what is measured of each arm, and the verb that comes next."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ArmState(Record):
 
 
 def arm_states(run: RunFile) -> dict[str, ArmState]:
-    """How much of each arm's plan is measured; readings are counted, not read."""
+    """Return how much of each arm's plan is measured; counts the readings without reading them."""
     planned, measured = run.planned_counts(), run.split_counts()
     states = {}
     for name, arm in run.profile.arms.items():
@@ -42,7 +42,7 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
 
 
 def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
-    """The verb that comes next and its command; both empty if nothing is left to do."""
+    """Return the verb that comes next and its command; both empty if nothing is left to do."""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
         return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"
@@ -67,20 +67,20 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
-    """Tests of ISO 9283 that the tolerances of the profile need, of arms that can be driven."""
+    """Return the tests of ISO 9283 that the tolerances need and the run lacks, for arms that can be driven."""
     names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
     stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
     if not run.profile.tolerances.any_given or not names:
         return ()
     try:
         tested = {} if stored is None else Iso9283Result.from_json(stored.text, ISO9283).arms
-    except InputError:  # of a version that wrote it otherwise: the page and the terminal say so
+    except InputError:  # of another version: the page and the terminal say so
         tested = {}
     return unmeasured_tests(run.profile.tolerances, names, tested)
 
 
 def _has_new_stops(run: RunFile) -> bool:
-    """Whether no session has tried some of the planned stops, as they were added later; reserves do not count."""
+    """Return whether stops were added to the plan that no session has tried yet; reserves do not count."""
     total = max(run.planned_counts().values(), default=0)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

@@ -1,7 +1,7 @@
-"""Run a command of the user's when a job stops, waits for somebody, or ends: mail, chat, a lamp.
+"""Run the user's command (mail, chat, a lamp) when a job stops, waits for somebody, or ends.
 
-No shell reads the command, and no job waits for it: it runs in a thread of its own, is killed after its time, and at
-most a few run at once. What goes wrong with it is a notice of the job, never its end.
+The command runs without a shell, in a worker thread: no job waits for it. It is killed after its time limit, and
+few run at once. If it fails, the job gets a notice and goes on.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _EVENT_OF: Mapping[JobState, NotifyEvent] = {
     "suspended": "waiting",
 }
 _MOST = 4
-"""Commands that run at once; a job that stops and resumes again and again starts no more."""
+"""Most commands that run at once, so that a job that stops and resumes again and again starts no more."""
 _STARTS_S = 2.0
-"""For how long the end of a job waits until the command has begun: it goes on by itself."""
+"""How long the end of a job waits for the last command to start; the command then goes on by itself."""
 
 
 def run_notified(
@@ -40,9 +40,9 @@ def run_notified(
     do: Callable[[Listener], Result],
     failed: Callable[[Result], Sequence[str]],
 ) -> Result:
-    """Do the work of a verb, and run the command of its profile's section on its events, where there is one.
+    """Do the work of a verb, and run the command of the profile's section ``notify``, if there is one, on its events.
 
-    ``profile`` and ``folder`` are what the request says of them; what is no path, or cannot be read, has no section.
+    ``profile`` and ``folder`` come from the request; there is no section if they are no paths or cannot be read.
     """
     settings = _settings(profile, folder)
     if settings is None:
@@ -60,28 +60,28 @@ def run_notified(
 
 
 def _settings(profile: object, folder: object) -> Notify | None:
-    """The section of a profile, or of the profile of a run; None where there is none to be read."""
+    """Return the section of a profile, or of the profile of a run; None if there is none or it cannot be read."""
     try:
         if isinstance(profile, Path):
             return load_profile(profile).notify
         if isinstance(folder, Path):
             with RunFile.peek(folder) as run:
                 return run.profile.notify
-    except (CellappError, OSError, ValueError):  # the verb says what is wrong with it
+    except (CellappError, OSError, ValueError):  # the verb itself reports the error
         return None
     return None
 
 
 class Commands:
-    """Runs the command of a section.
+    """Runner of the command of a section ``notify``.
 
     Parameters
     ----------
     settings : Notify
     name, run : str
-        The job, and the folder of its run; empty where it has none.
+        The job, and the folder of its run; empty if it has none.
     listener : callable
-        Hears all events, and what goes wrong with the command.
+        Receives all events, and notices if the command fails.
     """
 
     def __init__(self, settings: Notify, name: str, run: str, listener: Listener) -> None:
@@ -93,7 +93,7 @@ class Commands:
         self._open = True
 
     def listen(self, event: Progress) -> None:
-        """Pass an event on; tell of a state in which somebody is needed."""
+        """Pass an event on; run the command if the job's new state needs somebody."""
         self._last = event
         self._listener(event)
         if isinstance(event.detail, StateChange):
@@ -104,15 +104,15 @@ class Commands:
             self._told = kind
 
     def tell(self, event: NotifyEvent, text: str) -> None:
-        """Run the command for an event, if it is one of those that the section names."""
+        """Run the command for an event, if the section names this event."""
         if event not in self._settings.events or not self._free.acquire(blocking=False):
             return
         self._begun = threading.Event()
-        # no daemon: a program that ends waits for it, at most for its time
+        # no daemon thread: the program waits for it at exit, at most for its time limit
         threading.Thread(target=self._execute, args=(event, text, self._begun), name="notify").start()
 
     def close(self) -> None:
-        """Wait, for a bounded time, until the last command has begun."""
+        """Wait at most ``_STARTS_S`` until the last command has started."""
         if self._begun is not None:
             self._begun.wait(_STARTS_S)
         self._open = False
@@ -133,7 +133,7 @@ class Commands:
             process.kill()
             process.wait()
             self._complain(f"took longer than {self._settings.timeout:g} s and was ended")
-        except (OSError, ValueError) as error:  # no such program, or an argument that no program can get
+        except (OSError, ValueError) as error:  # no such program, or an invalid argument
             self._complain(f"cannot be run ({error})")
         finally:
             begun.set()

@@ -1,4 +1,4 @@
-"""What of a run is out of date, in sentences: stages, the page and the certificate that were written from older data.
+"""Sentences on what is out of date in a run: stages, the page, and the certificate if written from older data.
 
 ``show``, ``report`` and the terminal application print these; with ``--strict`` they are an error.
 """
@@ -17,30 +17,30 @@ from cellapp.commands.stages import RunStages, read_history, read_stages
 from cellapp.ground.results import CERTIFICATE
 
 CERTIFICATE_FILE = "certificate.json"
-"""The certificate in the run's folder; with ``--out`` it is elsewhere."""
+"""Name of the certificate in the run's folder; ``--out`` writes it elsewhere."""
 DATA_MARK = "cellapp-data"
-"""Name of the page's ``meta`` element that holds ``data_mark`` of the run when the page was written."""
+"""Name of the page's ``meta`` element with the ``data_mark`` of the run when the page was written."""
 _MARK = re.compile(rf'<meta name="{DATA_MARK}" content="([0-9a-f]{{64}})">')
 _HEAD = 20_000
-"""Characters of the page in which its marks stand."""
+"""How many characters of the page are read to find its marks."""
 
 
 def data_mark(run: RunFile, stages: RunStages | None = None) -> str:
-    """SHA-256 of all that a page of the run is made of: profile, readings, the newest stage of each name."""
+    """Return the SHA-256 of all that a page of the run is made of: profile, readings, the newest stage of each name."""
     stages = stages or read_stages(run)
     parts = [basis_of(run).model_dump_json(), *(f"{name} {one.digest}" for name, one in stages.current.items())]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def complaints_of(run: RunFile, stages: RunStages | None = None) -> list[str]:
-    """What is out of date, one sentence each: stages, the page, the certificate; empty if nothing is."""
+    """Say what is out of date, one sentence each: stages, the page, the certificate; empty if nothing is."""
     stages = stages or read_stages(run)
     outdated = [f"'{name}' is out of date ({reason})" for name, reason in stages.out_of_date.items()]
     return [*outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
 
 
 def complaints_in(folder: Path) -> list[str]:
-    """``complaints_of`` the run in a folder, as it is now: what ``--strict`` asks for."""
+    """Return ``complaints_of`` the run in a folder as it is now: ``--strict`` fails if there are any."""
     with RunFile.open(folder) as run:
         return complaints_of(run)
 
@@ -57,7 +57,7 @@ def _page_complaints(run: RunFile, stages: RunStages) -> list[str]:
 
 
 def _certificate_complaints(run: RunFile, stages: RunStages) -> list[str]:
-    """A certificate that the run does not store, or an earlier one of other data; ``stages`` tells of the newest."""
+    """Say whether the certificate is not stored in the run, or certifies other data; ``stages`` has the newest one."""
     text, newest = _text(run.folder / CERTIFICATE_FILE), stages.current.get(CERTIFICATE)
     if text is None:
         return []
@@ -77,11 +77,11 @@ def _same_json(one: str, other: str) -> bool:
 
 
 def _text(path: Path, most: int = -1) -> str | None:
-    """The first ``most`` characters of a file, all if negative; None if there is none."""
+    """Read the first ``most`` characters of a file, all if negative; None if there is no file."""
     try:
         with path.open(encoding="utf-8") as file:
             return file.read(most)
     except FileNotFoundError:
         return None
     except (OSError, UnicodeDecodeError):
-        return ""  # it is there and not what was written
+        return ""  # there is a file, but not the one that was written

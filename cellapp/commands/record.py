@@ -1,12 +1,12 @@
-"""What a verb is: the request with words and bounds of every field, and by convention where its run and view stand.
+"""The record of a verb: its request with the words and bounds of every field, and where its run and view stand.
 
 A verb is a folder of ``commands`` with
 
-- ``request.py``: the typed request, and ``VERB``, its record; light, as every start of the program loads it;
-- ``run.py``: ``run(request, work) -> Result``, which does it;
-- ``view.py``: ``view(result, request) -> View``, how the result is shown.
+- ``request.py``: the typed request, and ``VERB``, its record. Every start of the program loads it: keep it light.
+- ``run.py``: ``run(request, work) -> Result``, which does the work.
+- ``view.py``: ``view(result, request) -> View``, which shows the result.
 
-Options of the command line, dialogs of the terminal application and the handbook's list of commands are derived.
+The command's options, the dialog of the terminal application and the handbook's list of commands follow from these.
 """
 
 from __future__ import annotations
@@ -40,36 +40,36 @@ PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 
 @dataclass(frozen=True)
 class Asked:
-    """How a person is asked for a field of a request; stands in the field's annotation.
+    """How to ask a person for a field of a request; part of the field's annotation.
 
     Attributes
     ----------
     help : str
         What the field means, as a sentence.
     metavar : str
-        What stands for its value in the help of the command line, as ``DIR``.
+        Placeholder of the value in the help of the command line, as ``DIR``.
     argument : bool
-        Whether the command line takes it by its place instead of by ``--name``.
+        Whether it is a positional argument of the command line instead of an option ``--name``.
     option : str
-        The option where it is not ``--`` and the field's name.
+        Name of the option; if empty, ``--`` and the field's name.
     label, unit : str
-        What stands before it in a dialog, and its unit; a field without a label is not asked for there.
+        Words before the field in a dialog, and its unit. A dialog does not ask for a field without a label.
     hint : str
-        What an empty field of a dialog shows.
+        What a dialog shows in the empty field.
     simulated : bool
         Whether it is for simulated cells only.
     suffixes : tuple of str
-        Endings of the files that are proposed for a path; empty: any file.
+        Suffixes of the files that a dialog proposes for a path; any file if empty.
     words : mapping
-        Value -> how a dialog calls it, of a field that takes some of several values.
+        Value -> its name in a dialog, for a field with several values.
     writes : Writes or None
-        How the path is written that it names.
+        How the file or folder that the path names is written.
     secret : str
-        "new" or "known" for what is typed unseen, a new one twice; no option takes it: the verb asks ``Work.secret``.
+        Empty, or "new" or "known" for what is typed unseen, a new one twice. It has no option: see ``Work.secret``.
     needed : bool
-        Whether the command line needs it although the request has a default.
+        Whether the command line requires it although the request has a default.
     typed : type or None
-        What the command line takes where that is not the field's type; the field has a validator that reads it.
+        Type on the command line if it is not the field's type; a validator of the field converts it.
     """
 
     help: str
@@ -95,48 +95,48 @@ class Request(BaseModel):
         frozen=True,
         extra="forbid",
         arbitrary_types_allowed=True,
-        defer_build=True,  # most starts of the program make one request or none
+        defer_build=True,  # most starts of the program build at most one request
     )
 
     @classmethod
     def asked(cls) -> Iterator[tuple[str, Asked]]:
-        """Name and words of each field, in the order of their declaration."""
+        """Yield the name and words of each field, in the order of their declaration."""
         for name, declared in cls.model_fields.items():
             yield name, next(one for one in declared.metadata if isinstance(one, Asked))
 
     def moves(self) -> bool:
-        """Whether the arms may move for this request of a verb that moves arms."""
+        """Return whether the arms may move for this request of a verb that moves arms."""
         return True
 
     def job_name(self) -> str:
-        """What its job is called, where that says more than the verb's name; else empty."""
+        """Say what its job is called, where that says more than the verb's name; else empty."""
         return ""
 
     @classmethod
     def option_of(cls, name: str) -> str:
-        """How the command line calls a field: its option, or the metavar of an argument."""
+        """Say how the command line calls a field: its option, or the metavar of an argument."""
         words = dict(cls.asked())[name]
         return words.metavar if words.argument else words.option or f"--{name.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
 class View:
-    """A result for people: sentences, tables and charts in the order in which they are read. Interfaces draw it.
+    """A result for people: sentences, tables and charts in reading order. The interfaces draw it.
 
     Attributes
     ----------
     parts : sequence of Part
-        Plain text leaves the charts out.
+        Contents in reading order; plain text leaves the charts out.
     failed : sequence of str
-        What did not hold.
+        Checks that failed, a sentence each.
     checks : str
-        What is said to have failed, where that is not what the verb checks.
+        Subject of the message that checks failed; if empty, ``checks`` of the verb.
     refused : str
-        Why nothing was done, where only the work showed that; empty where something was.
+        Why nothing was done, if only the work itself could find out; empty if something was done.
     is_json : bool
-        Whether the parts are the result's JSON, which is not shown where it is written to a file.
+        Whether the parts are the result's JSON; they are not shown if that goes to a file.
     held : str
-        What one line says where nothing failed: "the calibration holds"; empty where "done" says it all.
+        One line for a run without failures, as "the calibration holds"; empty if "done" is enough.
     """
 
     parts: Sequence[Part] = ()
@@ -165,35 +165,35 @@ def _no_screens(profile: Path, run: Path | None, folder: Path) -> Sequence[Path]
 
 @dataclass(frozen=True)
 class Work:
-    """What a job has from the interface that started it.
+    """What an interface gives to the job that it starts.
 
     Attributes
     ----------
     listener, control
-        Progress goes to the one, pause and stop come from the other.
+        The listener takes the progress; the control asks for pause and stop.
     result_page : callable
-        Result and a file -> the HTML page of the result, written to that file.
+        (result, file) -> write the HTML page of the result to the file and return its path.
     certificate_page : callable
-        The result of a certificate -> its page as HTML.
+        Result of a certificate -> its page as HTML.
     screens : callable
-        Profile, folder of a run or None, and a folder -> pictures of the terminal application, written there.
+        (profile, folder of a run or None, folder) -> write pictures of the terminal application there; their paths.
     verbs : sequence of Verb
-        All of them, for a verb that speaks of others.
+        All verbs, for a verb that needs the others.
     ask : callable
-        Profile's name -> what asks a person before the first motion of real arms; None where nobody can be asked.
+        Name of the profile -> callable that asks a person before real arms move first; None if nobody can be asked.
     outputs : Outputs
-        What may be replaced.
+        Which existing files may be replaced.
     announce, say : callable
         Show a result, or a sentence, before the verb ends, as the addresses of a server. A result that was announced is
-        not shown again when the verb returns it.
+        not shown again at the end.
     choose : callable
-        Question and possible answers -> the answer of a person; empty where nobody can be asked.
+        (question, possible answers) -> the answer of a person; empty if nobody can be asked.
     write_page : callable
-        Write the page of a run into its folder; its path.
+        Write the page of a run into its folder; return its path.
     line : callable
-        Question -> a line that a person or a program types; None at the end of the input, or where nobody can be asked.
+        Question -> one line of input from a person or a program; None at its end, or if nobody can be asked.
     secret : callable
-        Question, and whether it is asked twice -> what a person typed unseen; None where nobody can be asked.
+        (question, whether to ask twice) -> what a person typed unseen; None if nobody can be asked.
     """
 
     listener: Listener
@@ -214,7 +214,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Variant:
-    """A word after the verb's name: its help, and the fields that it fixes."""
+    """A word after the verb's name: its help, and the fields that it sets."""
 
     help: str
     fixed: Mapping[str, Any]
@@ -222,20 +222,20 @@ class Variant:
 
 @dataclass(frozen=True)
 class Stored:
-    """How what a verb stored in a run is shown.
+    """How to show a result that a verb stored in a run.
 
     Attributes
     ----------
     part : str
-        What it is called there.
+        Its name on the command line of ``show``.
     missing : str
-        Subject and verb where there is none, as "no calibration is".
+        Begin of the message if there is none, as "no calibration is".
     stages : tuple of str
-        Names of the stages in which it is; the first one that is there is shown.
+        Names of the stages that may hold it; the first one present is shown.
     made_by : str
-        What follows ``cellapp`` on the command line to store it; empty: the verb's name.
+        The command that stores it, without ``cellapp``; the verb's name if empty.
     view : str
-        The function of the verb's view that shows it.
+        Name of the function in the verb's ``view.py`` that shows it.
     """
 
     part: str
@@ -252,21 +252,21 @@ class Verb:
     Attributes
     ----------
     name : str
-        As it is typed on the command line.
+        Name on the command line.
     request : type of Request
-        Its docstring is the help of the command.
+        Its fields are the options; its docstring is the help of the command.
     moves_arms : bool
-        Whether arms may move; a person is asked before real ones do.
+        Whether arms may move. A person is asked before real arms do.
     chapter : str
-        Chapter of the handbook that explains it.
+        Chapter of the handbook about it.
     question : str
         Title of its dialog.
     checks : str
-        What is said to have failed where the view names something that does not hold; the name where empty.
+        Subject of the message that something in ``View.failed`` does not hold; the name if empty.
     variants : mapping
-        Word -> what it fixes, of a verb that is followed by one of several words. The first one may be left out.
+        Word -> fields that it sets, for a verb followed by one of several words; the first word may be left out.
     stored : tuple of Stored
-        What it stores in a run, as far as that is shown.
+        Results that it stores in a run and that can be shown.
     """
 
     name: str
@@ -280,42 +280,42 @@ class Verb:
 
     @property
     def summary(self) -> str:
-        """What it does, in one sentence."""
+        """Summary in one sentence."""
         return (self.request.__doc__ or "").strip().split("\n", 1)[0]
 
     @property
     def results(self) -> tuple[type[Result], ...]:
-        """Types of its result, as its run declares them."""
+        """Types of its result, from the annotation of ``run``."""
         declared = get_type_hints(self._part("run").run)["return"]
         return get_args(declared) or (declared,)
 
     @property
     def opens_run(self) -> bool:
-        """Whether it works on a run that is there, which its field ``folder`` names."""
+        """Whether it works on an existing run, which its field ``folder`` names."""
         return any(
             name == "folder" and words.argument and words.metavar == "DIR" for name, words in self.request.asked()
         )
 
     def is_needed(self, field: str) -> bool:
-        """Whether a field of its request must be given."""
+        """Return whether a field of its request must be given."""
         return self.request.model_fields[field].is_required()
 
     def asked(self, values: Mapping[str, Any], named: Callable[[str], str] | None = None) -> Request:
-        """The request with these values of its fields.
+        """Build the request from the values of its fields.
 
         Raises ``InputError`` with the field, as ``named`` calls it (by its option if not given), and the reason.
         """
         try:
             return self.request.model_validate(values)
         except ValidationError as error:
-            from cellapp.cell.profile.messages import value_message  # late: only where something is wrong
+            from cellapp.cell.profile.messages import value_message  # late: needed only for a message
 
             first = error.errors(include_url=False)[0]
             name = (named or self.request.option_of)(str(first["loc"][0])) if first["loc"] else ""
             raise InputError(": ".join(filter(None, (self.name, name, value_message(first))))) from None
 
     def run(self, request: Request, work: Work) -> Result:
-        """Do it."""
+        """Run the verb; notify the user's command of its events if it moves arms or stores results."""
         do: Callable[[Work], Result] = partial(self._part("run").run, request)
         if not (self.moves_arms or self.stored):
             return do(work)
@@ -331,15 +331,15 @@ class Verb:
         )
 
     def view(self, result: Result, request: Request | None = None) -> View:
-        """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""
+        """Show a result; ``request`` is what was asked for, None for a stored result."""
         view: View = self._part("view").view(result, request)
         return view
 
     def stored_view(self, stored: Stored, result: Result) -> View:
-        """How one of its stored results is shown."""
+        """Show one of its stored results."""
         view: View = getattr(self._part("view"), stored.view)(result)
         return view
 
     def _part(self, name: str) -> Any:
-        """A module of the verb's folder, loaded when it is needed: each may take a second."""
+        """Import a module of the verb's folder, only when it is needed: that may take a second."""
         return importlib.import_module(f"{self.request.__module__.rpartition('.')[0]}.{name}")

@@ -45,7 +45,7 @@ RESULTS: Mapping[StageName, type[Result]] = {
     ISO9283: Iso9283Result,
     CHECK: CheckResult,
 }
-"""The type of what each stage of ``StageResults`` stores."""
+"""Name of each stage of ``StageResults`` -> type of its result."""
 
 
 class StageResults(Result):
@@ -82,12 +82,12 @@ R = TypeVar("R", bound=StageResults)
 
 
 def read_stage_results(run: RunFile, stages: RunStages | None = None) -> StageResults:
-    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
+    """Read the current results of a run; ``out_of_date`` lists those that no longer hold."""
     return results_as(StageResults, run, stages or read_stages(run), RESULTS)
 
 
 def results_as(kind: type[R], run: RunFile, stages: RunStages, types: Mapping[StageName, type[Result]]) -> R:
-    """The current results of a run as an object of ``kind``, which has a field for each stage of ``types``."""
+    """Read the current results of a run into an object of ``kind``, which has a field for each stage of ``types``."""
     out_of_date = dict(stages.out_of_date)
     found: dict[str, Result] = {}
     for name, stage in stages.current.items():

@@ -38,32 +38,32 @@ from cellapp.ground.results import (
 from cellapp.robot.model.model import MODEL_SCHEMA
 
 NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "iso9283", "report", ""]
-"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``compensate``
-stands in its place where nothing can be driven, ``plan`` for a new run of a cell that has changed, empty for none."""
+"""The verb that comes next in a run. ``push`` stands for verifying compensated targets, ``compensate`` takes its place
+if nothing can be driven, ``plan`` stands for a new run of a cell that has changed; empty if nothing is left."""
 
 CALIBRATION_FILE = "calibration.json"
-"""The exported model in force, for other programs; cellapp itself reads the stored stages."""
+"""File of the exported model in force, for other programs; cellapp itself reads the stored stages."""
 
 NOT_RECORDED = "an older version stored it and did not record the data it rests on"
 
 
 @dataclass(frozen=True)
 class StoredStage:
-    """What one verb stored.
+    """A result that one verb stored.
 
     Attributes
     ----------
     number : int
-        Of the row; 0 for a result that an older version stored.
+        Number of its row; 0 for a result that an older version stored.
     name : str
     written, program : str
-        When (ISO 8601, UTC) and by which version.
+        Time of writing (ISO 8601, UTC), and version of the program.
     basis : Basis or None
-        What it rests on; None where that was not recorded.
+        What it rests on; None if that was not recorded.
     text : str
         The result as JSON.
     model : str or None
-        The model that it made as JSON.
+        The model that the verb made, as JSON; None if it made none.
     sole : bool
         Whether the run has no other stage of this name.
     """
@@ -78,12 +78,12 @@ class StoredStage:
     sole: bool = False
 
     def has_outcome(self, name: StageName, digest: str) -> bool:
-        """Whether a later stage that used stage ``name`` with ``digest`` used this one, or one of the same outcome."""
+        """Return whether a later stage with basis ``name`` and ``digest`` used this stage or one of its outcome."""
         return (self.sole and self.name == name) or self.digest == digest
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the model without its provenance, or of the result where the stage made no model.
+        """SHA-256 of the model without its provenance; of the result if the stage made no model.
 
         The same outcome at another time has the same digest. Raises ``InputError`` if the model is not JSON.
         """
@@ -98,7 +98,7 @@ class StoredStage:
 
 @dataclass(frozen=True)
 class RunStages:
-    """The newest stage of each name, and those of them that no longer hold.
+    """The newest stage of each name, and the stages that no longer hold.
 
     Attributes
     ----------
@@ -107,8 +107,8 @@ class RunStages:
     out_of_date : mapping
         Name -> reason, a phrase such as "20 readings were added since".
     in_force : StoredStage or None
-        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration; the
-        same in the tracker frame of a later station, if the tracker was located on that model.
+        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration. If
+        the tracker was located on that model later, the location: that model in the tracker frame of the new station.
     """
 
     current: Mapping[StageName, StoredStage]
@@ -116,19 +116,17 @@ class RunStages:
     in_force: StoredStage | None
 
     def stale_model(self) -> str:
-        """Why the model in force should not be used as it is; empty if it holds, so does the newest discovery, and the
-        tracker stands where the model says."""
+        """Say why the model in force should not be used, for its arms or the tracker's station; empty if it may be."""
         return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
 
     def stale_arms(self) -> str:
-        """Why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty if
-        they may."""
+        """Say why the arms of the model in force should not be used, wherever the tracker stands; empty if they may."""
         found = self._found_change()
         changed = change_words(found) if found in CHANGES_OF_ARMS else ""
         return "; ".join(filter(None, (self.outdated_arms(), changed)))
 
     def outdated_arms(self) -> str:
-        """Why the arms of the model in force do not follow from the data of the run; empty if they do."""
+        """Say why the arms of the model in force are out of date with the data of the run; empty if they are not."""
         reasons = [
             f"'{name}' is out of date ({self.out_of_date[name]})"
             for name in (CALIBRATE, DISCOVER)
@@ -137,13 +135,13 @@ class RunStages:
         return "; ".join(reasons)
 
     def stale_station(self) -> str:
-        """Why the tracker does not stand where the model in force says; empty if it does as far as is known."""
+        """Say why the tracker is not where the model in force has it; empty if nothing says so."""
         found = self._found_change()
         moved = change_words(found) if found == TRACKER_MOVED else ""
         return "; ".join(filter(None, (self.outdated_station(), moved)))
 
     def outdated_station(self) -> str:
-        """Why the last location of the tracker does not hold; empty if it does, or none was needed."""
+        """Say why the last location of the tracker does not hold; empty if it holds, or none was needed."""
         located = self.current.get(LOCATE)
         if located is not None and located.model is None:
             return "no motion of the tracker explains the points of the last 'locate'"
@@ -152,12 +150,12 @@ class RunStages:
         return ""
 
     def _found_change(self) -> str:
-        """What the last check found that still holds; empty if nothing."""
+        """Return the verdict of the last check if it found a change and still holds; else empty."""
         checked = self.current.get(CHECK)
         return "" if checked is None or CHECK in self.out_of_date else found_change(checked.text)
 
     def next_verb(self) -> NextVerb:
-        """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
+        """Return the verb of the first step that is missing or out of date; empty if there is none."""
         if CALIBRATE not in self.current or CALIBRATE in self.out_of_date:
             return "calibrate"
         if DISCOVER not in self.current or DISCOVER in self.out_of_date:
@@ -169,12 +167,12 @@ class RunStages:
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
 
     def next_step(self, folder: Path) -> str:
-        """The command of ``next_verb``; empty if there is none."""
+        """Return the command of ``next_verb``; empty if there is none."""
         return next_command(self.next_verb(), folder)
 
 
 def next_command(verb: NextVerb, folder: Path) -> str:
-    """The command of the verb that comes next; empty if there is none."""
+    """Return the command of the verb that comes next; empty if there is none."""
     match verb:
         case "":
             return ""
@@ -189,20 +187,20 @@ def next_command(verb: NextVerb, folder: Path) -> str:
 
 
 def tracker_moved(located: StoredStage | None) -> bool:
-    """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
+    """Return whether ``locate`` found that the tracker was moved since the readings were taken."""
     return located is not None and says_moved(located.text)
 
 
 def append_stage(
     run: RunFile, name: StageName, result: Result, basis: Basis | None, model: str | None = None
 ) -> StoredStage:
-    """Append the result of a verb, with the model (JSON) that it made. Earlier rows stay as they are."""
+    """Append the result of a verb and the model (JSON) that it made; earlier rows stay as they are."""
     run.append_stage(name, None if basis is None else basis.model_dump_json(), result.to_json(), model)
     return read_history(run)[-1]
 
 
 def read_history(run: RunFile) -> list[StoredStage]:
-    """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
+    """Read every stage ever stored, oldest first; results of older versions, without a basis, come first."""
     rows = run.stage_rows()
     stages = [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
     times = Counter(stage.name for stage in stages)
@@ -210,9 +208,9 @@ def read_history(run: RunFile) -> list[StoredStage]:
 
 
 def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = None) -> RunStages:
-    """The newest stage of each name, and whether it still holds.
+    """Read the newest stage of each name, and find out which of them no longer hold.
 
-    ``basis_now`` computes what a stage that is made now would rest on; ``basis_of`` if not given.
+    ``basis_now`` computes the basis of a stage that is stored now; ``basis_of`` if not given.
     """
     newest = _newest(read_history(run))
     current = {name: newest[name] for name in STAGE_NAMES if name in newest}
@@ -228,9 +226,9 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
 
 
 def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
-    """The basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests on.
+    """Return the basis of a stage that uses a model for targets or paths: the readings are those of the model's basis.
 
-    None where it was not recorded what the model rests on.
+    None if the basis of the model was not recorded.
     """
     if model.basis is None:
         return None
@@ -251,17 +249,17 @@ _DONE: Mapping[StageName, str] = {
     DISCOVER: "the run was searched for missing effects",
     LOCATE: "the tracker was located",
 }
-"""What was done by the verbs that make a model."""
+"""Phrases for what a verb that makes a model did since."""
 _MEASURED: Mapping[StageName, str] = {
     VERIFY: "targets were verified",
     ISO9283: "the cell was tested by ISO 9283",
 }
-"""What was done by the verbs that measure the cell with a model, and that a certificate rests on."""
+"""Phrases for what a verb that measures with a model did since; a certificate rests on these."""
 STORED_OTHERWISE: Mapping[StageName, str] = {
     VERIFY: "the stored verification was changed",
     ISO9283: "the stored test by ISO 9283 was changed",
 }
-"""What is said where a stage that stood before its certificate is not the one that was certified."""
+"""Reason why a certificate is out of date if this stage is not the one that was certified."""
 
 
 def _stage(run: RunFile, row: StageRow) -> StoredStage:
@@ -273,7 +271,7 @@ def _stage(run: RunFile, row: StageRow) -> StoredStage:
 
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
-    """Results of versions before the table ``stage``; their one model is ``calibration.json``, until it is replaced."""
+    """Yield results of versions before the table ``stage``; ``calibration.json`` holds their one model, if any."""
     model = _readable_model(run.folder / CALIBRATION_FILE) if with_model else None
     for name in STAGE_NAMES:
         document = run.read_document(name)
@@ -292,7 +290,7 @@ def _readable_model(path: Path) -> str | None:
 
 
 def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
-    """The newest stage of each name; a check that could not say anything does not refute what an earlier one found."""
+    """Return the newest stage of each name; a check without a verdict does not replace one that found a change."""
     newest: dict[StageName, StoredStage] = {}
     for stage in history:
         before = newest.get(CHECK)
@@ -303,7 +301,7 @@ def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
 
 
 def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
-    """The model in force: that of ``locate`` while it rests on the model in force before the tracker was moved."""
+    """Return the stage in force: ``locate`` if it rests on ``unmoved``, the model in force before the tracker moved."""
     located = current.get(LOCATE)
     if unmoved is None or located is None or located.model is None or located.basis is None:
         return unmoved
@@ -324,9 +322,9 @@ def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredS
 def _why_outdated(
     stage: StoredStage, now: Basis | None, used: StoredStage | None, current: Mapping[StageName, StoredStage]
 ) -> str:
-    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
+    """Say why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
 
-    Of stages that make no model it would use the newest of their name; a digest is empty where there was none.
+    Of stages without a model it would use the newest of their name. A digest is empty if there was no such stage.
     """
     if stage.basis is None or now is None:
         return NOT_RECORDED
@@ -351,7 +349,7 @@ def _why_outdated(
 
 
 def earlier_digest(run: RunFile, arm: str) -> str:
-    """SHA-256 of the model in force of a run and of the readings of one arm, as a later run's prior rests on them.
+    """Return the SHA-256 of a run's model in force and of one arm's readings: the basis of a later run's prior.
 
     Raises ``InputError`` if the run is not calibrated.
     """
@@ -362,7 +360,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
 
 
 def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
-    """Which priors have changed since; those whose run is not there any more have not."""
+    """Say which priors have changed since; a prior whose run no longer exists counts as unchanged."""
     reasons = []
     for arm, prior in priors.items():
         try:
@@ -393,7 +391,7 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
 
 
 def json_object(text: str) -> dict[str, object] | None:
-    """The JSON object that a text holds; None if it is none."""
+    """Parse a text as a JSON object; None if it is none."""
     try:
         content = json.loads(text)
     except ValueError:
@@ -402,24 +400,24 @@ def json_object(text: str) -> dict[str, object] | None:
 
 
 def says_moved(text: str) -> bool:
-    """Whether ``locate`` found the tracker elsewhere than where the readings were taken."""
+    """Return whether this result of ``locate`` says that the tracker was moved since the readings were taken."""
     content = json_object(text)
     return content is not None and content.get("moved") is True
 
 
 def found_change(text: str) -> str:
-    """The verdict of a check that found a change; empty if it found none or could not say."""
+    """Return the verdict of this result of ``check`` if it found a change; empty if not, or if it could not say."""
     verdict = _verdict(text)
     return verdict if verdict in (TRACKER_MOVED, *CHANGES_OF_ARMS) else ""
 
 
 def cannot_say(text: str) -> bool:
-    """Whether a check came to no verdict."""
+    """Return whether this result of ``check`` has no verdict."""
     return _verdict(text) == "cannot say"
 
 
 def change_words(verdict: str) -> str:
-    """That a check found a change, as the reason why a model should not be used."""
+    """Say that a check found a change, as a reason not to use the model."""
     return f"the last '{CHECK}' found: {verdict}"
 
 

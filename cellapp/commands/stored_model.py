@@ -1,4 +1,4 @@
-"""The models that a run stores with its stages, and the calibration that they are of."""
+"""Models that a run stores with its stages, and the calibration that they come from."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def model_of(run: RunFile, stage: StoredStage) -> CellModel:
 
 
 def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
-    """Return the stage whose model is in the tracker frame of the readings, also where the tracker was located since.
+    """Return the stage whose model is in the tracker frame of the readings, even if the tracker was located later.
 
-    Raises ``InputError`` if the run is not calibrated yet, or it is not known what the model rests on; ``verb`` is what
-    was to be done with it.
+    Raises ``InputError`` if the run is not calibrated yet, or if the basis of the model was not recorded. ``verb`` is
+    the intended use.
     """
     used = stage_in_force(run, stages)
     if used.name == LOCATE:
@@ -47,7 +47,7 @@ def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
 
 
 def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
-    """Raise ``InputError`` if the model in force does not hold any more; ``verb`` is what was to be done with it."""
+    """Raise ``InputError`` if the model in force no longer holds; ``verb`` is the intended use."""
     if stale := stages.stale_model():
         raise InputError(
             f"{verb}: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
@@ -56,7 +56,7 @@ def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
 
 
 def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
-    """A note where the model of stage ``used`` is used although it does not hold any more."""
+    """Return a note if the model of stage ``used`` is used although it no longer holds."""
     stale = stages.stale_model()
     return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
 
@@ -64,23 +64,23 @@ def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
 def append_with_model(
     run: RunFile, name: StageName, result: CalibrateResult | DiscoverResult, model: CellModel, basis: Basis
 ) -> StoredStage:
-    """Append a stage; the model's provenance says which stage it belongs to and what that rests on."""
+    """Append a stage; the model's provenance records the stage's name and basis."""
     provenance = {**model.provenance, "stage": name, "basis": basis.model_dump()}
     return append_stage(run, name, result, basis, replace(model, provenance=provenance).to_json())
 
 
 def export_model(run: RunFile, stages: RunStages) -> None:
-    """Write the model in force for other programs."""
+    """Write the model in force to a file for other programs."""
     model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)
 
 
 def joined_calibration(calibrate: CalibrateResult, discover: DiscoverResult | None) -> CalibrateResult:
-    """A stored calibration with the stage ``effects`` of the discovery that holds; without that stage if none does."""
+    """Return a stored calibration, with the stage ``effects`` of the discovery if there is one that holds."""
     return calibrate.without_effects() if discover is None else with_effects(calibrate, discover)
 
 
 def read_calibration(run: RunFile, stages: RunStages) -> CalibrateResult | None:
-    """The stored calibration as ``joined_calibration``; None if there is none that this version can read."""
+    """Return the stored calibration as ``joined_calibration``; None if this version finds none that it can read."""
     calibrated, discovered = stages.current.get(CALIBRATE), stages.current.get(DISCOVER)
     discover = None
     if discovered is not None and DISCOVER not in stages.out_of_date:

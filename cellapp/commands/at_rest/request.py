@@ -1,4 +1,4 @@
-"""What ``at-rest`` is asked for."""
+"""Request of the verb ``at-rest``."""
 
 from __future__ import annotations
 

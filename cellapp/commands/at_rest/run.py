@@ -1,4 +1,4 @@
-"""The verb ``at-rest``: a person has seen an arm at rest that counted as moving."""
+"""The verb ``at-rest``: record that a person saw an arm at rest which counted as moving."""
 
 from __future__ import annotations
 

@@ -7,6 +7,6 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: AtRestResult, request: Request | None = None) -> View:
-    """Whether the arm counted as moving."""
+    """Say whether the arm counted as moving before."""
     words = "recorded as seen at rest" if result.counted_as_moving else "it did not count as moving"
     return View((f"arm {result.arm}: {words}",))

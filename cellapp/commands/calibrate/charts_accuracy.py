@@ -1,6 +1,6 @@
 """Charts of accuracy: held-out errors by stage, over the joints and in space, and of the pair.
 
-Errors of an arm are those of ``HeldOutArm.errors_mm``, which predicts with every model when it is first asked.
+The errors of an arm are ``HeldOutArm.errors_mm``; its first use runs the prediction of every model.
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from cellapp.ground.results import STAGES, Method
 from cellapp.robot.kinematics.transforms import Array
 
 _BINS_A_ROOT = 2.0
-"""Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
+"""Bins of a histogram per square root of the number of errors: 100 errors of four stages fill 20 bins."""
 _PARTS = 8
-"""Parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
+"""Most parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
 _FEW = 5
-"""A part of fewer configurations has no mean worth a sentence."""
+"""Fewest configurations of a part: the mean of fewer says nothing."""
 _UNEVEN = 1.3
-"""A part of a joint's range is named where its mean error is that much above the mean of all: a dozen errors of one
-spread differ by less."""
+"""Ratio of a part's mean error to the mean of all from which the part is named: means of a dozen errors from one
+distribution differ by less."""
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
-"""Styles of the methods of the pair: those of the stages that they build on."""
+"""Styles of the methods of the pair: each has the style of the stage that it builds on."""
 _CURVE = 30
-"""Points of a curve on a logarithmic axis."""
+"""Points of a curve over a logarithmic axis."""
 _NO_HELD_OUT = "No held-out readings: calibrate first."
 
 
 def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
-    """Held-out rms position error of each stage as bars."""
+    """Show the held-out rms position error of each stage as bars."""
     rms = {stage: arm.validate_[stage].position_mm.rms for stage in STAGES if stage in arm.validate_}
     message = _NO_HELD_OUT
     if rms:
@@ -67,20 +67,20 @@ def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
 
 
 def error_histogram_chart(name: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> Chart:
-    """Histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
+    """Show a histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
     errors: dict[str, Array] = {stage: errors_mm[stage] for stage in STAGES if stage in errors_mm}
     x = Axis("position error", "mm", logarithmic=True)
     return _histogram(f"Arm {name}: held-out errors", x, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
 
 
 def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
-    """Errors of the held-out stops by method of the pair, for methods whose errors were stored by stop."""
+    """Return the errors of the held-out stops by method of the pair, for methods that stored them by stop."""
     found = {method: calibrate.pair[method].held_out for method in _METHOD_STYLES if method in calibrate.pair}
     return {method: stops for method, stops in found.items() if stops is not None}
 
 
 def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
-    """Histogram of the cooperative errors by method, with the noise that the tracker alone would cause."""
+    """Show a histogram of the cooperative errors by method, with the error by the tracker's noise alone."""
     errors = {method: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()}
     x = Axis("cooperative error", "mm", logarithmic=True)
     floor_mm = cooperative_noise_mm(calibrate)
@@ -95,7 +95,7 @@ def _histogram(
     words: Mapping[Key, str],
     floor_mm: float | None,
 ) -> Chart:
-    """Outlines of the histograms of some errors, each with its style, and its words in the message."""
+    """Show the outlines of several histograms; ``style`` and ``words`` give their styles and names in the message."""
     y = Axis("configurations")
     errors = {key: finite for key, values in errors_mm.items() if len(finite := values[np.isfinite(values)])}
     if not errors:
@@ -111,7 +111,7 @@ def _histogram(
 
 
 def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
-    """The outline of a histogram from its first to its last error."""
+    """Return the outline of a histogram from its first to its last used bin."""
     used = np.flatnonzero(counts)
     first, last = int(used[0]), int(used[-1]) + 1
     x = [edges[first], *edges[first : last + 1]]
@@ -122,7 +122,7 @@ def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> S
 
 
 def stop_error_chart(name: str, held_out: HeldOutArm, floor_mm: float | None) -> Chart:
-    """Position error of each held-out configuration by stage, with the noise floor."""
+    """Show the position error of each held-out configuration by stage, with the noise floor."""
     title = f"Arm {name}: position error of each held-out configuration"
     stops = held_out.readings.configuration
     errors: dict[str, tuple[NDArray[np.int64], Array]] = {
@@ -132,7 +132,7 @@ def stop_error_chart(name: str, held_out: HeldOutArm, floor_mm: float | None) ->
 
 
 def pair_stop_chart(calibrate: CalibrateResult) -> Chart:
-    """Cooperative error of each held-out stop by method of the pair, with the tracker's noise."""
+    """Show the cooperative error of each held-out stop by method of the pair, with the tracker's noise."""
     errors = {
         method: (np.array(stops.configuration), np.array(stops.cooperative_mm))
         for method, stops in pair_held_out(calibrate).items()
@@ -149,7 +149,7 @@ def _stop_errors(
     words: Mapping[Key, str],
     floor_mm: float | None,
 ) -> Chart:
-    """Errors over the stops that each model was judged at: one may leave out a gross error that another took."""
+    """Show errors over the stops at which each model was judged: models may leave out different gross errors."""
     x, y = Axis("configuration"), Axis(label, "mm", logarithmic=True)
     if not errors_mm or not all(len(stops) for stops, _ in errors_mm.values()):
         return Chart(title, x, y, (), _NO_HELD_OUT)
@@ -169,9 +169,10 @@ def _stop_errors(
 
 
 def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: float) -> Chart:
-    """Position error (n,) [mm] over the standard deviation of a coordinate (n,) that the model predicts for it.
+    """Show the position error (n,) [mm] over the predicted standard deviation (n,) [mm] of a coordinate.
 
-    The line is the root mean square error that predictions stand for, with ``noise_mm`` of a measured coordinate.
+    The line is the root mean square error that a prediction implies, with the noise ``noise_mm`` of a measured
+    coordinate.
     """
     x = Axis("predicted standard deviation", "mm", logarithmic=True)
     predicted, errors = drawable_mm(predicted_mm), drawable_mm(errors_mm)
@@ -194,7 +195,7 @@ def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: 
 
 
 def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Sequence[str] = STAGES) -> Chart:
-    """Held-out position error of some stages over the angle of one joint (from 1)."""
+    """Show the held-out position errors of some stages over the angle of one joint (from 1)."""
     angle = np.degrees(held_out.readings.q[:, joint - 1])
     errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
     drawn = tuple(
@@ -210,9 +211,9 @@ def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Se
 
 
 def along_joint(angle: Array, errors_mm: Array) -> str:
-    """Where along the angles (n,) [deg] of a joint the mean of the errors (n,) [mm] is largest, in a sentence's end.
+    """Say where along the angles (n,) [deg] of a joint the mean error (n,) [mm] is largest, as the end of a sentence.
 
-    Parts of the range are compared that have the same number of configurations.
+    The parts compared have the same number of configurations.
     """
     parts = np.array_split(np.argsort(angle), max(min(_PARTS, len(angle) // _FEW), 1))
     mean = float(np.mean(errors_mm))
@@ -227,7 +228,7 @@ def along_joint(angle: Array, errors_mm: Array) -> str:
 def residual_space_chart(
     name: str, held_out: HeldOutArm, stage: str, view: Literal["above", "side"] = "above"
 ) -> Chart:
-    """Held-out position errors of one stage where the SMR was, in the tracker frame with its z axis up.
+    """Show held-out position errors of one stage at the SMR's position, in the tracker frame with its z axis up.
 
     Three classes of size are drawn: the smaller half, up to the 90th percentile, and the largest tenth.
     """

@@ -1,4 +1,4 @@
-"""Charts of what the model's effects turn each joint by over its angle, with bands from the model's posterior."""
+"""Charts of the rotation that the model's effects add to each joint, over its angle, with bands of the posterior."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _POINTS = 121
-"""Angles at which a curve is computed: three degrees apart over a whole turn."""
+"""Number of angles of a curve: three degrees apart over a whole turn."""
 _BEYOND = 0.15
-"""How far a curve goes on beyond the measured angles, as a share of their range: there its band widens."""
+"""How far a curve extends beyond the measured angles, as a share of their range: there its band widens."""
 _LEAST_BEYOND = np.radians(5.0)
-"""The same where a joint hardly moved [rad]."""
+"""The same for a joint that hardly moved [rad]."""
 _LEAST_URAD = 0.05
-"""Smaller contributions are left out: a tenth of an encoder's step."""
+"""Contributions below this are left out: a tenth of an encoder's step."""
 _SUM_STYLE, _DOWN_STYLE = 0, 1
-"""Styles of all effects together, after upward and after downward motion; single effects have others."""
+"""Styles of the sum of all effects, after upward and after downward motion; single effects have others."""
 _URAD = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class _Sweep:
-    """What one joint is turned by (n,) [rad] while its angle alone changes: by each term, and S draws of the same."""
+    """Rotations (n,) [rad] of one joint over its angle alone: by each term, and in S draws of each term."""
 
     terms: tuple[EffectTerm, ...]
     offsets: Array
@@ -41,7 +41,7 @@ class _Sweep:
         return [k for k, offset in enumerate(self.offsets) if np.abs(offset).max() * _URAD > _LEAST_URAD]
 
     def band(self, rows: list[int]) -> Array | None:
-        """Half width (n,) [urad] of the 95 % band of the sum of some terms; None without a posterior."""
+        """Return the half width (n,) [urad] of the 95 % band of the sum of some terms; None without a posterior."""
         if self.draws is None:
             return None
         return np.asarray(TWO_SIDED * _URAD * np.sqrt(np.mean(self.draws[rows].sum(axis=0) ** 2, axis=0)))
@@ -50,7 +50,7 @@ class _Sweep:
 def joint_curve_charts(
     name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions, stop: int
 ) -> Iterator[Chart]:
-    """One chart for each joint that effects turn; the other joints and all conditions are those of row ``stop``."""
+    """Yield a chart for each joint that effects turn; other joints and all conditions are those of row ``stop``."""
     rows = np.full(_POINTS, stop)
     for joint in range(readings.q.shape[1]):
         measured = np.array([readings.q[:, joint].min(), readings.q[:, joint].max()])
@@ -68,7 +68,7 @@ def joint_curve_charts(
 def _context(
     model: ArmModel, q: Array, conditions: MeasurementConditions, joint: int, angles: Array, sign: float
 ) -> EffectContext:
-    """The stop with the angle of one joint replaced, reached by a motion of that joint in one direction."""
+    """Return the context of a stop with one joint angle replaced, reached by a motion of that joint with ``sign``."""
     swept = np.tile(q, (len(angles), 1))
     swept[:, joint] = angles
     approach = np.zeros(swept.shape) if conditions.approach is None else np.array(conditions.approach, dtype=np.float64)
@@ -85,7 +85,7 @@ def _sweep(model: ArmModel, context: EffectContext, joint: int) -> _Sweep:
 
 
 def _chart(name: str, joint: int, degrees: Array, measured: Array, sweeps: tuple[_Sweep, _Sweep], stop: int) -> Chart:
-    """The sum of the effects with its band, after motions in either direction where that matters; then each effect."""
+    """Show the sum of the effects with its band, for both directions of motion if they differ; then each effect."""
     up, down = sweeps
     both = bool(np.abs(up.offsets - down.offsets).max(initial=0.0) * _URAD > _LEAST_URAD)
     drawn = [_curve(up, degrees, up.shown, " after upward motion" if both else "", _SUM_STYLE)]
@@ -100,14 +100,14 @@ def _chart(name: str, joint: int, degrees: Array, measured: Array, sweeps: tuple
 
 
 def _curve(sweep: _Sweep, degrees: Array, rows: list[int], after: str, style: int) -> Series:
-    """The sum of some terms."""
+    """Return the curve of the sum of some terms, with its band."""
     words = enumerated(sweep.terms[row].slug.replace("_", " ") for row in rows)
     offset = sweep.offsets[rows].sum(axis=0) * _URAD
     return series(f"{words}{after}", degrees, offset, band=sweep.band(rows), style=style)
 
 
 def _message(joint: int, degrees: Array, measured: Array, drawn: Sequence[Series]) -> str:
-    """How far the joint is turned within the measured angles, and how well that is known."""
+    """Say by how much the joint is turned within the measured angles, and how well that is known."""
     inside = (degrees >= measured[0]) & (degrees <= measured[1])
     parts = []
     for one in drawn:

@@ -1,4 +1,4 @@
-"""Charts of residuals as arrows, enlarged, from above and from the side."""
+"""Charts of residuals as enlarged arrows, from above and from the side."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, invert
 
 _MOST_ARROWS = 150
-"""Residuals drawn as arrows of each arm: more overlap."""
+"""Most arrows of each arm: more overlap."""
 _ARROW = 0.18
 """Length of the scale arrow as a share of the drawn range: shorter ones hide differences, longer ones overlap."""
 _HEAD = 0.03
 """Longest head of an arrow, as a share of the drawn range."""
 _OTHER_STYLE = 5
-"""Style of what is no residual."""
+"""Style of series that are no residuals."""
 
 
 def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
-    """Residuals of the identified geometry of one arm: from above in the tracker frame, two views in its base frame."""
+    """Yield residuals of one arm's identified geometry: from above in the tracker frame, two views in its base
+    frame."""
     readings, geometry = held_out.readings, held_out.calibrated.geometry
     shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))
     residual_M = shown.p_M - smr_positions(geometry, shown.q)
@@ -38,7 +39,7 @@ def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
 
 
 def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up: int) -> Chart:
-    """Vectors (n, 3) [m] at points (n, 3) [m], with x to the right and axis ``up`` (1 or 2) upwards, enlarged."""
+    """Show vectors (n, 3) [m] at points (n, 3) [m], with x to the right and axis ``up`` (1 or 2) upwards, enlarged."""
     length_mm = scale_length_mm(vectors)
     reach = float(np.max(np.ptp(points, axis=0))) or 1.0
     enlarged = _ARROW * reach / (length_mm * 1e-3)
@@ -59,7 +60,7 @@ def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up
 
 
 def _message(points: Array, vectors: Array) -> str:
-    """Size of the vectors, and whether they have a direction in common."""
+    """State the size of the vectors, and whether they share a direction."""
     lengths = np.linalg.norm(vectors, axis=1) * 1e3
     common = float(np.linalg.norm(vectors.mean(axis=0))) * 1e3
     worst = int(np.argmax(lengths))
@@ -73,7 +74,7 @@ def _message(points: Array, vectors: Array) -> str:
 
 
 def _arrows(starts: Array, steps: Array, head: float) -> Array:
-    """Arrows (n, 2) as lines (6 n, 2) with gaps; heads have at most the length ``head``."""
+    """Return arrows (n, 2) as lines (6 n, 2) with gaps; heads have at most the length ``head``."""
     length = np.linalg.norm(steps, axis=1, keepdims=True)
     along = steps / np.maximum(length, 1e-12) * np.minimum(head, 0.5 * length)
     across = np.column_stack([-along[:, 1], along[:, 0]]) * 0.5
@@ -83,7 +84,7 @@ def _arrows(starts: Array, steps: Array, head: float) -> Array:
 
 
 def scale_length_mm(vectors: Array) -> float:
-    """A round length [mm] near that of the larger ones of ``vectors`` (n, 3) [m]."""
+    """Return a round length [mm] near the 90th percentile of the lengths of ``vectors`` (n, 3) [m]."""
     large = max(float(np.quantile(np.linalg.norm(vectors, axis=1), 0.9)) * 1e3, SMALLEST_MM)
     decade = 10.0 ** np.floor(np.log10(large))
     return float(f"{decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= large * (1.0 + 1e-9)):.3g}")

@@ -1,4 +1,4 @@
-"""Tables that only the page shows."""
+"""Tables of a calibration that only the page shows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cellapp.robot.model import CellModel
 
 
 def pair_tables(calibrate: CalibrateResult) -> list[Table]:
-    """The inter-base transform that each method identified, beside its value from the common tracker frame."""
+    """Show the inter-base transform that each method identified, beside its value from the common tracker frame."""
     columns = (
         Column("parameter"),
         number_column("by distances", ".5f"),
@@ -40,7 +40,7 @@ def pair_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) -> list[Table]:
-    """Identified parameters beside their nominal values and the difference, one table for each arm."""
+    """Show identified parameters beside their nominal values and the difference, one table for each arm."""
     columns = (
         Column("parameter"),
         number_column("nominal", ".5f"),
@@ -77,7 +77,7 @@ def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
 
 
 def merged_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Parameters that the data cannot separate from others, and those that take their place."""
+    """Show the parameters that the data cannot separate from others, and those that stand for them."""
     columns = (Column("parameter"), Column("merged into"))
     return [
         Table(
@@ -91,7 +91,7 @@ def merged_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def calibration_facts(calibrate: CalibrateResult) -> Table:
-    """Figures of the identification and of the network training, one column for each arm."""
+    """Show figures of the identification and of the network's training, one column for each arm."""
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
     every = dict.fromkeys(what for arm in facts for what in arm)
     rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
@@ -136,7 +136,7 @@ def _network_words(network: NetworkResult | None) -> str:
 
 
 def network_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Network shapes that were compared inside the training split."""
+    """Show the network shapes that were compared within the training split."""
     columns = (Column("number"), Column("inputs, hidden layers"), number_column("left-out rms", MM, "mm"))
     tables = []
     for name, arm in calibrate.arms.items():
@@ -158,7 +158,7 @@ def _network_shape(network: NetworkResult | NetworkTrial) -> str:
 
 
 def base_table(model: CellModel) -> Table:
-    """Positions of the bases in the tracker frame."""
+    """Show positions of the bases in the tracker frame."""
     columns = (
         Column("arm"),
         *(number_column(axis, ".5f") for axis in "xyz"),

@@ -1,4 +1,4 @@
-"""Held-out readings of one arm, and what the models of each stage predict of them."""
+"""Held-out readings of one arm, and the predictions of each stage's model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cellapp.robot.model import ArmModel
 
 @dataclass(frozen=True)
 class HeldOutArm:
-    """Held-out readings of one arm and the models that predict them."""
+    """Held-out readings of one arm, and the models that predict them."""
 
     readings: Readings
     conditions: MeasurementConditions
@@ -37,7 +37,7 @@ class HeldOutArm:
         calibrated: ArmModel,
         discovered: ArmModel | None,
     ) -> HeldOutArm:
-        """Those of all readings of an arm, and of their conditions, that are held out and have no gross error."""
+        """Select the held-out readings of an arm without gross errors, and their conditions."""
         rows = readings.in_split("validate")
         rows = rows[~np.isin(readings.configuration[rows], result.left_out_configurations)]
         return cls(readings.take(rows), conditions.take(rows), calibrated, discovered)
@@ -46,8 +46,8 @@ class HeldOutArm:
     def computed_M(self) -> Mapping[str, Array]:
         """Computed SMR positions (n, 3) [m] by stage.
 
-        A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
-        model: there is no stage ``geometry`` then.
+        A calibration with a prior, or from an older version, has its effects in its only model: it has no stage
+        ``geometry``.
         """
         model, q = self.calibrated, self.readings.q
         computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
@@ -70,9 +70,9 @@ class HeldOutArm:
 
     @cached_property
     def prediction(self) -> tuple[Array, Array, float] | None:
-        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model, and noise.
+        """Standard deviation of a coordinate by the newest model and position error, (n,) [mm] each, and the noise.
 
-        The noise is that of a measured coordinate [mm]. None if that model predicts no uncertainty.
+        The noise is the standard deviation of a measured coordinate [mm]. None if that model predicts no uncertainty.
         """
         model = self.discovered or self.calibrated
         predicted = model.uncertainty(self.readings.q) * 1e3

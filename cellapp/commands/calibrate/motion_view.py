@@ -1,4 +1,4 @@
-"""What recordings of motion told, for people: clocks, what the points are worth, lost motion, what is not known."""
+"""Results of recordings of motion for people: clocks, weight of the points, lost motion, what is not determined."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _PLAY = (
     number_column("standard error [urad]", ".1f"),
 )
 _SURE = 2.0
-"""Standard errors from which lost motion is shown as found."""
+"""Lost motion is shown as found from this many standard errors on."""
 
 
 def motion_tables(result: CalibrateResult) -> list[Table]:
-    """Clocks, recordings and lost motion of all arms that were recorded; none without recordings."""
+    """Show clocks, recordings and lost motion of all recorded arms; none without recordings."""
     moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
     if not moved:
         return []
@@ -57,7 +57,7 @@ def motion_tables(result: CalibrateResult) -> list[Table]:
 
 
 def motion_sentences(result: CalibrateResult) -> list[str]:
-    """Steps of clocks, and what the data cannot determine."""
+    """State steps of the clocks, and what the data cannot determine."""
     said = []
     for name, arm in result.arms.items():
         for recording, clock in (arm.clocks or {}).items():
@@ -88,7 +88,7 @@ def _trigger(found: TriggerResult) -> str:
 
 
 def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Errors of held-out blocks, of arms whose held-out errors are those of stops."""
+    """Show errors of held-out blocks of motion, for arms whose held-out errors are those of stops."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in moved.items():
         if arm.motion is not None and arm.validate_ != arm.motion.validate_:
@@ -105,7 +105,7 @@ def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
 
 
 def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Joints whose lost motion is larger than what chance makes of none."""
+    """Show the joints whose lost motion is larger than chance would give."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in moved.items():
         for joint, found in arm.motion.half_play.items() if arm.motion else ():

@@ -1,4 +1,4 @@
-"""Several SMRs on a flange: where calibration finds them, and what they tell of the orientation."""
+"""Several SMRs on a flange: their identified positions, and what they tell of the orientation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cellapp.robot.model import CellModel
 
 
 def with_nests(result: CalibrateResult, run: RunFile, model: CellModel) -> CalibrateResult:
-    """The result with the nests of every arm that has readings of several."""
+    """Return the result with the nests of every arm that has readings of several nests."""
     arms = dict(result.arms)
     for name, arm in result.arms.items():
         found = _nests(run, name, model)

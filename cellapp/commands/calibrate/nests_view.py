@@ -8,7 +8,7 @@ from cellapp.ground.counting import counted
 
 
 def nest_tables(result: CalibrateResult) -> list[Table]:
-    """Where each nest is on the flange, one table for each arm with several."""
+    """Show the position of each nest on the flange, one table for each arm with several nests."""
     columns = (
         Column("nest"),
         *(number_column(f"{axis} [mm]", ".3f") for axis in "xyz"),
@@ -30,7 +30,7 @@ def nest_tables(result: CalibrateResult) -> list[Table]:
 
 
 def nest_sentences(result: CalibrateResult) -> list[str]:
-    """How well the nests told the orientation, and at which stops they did not."""
+    """Say how well the nests determined the orientation, and at which stops they did not."""
     return [_sentence(name, arm.nests) for name, arm in result.arms.items() if arm.nests is not None]
 
 

@@ -1,4 +1,4 @@
-"""How a network from all readings compared with the committee, for people."""
+"""Comparison of a network from all readings with the committee, in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from cellapp.ground.counting import counted
 
 
 def network_sentences(result: CalibrateResult) -> list[str]:
-    """One sentence for each arm for which a network from all readings was asked for."""
+    """Return one sentence for each arm for which a network from all readings was requested."""
     said = []
     for name, arm in result.arms.items():
         if arm.network is not None and arm.network.batches is not None:
@@ -16,7 +16,7 @@ def network_sentences(result: CalibrateResult) -> list[str]:
 
 
 def batches_words(found: BatchesResult) -> str:
-    """How it compared with the committee, and whether it is used."""
+    """Say how the network compared with the committee, and whether it is used."""
     compared = (
         f"{found.left_out_rms_mm:.4f} mm rms on {found.blocks} left-out blocks of time, the committee"
         f" {found.committee_rms_mm:.4f} mm ({found.sigmas:.1f} standard errors)"

@@ -1,4 +1,4 @@
-"""The earlier run whose calibration is taken as prior: read, checked, and turned into beliefs about its arms."""
+"""The earlier run whose calibration serves as prior: reading it, checking it, and turning it into beliefs."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from cellapp.ground.times import day_of
 from cellapp.robot.model.nominal import nominal_arm
 
 _MOST_EARLIER = 20
-"""Earlier runs in a row that are followed; more would be a circle."""
+"""Most earlier runs in a row that are followed; more would be a cycle."""
 
 
 def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
-    """The earlier calibration in ``folder`` of every arm of ``run`` that it has.
+    """Return the earlier calibration in ``folder`` of every arm of ``run`` that it contains.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
     with RunFile.open(folder) as earlier:
         stages = read_stages(earlier)
         stage = stage_in_force(earlier, stages)
-        if stale := stages.outdated_arms():  # an arm that changed since is what a prior is for
+        if stale := stages.outdated_arms():  # an arm that changed since is no reason: a prior is for that
             raise InputError(f"--prior {folder}: {stale}; run '{stages.next_step(folder)}' first")
         if all(_same_readings(run, earlier, name) for name in run.profile.arms):
             raise InputError(f"--prior {folder}: it holds the same readings as {run.folder}; they would count twice")
@@ -65,7 +65,7 @@ def _same_readings(run: RunFile, earlier: RunFile, name: str) -> bool:
 
 
 def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
-    """Notes on the identity of an arm. Raises ``InputError`` if it is another one."""
+    """Check that an arm is the same in both runs; return notes. Raises ``InputError`` if it is another arm."""
     here, there = run.profile.arms[name].type, earlier.profile.arms[name].type
     where = f"--prior {earlier.folder}: arm '{name}'"
     if here.model != there.model:
@@ -113,7 +113,7 @@ def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]
 
 
 def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[Belief, int]:
-    """What a run says of an arm, with the earlier runs that it had as prior, and the number of its readings."""
+    """Return a run's belief about an arm, including its own earlier priors, and the number of readings."""
     models, readings = model_of(run, stage).arms, {arm: run.readings(arm) for arm in run.profile.arms}
     record = _prior_of(run, name)
     if record is None:
@@ -126,7 +126,7 @@ def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[
 
 
 def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:
-    """Open the earlier run that a calibration names. Raises ``InputError`` if it is not there any more."""
+    """Open the earlier run that a calibration names. Raises ``InputError`` if it no longer exists."""
     try:
         return RunFile.open(Path(record.run))
     except InputError as error:
@@ -137,7 +137,7 @@ def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:
 
 
 def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
-    """The record of the prior that an arm's calibration used; None without one."""
+    """Return the record of the prior that an arm's calibration used; None if it used none."""
     stage = read_stages(run).current.get(CALIBRATE)
     if stage is None:
         return None
@@ -146,17 +146,17 @@ def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
 
 
 def basis_of_priors(earlier: Mapping[str, Earlier]) -> dict[str, PriorBasis]:
-    """What a stage rests on beside its own run."""
+    """Return the runs outside its own that a stage rests on, by arm."""
     return {name: PriorBasis(run=str(its.run), sha256=its.digest) for name, its in earlier.items()}
 
 
 def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
-    """The earlier calibrations that the calibration of a run used; empty if it used none.
+    """Return the earlier calibrations that the calibration of a run used; empty if it used none.
 
     Raises
     ------
     InputError
-        If the earlier run is not there any more, or has changed since.
+        If the earlier run no longer exists, or has changed since.
     """
     records = recorded_priors(run)
     if not records:
@@ -174,6 +174,6 @@ def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
 
 
 def recorded_priors(run: RunFile) -> dict[str, ArmPriorResult]:
-    """The record of the prior of every arm that has one."""
+    """Return the record of the prior of every arm that used one."""
     found = {name: _prior_of(run, name) for name in run.profile.arms}
     return {name: record for name, record in found.items() if record is not None}

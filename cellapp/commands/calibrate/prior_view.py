@@ -1,4 +1,4 @@
-"""Tables of an earlier calibration that was taken as prior: how far it was believed, and what has changed since."""
+"""Tables of an earlier calibration used as prior: how far it was believed, and what has changed since."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cellapp.robot.effects import EFFECTS
 
 
 def prior_tables(result: CalibrateResult) -> list[Table]:
-    """Parts and changes of every arm that was calibrated with an earlier calibration; none without one."""
+    """Show parts and changes of every arm that was calibrated with a prior; none without one."""
     tables = []
     for name, arm in result.arms.items():
         if arm.prior is not None:
@@ -21,7 +21,7 @@ def prior_tables(result: CalibrateResult) -> list[Table]:
 
 
 def prior_sentences(result: CalibrateResult) -> list[str]:
-    """Where the earlier calibration of each arm comes from, and whether the arm has changed."""
+    """Say where the prior of each arm comes from, and whether the arm has changed since."""
     said = []
     for name, arm in result.arms.items():
         if (prior := arm.prior) is None:

@@ -1,4 +1,4 @@
-"""What ``calibrate`` is asked for."""
+"""Request of the verb ``calibrate``."""
 
 from __future__ import annotations
 

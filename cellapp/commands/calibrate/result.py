@@ -1,4 +1,4 @@
-"""The result of ``calibrate`` from the calibration's own objects."""
+"""Conversion of a calibration to the result of ``calibrate``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SCATTER = "root of chi-square per degree of freedom against the stated uncertai
 
 
 def calibrate_result(calibration: Calibration) -> CalibrateResult:
-    """The object that ``calibrate --json`` writes and that the run file keeps."""
+    """Build the object that ``calibrate --json`` writes and the run file stores."""
     return CalibrateResult(
         arms={name: arm_result(arm) for name, arm in calibration.arms.items()},
         pair={} if calibration.pair is None else pair_result(calibration.pair),
@@ -41,7 +41,7 @@ def calibrate_result(calibration: Calibration) -> CalibrateResult:
 
 
 def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
-    """Calibration of one arm."""
+    """Build the result of one arm."""
     found = arm.identification
     estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
     return ArmCalibrationResult.like(
@@ -91,7 +91,7 @@ def _torques(found: TorqueFit) -> TorquesResult:
 
 
 def pair_result(pair: PairCalibration) -> dict[Method, PairMethodResult]:
-    """The pair by method."""
+    """Build the results of the pair by method."""
     return {name: _method(method, pair) for name, method in pair.methods.items()}
 
 

@@ -1,4 +1,4 @@
-"""The verb ``calibrate``: identify the arms of a run, append the stage, say what that does to later stages."""
+"""The verb ``calibrate``: identify the arms of a run, append the stage, note the consequences for later stages."""
 
 from __future__ import annotations
 
@@ -50,14 +50,13 @@ def calibrate_run(
 ) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
-    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. ``network``
-    takes the place of the kind that the profile says. The notes also say whether an earlier discovery and verification
-    still hold.
+    ``prior`` is the folder of an earlier run of the same arms, whose calibration serves as prior. ``network`` replaces
+    the kind of network in the profile. The notes also say whether an earlier discovery and verification still hold.
 
     Raises
     ------
     InputError
-        If an arm has no readings or too few of them, or the earlier run does not suit, see ``earlier_arms``.
+        If an arm has no or too few readings, or the earlier run is not suitable, see ``earlier_arms``.
     Cancelled
         On request; nothing is stored then.
     """
@@ -98,9 +97,9 @@ def calibrate_cell(
     earlier: Mapping[str, Earlier] | None = None,
     notes: Sequence[str] = (),
 ) -> tuple[CalibrateResult, CellModel]:
-    """Calibrate a cell from readings whose splits are drawn.
+    """Calibrate a cell from readings that have their splits.
 
-    ``earlier`` calibrations of arms are taken as prior. ``notes`` come before those of the calibration.
+    ``earlier`` calibrations of arms serve as priors. ``notes`` come before those of the calibration.
 
     Raises
     ------
@@ -117,7 +116,7 @@ def calibrate_cell(
 
 
 def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
-    """Draw and store splits, the same for all arms at a stop, where no reading has one yet. Returns notes."""
+    """Draw and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
     readings = {name: run.readings(name) for name in run.profile.arms}
     recorded = {state.arm for state in recording_states(run)}
     for name, arm in readings.items():
@@ -135,7 +134,7 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
-    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
+    """Return, and log, notes on whether an earlier discovery and verification hold after a new calibration."""
     notes = []
     discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
     if discovered is not None and reason is None:

@@ -1,4 +1,4 @@
-"""What measured torques or currents told of an arm's masses and motors, for people."""
+"""Masses and motor constants of an arm from measured torques or currents, for people."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _UNITS = {"tau": "Nm", "current": "A"}
 
 
 def torque_tables(result: CalibrateResult) -> list[Table]:
-    """Motor constants, friction and scatter by joint, one table for each arm with torques or currents."""
+    """Show motor constants, friction and scatter by joint, one table for each arm with torques or currents."""
     tables = []
     for name, arm in result.arms.items():
         if arm.torques is None:
@@ -34,7 +34,7 @@ def torque_tables(result: CalibrateResult) -> list[Table]:
 
 
 def torque_sentences(result: CalibrateResult) -> list[str]:
-    """Whether the masses that torques show take the place of the stated ones, and what is wrong with which of them."""
+    """Say whether masses from torques replace the stated ones, and which joints' torques cannot be used and why."""
     said = []
     for name, arm in result.arms.items():
         if arm.torques is not None:
@@ -45,7 +45,7 @@ def torque_sentences(result: CalibrateResult) -> list[str]:
 
 
 def torque_words(found: TorquesResult) -> str:
-    """One sentence on the masses."""
+    """Return one sentence on the masses of one arm."""
     if all(one.fault for one in found.joints):
         return "no joint's torques can be used; the stated masses stay"
     what = "torques" if found.kind == "tau" else "currents"

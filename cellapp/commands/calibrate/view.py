@@ -40,19 +40,19 @@ _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
 def view(result: CalibrateResult, request: Request | None = None) -> View:
-    """Held-out errors, the parameters if they are asked for, and what the tracker's own uncertainty is beside them."""
+    """Show held-out errors, the parameters on request, and the tracker's own uncertainty beside them."""
     parameters = isinstance(request, CalibrateRequest) and request.parameters
     shown = parameters_view(result).parts if parameters else ()
     return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes))
 
 
 def parameters_view(result: CalibrateResult) -> View:
-    """Identified parameters, and which were merged into others."""
+    """Show identified parameters, and which parameters were merged into others."""
     return View((*parameter_tables(result), *merged_sentences(result)))
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
-    """Held-out errors by stage, one table for each arm, and of the pair by method; priors and what has changed."""
+    """Show held-out errors by stage of each arm and by method of the pair, further tables, priors and changes."""
     tables = []
     for name, arm in result.arms.items():
         rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
@@ -68,13 +68,13 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Tables of what more than points at rest told."""
+    """Show results from recordings of motion, torques, nests and sockets, and the priors."""
     measured = (*motion_tables(result), *torque_tables(result), *nest_tables(result))
     return [*measured, *gauge_tables(result), *prior_tables(result)]
 
 
 def gauge_tables(result: CalibrateResult) -> list[Table]:
-    """Errors of known distances between held-out points in sockets, one table for each arm that has some."""
+    """Show errors of known distances between held-out points in sockets, for each arm that has some."""
     columns = (Column("stage"), number_column("mean", MM), number_column("max", MM), number_column("n", "d"))
     tables = []
     for name, arm in result.arms.items():
@@ -86,9 +86,10 @@ def gauge_tables(result: CalibrateResult) -> list[Table]:
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
-    """``calibration_tables`` with percentiles, the 95 % interval of each mean, and the ratio to the tracker's noise.
+    """Build ``calibration_tables`` with percentiles, the 95 % interval of each mean, and the ratio to the tracker's
+    noise.
 
-    The ratio is the rms error over the rms error that the stated uncertainty of the tracker alone would cause.
+    The ratio is the rms error over the rms error that the tracker's stated uncertainty alone would cause.
     """
     columns = (*_DETAILED_COLUMNS, number_column("rms / tracker", ".1f"))
     tables = []
@@ -110,7 +111,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
-    """Cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
+    """Show cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
     rows = [
         (f"{METHOD_WORDS[method]}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
         for method in METHODS
@@ -124,7 +125,7 @@ def transform_tables(result: CalibrateResult) -> list[Table]:
 
 
 def parameter_tables(result: CalibrateResult) -> list[Table]:
-    """Identified parameters with standard errors, one table for each arm."""
+    """Show identified parameters with standard errors, one table for each arm."""
     columns = (
         Column("parameter"),
         number_column("value", ".5f"),
@@ -143,7 +144,7 @@ def parameter_tables(result: CalibrateResult) -> list[Table]:
 
 
 def merged_sentences(result: CalibrateResult) -> list[str]:
-    """Which parameters were dropped, and which identified ones take their place."""
+    """Say which parameters were merged into others, and into which."""
     return [
         f"arm {name}: {parameter} is merged into {merged_words(shares)}"
         for name, arm in result.arms.items()
@@ -152,12 +153,12 @@ def merged_sentences(result: CalibrateResult) -> list[str]:
 
 
 def merged_words(shares: Mapping[str, float]) -> str:
-    """Parameters that take the place of a dropped one, with their shares."""
+    """List the parameters that stand for a merged one, with their shares."""
     return ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing (no effect)"
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:
-    """The error of each arm's last stage beside the tracker's stated uncertainty; networks, motion, priors."""
+    """State the error of each arm's last stage beside the tracker's uncertainty; notes on networks, motion, priors."""
     sentences = []
     for name, arm in result.arms.items():
         if arm.tracker_mm is None:
@@ -173,7 +174,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:
-    """Root mean square error [mm] of the distance of two points, from the rms lengths of their noise [mm].
+    """Return the rms error [mm] of the distance of two points, from the rms lengths of their noise [mm].
 
     A distance has the noise of each point along one direction of three: sqrt((a^2 + b^2) / 3). None if either length
     is not known.
@@ -182,7 +183,7 @@ def distance_mm(first: float | None, second: float | None) -> float | None:
 
 
 def cooperative_noise_mm(result: CalibrateResult) -> float | None:
-    """Root mean square cooperative error [mm] that the stated uncertainty of the tracker alone would cause."""
+    """Return the rms cooperative error [mm] that the stated uncertainty of the tracker alone would cause."""
     lengths = [arm.tracker_mm for arm in result.arms.values()]
     return distance_mm(lengths[0], lengths[1]) if len(lengths) == 2 else None
 
@@ -194,7 +195,7 @@ def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
 
 
 def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Label, measure (position, orientation or distance) and errors of each stage."""
+    """Return the label, measure (position, orientation or distance) and errors of each stage."""
     found = []
     for stage in STAGES:
         if stage in arm.validate_:
@@ -208,7 +209,7 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
 
 
 def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    """Cells of ``ERROR_COLUMNS``."""
+    """Return the cells of ``ERROR_COLUMNS``."""
     return summary.mean, summary.rms, summary.std, summary.max, summary.n
 
 

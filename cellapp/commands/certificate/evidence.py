@@ -1,4 +1,4 @@
-"""What the results of a run know of the errors of its arms, for budgets of uncertainty."""
+"""Evidence in a run's results on the errors of its arms, for uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
 
 
 def evidence_of(results: StageResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:
-    """What is known of one arm; ``measured`` are the conditions of its readings."""
+    """Return the evidence on one arm; ``measured`` are the conditions of its readings."""
     outdated = results.out_of_date
     discovered = None if DISCOVER in outdated else results.discover
     compensated = None if COMPENSATE in outdated else results.compensate

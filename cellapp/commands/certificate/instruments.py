@@ -1,4 +1,4 @@
-"""Instruments and other data of traceability for a certificate: what was used, what is not given. No I/O."""
+"""Instruments and other traceability data of a certificate: what was used, what is not given. No I/O."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _FIELDS = {
     "due": "date when its calibration is due",
     "certificate": "calibration certificate",
 }
-"""What a reader expects of the tracker."""
+"""Data that a reader expects of the tracker."""
 _FIELDS_OF_OTHERS = ("serial", "calibrated", "due")
-"""What a reader expects of an SMR and of further instruments."""
+"""Data that a reader expects of an SMR and of further instruments."""
 
 
 def used_instruments(profile: Profile, measured: Sequence[str]) -> tuple[CertifiedInstrument, ...]:
-    """The tracker, the SMR of each arm, further instruments; each with a note if its calibration was not in force.
+    """Return tracker, SMR of each arm, and further instruments; with a note if a calibration was not in force.
 
-    ``measured`` are the first and the last time of measuring (ISO 8601); empty if that is not known.
+    ``measured`` are the first and the last time of measuring (ISO 8601); empty if unknown.
     """
     stated = profile.traceability
     days = [date.fromisoformat(day_of(time)) for time in measured]
@@ -58,7 +58,7 @@ def missing_data(
     measured: Sequence[str],
     contributions: Sequence[UncertaintyContribution] = (),
 ) -> tuple[str, ...]:
-    """What a reader expects and nobody gave, one phrase each; ``contributions`` are those of the uncertainty."""
+    """Name the data that a reader expects and nobody gave; ``contributions`` are those of the uncertainty."""
     stated = profile.traceability
     whole = {
         "organisation": stated.organisation,
@@ -93,7 +93,7 @@ def _of_instrument(one: CertifiedInstrument) -> str:
 
 
 def _note(one: Instrument, days: Sequence[date]) -> str:
-    """Why the calibration of an instrument was not in force on one of the days of measuring."""
+    """Say why the calibration of an instrument was not in force on a day of measuring; empty if it was."""
     if one.due is not None and days and max(days) > one.due:
         return f"its calibration was overdue: due on {one.due}, used on {max(days)}"
     if one.calibrated is not None and days and min(days) < one.calibrated:

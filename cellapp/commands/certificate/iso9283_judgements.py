@@ -1,4 +1,4 @@
-"""Characteristics of ISO 9283 against the tolerances of a profile: the worst pose of each arm decides."""
+"""Characteristics of ISO 9283 against the tolerances of a profile: each arm's worst pose decides."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TEST_OF: Mapping[Characteristic, IsoTest] = {
 
 @dataclass(frozen=True)
 class _Found:
-    """A characteristic at one place."""
+    """A characteristic at one place, for example a pose."""
 
     characteristic: Characteristic
     at: str
@@ -38,10 +38,10 @@ class _Found:
 def judge_characteristics(
     tolerances: Tolerances, arms: Mapping[str, ArmIso9283], pairs: tuple[PairIso9283, ...], cycles: int
 ) -> tuple[Judgement, ...]:
-    """Judge each characteristic that has a tolerance, at the place where it is largest.
+    """Judge each characteristic that has a tolerance, at the place with its largest value.
 
-    Calibrated commands are judged where they were measured, else nominal ones. A characteristic from fewer cycles than
-    the norm's is not judged, unless fewer were asked for (``cycles``).
+    Calibrated commands are judged if they were measured, else nominal ones. A characteristic from fewer cycles than the
+    norm's is not judged, unless fewer were requested (``cycles``).
     """
     found: list[Judgement] = []
     for name, arm in arms.items():
@@ -59,7 +59,7 @@ def judge_characteristics(
 def unmeasured_tests(
     tolerances: Tolerances, names: Collection[str], arms: Mapping[str, ArmIso9283]
 ) -> tuple[IsoTest, ...]:
-    """The tests of characteristics that have a tolerance and were not measured of one of the arms ``names``."""
+    """Return the tests of characteristics with a tolerance that are missing for any of the arms ``names``."""
     measured = {
         name: {one.characteristic for tests in arms[name].tests.values() for one in _of_arm(tests)} for name in arms
     }

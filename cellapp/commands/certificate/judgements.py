@@ -1,12 +1,11 @@
 """Judgements of a run against the tolerances of its profile. Pure functions, no I/O.
 
-Only what was measured after compensation is judged: the newest verification that holds. ``position`` is the largest
+Only measurements after compensation are judged: the newest verification that holds. ``position`` is the largest
 distance of an arm's SMR from its targets, ``distance`` the largest error of the distance between any two verified
 targets of an arm, ``orientation`` the largest angle of its flange from the wanted rotation where a probe measured it,
-``cooperative`` the largest error of the distance between the SMRs of two arms. Without a
-verification nothing is decided; the held-out error of the calibration, which is a prediction, is named in ``source``.
-The characteristics of ISO 9283 are those that its test measured. After a check that found other arms, nothing that was
-measured before is decided.
+``cooperative`` the largest error of the distance between the SMRs of two arms. Without a verification nothing is
+decided; ``source`` then states the calibration's held-out error, which is a prediction. The characteristics of ISO 9283
+are those that its test measured. After a check that found changed arms, no earlier measurement decides anything.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ Budget = Sequence[UncertaintyContribution]
 
 @dataclass(frozen=True)
 class _Measured:
-    """Errors [mm] of one characteristic; where, from what, and what contributes to their uncertainty."""
+    """Errors [mm] of one characteristic; where, from which source, and the contributions to their uncertainty."""
 
     characteristic: Characteristic
     where: str
@@ -61,7 +60,7 @@ def judge_run(
     Parameters
     ----------
     measured : mapping, optional
-        Conditions of the readings by arm, for the part of temperature in the uncertainty.
+        Conditions of the readings by arm, for the temperature's contribution to the uncertainty.
     """
     if not profile.tolerances.any_given:
         return ()
@@ -92,7 +91,7 @@ def _position(results: StageResults, arm: str, budget: Budget) -> _Measured:
 
 
 def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
-    """All pairs of verified targets with the compensated commands: a corrected one has no measured position."""
+    """Collect all pairs of verified targets with compensated commands; a corrected target has no measured position."""
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
     errors = _distance_errors_mm(targets)
@@ -104,7 +103,7 @@ def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
 
 
 def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
-    """Every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
+    """Collect each pair of arms with verified cooperative targets; also the only pair of a cell without any."""
     verify = held_verification(results)
     pairs = () if verify is None else verify.pairs
     found = grouped((pair.arms, pair.final_mm) for pair in pairs if pair.final_mm is not None)
@@ -129,7 +128,7 @@ def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping
 
 
 def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement]:
-    """The largest error of orientation at verified targets of each arm with a probe; where none has one, of each."""
+    """Yield each probe arm's largest error of orientation at verified targets; of every arm if none has a probe."""
     limit, rule = profile.tolerances.orientation, profile.tolerances.decision
     if limit is None:
         return
@@ -162,8 +161,8 @@ def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement
 
 
 def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tuple[TurnContribution, ...]:
-    """Contributions to the uncertainty of an error of orientation of one arm, at the command where the model's is
-    largest; empty where no orientation was predicted."""
+    """Return the contributions to an arm's uncertainty of orientation, at the command with the model's largest one;
+    empty if no orientation was predicted."""
     commands = () if COMPENSATE in results.out_of_date or results.compensate is None else results.compensate.targets
     turns = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
     if not turns:
@@ -174,7 +173,7 @@ def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tup
 
 
 def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
-    """What the test measured, and what it did not measure although it has a tolerance."""
+    """Return the judgements of measured characteristics, and those with a tolerance that were not measured."""
     held = _held_iso(profile.tolerances, results)
     why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
     return [
@@ -192,7 +191,7 @@ def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
 
 
 def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
-    """Judge the largest error; None where the profile gives no tolerance."""
+    """Judge the largest error; None if the profile gives no tolerance."""
     limit: float | None = getattr(tolerances, one.characteristic)
     if limit is None:
         return None
@@ -214,14 +213,14 @@ def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
 
 
 def _undecided(one: Judgement, why: str) -> Judgement:
-    """The same error without a decision; unchanged if nothing stands against it or nothing was measured."""
+    """Return the judgement without a decision because of ``why``; unchanged if that is empty or nothing measured."""
     if not why or one.value is None:
         return one
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
 
 
 def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement, ...]:
-    """What the test by ISO 9283 measured, while it holds, judged by these tolerances."""
+    """Return the results of the test by ISO 9283 judged by these tolerances; empty if it no longer holds."""
     stored = None if ISO9283 in results.out_of_date else results.iso9283
     if stored is None:
         return ()
@@ -230,13 +229,13 @@ def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement,
 
 
 def held_verification(results: StageResults) -> VerifyResult | None:
-    """The newest verification while it holds; None if no target was measured."""
+    """Return the newest verification; None if it no longer holds or measured no target."""
     verify = None if VERIFY in results.out_of_date else results.verify
     return None if verify is None or not verify.arms else verify
 
 
 def other_arms_found(results: StageResults) -> str:
-    """What the last check found of the arms, while it holds; empty if nothing."""
+    """State the change of arms that the last check found, if it still holds; empty if none."""
     checked = results.held_check
     return f"a later check found: {checked.verdict}" if checked is not None and checked.found_other_arms else ""
 
@@ -252,7 +251,7 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
 
 
 def _unverified(results: StageResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
-    """Why nothing was verified, and the error of the calibration at stops that it did not use."""
+    """Say why nothing is verified, and the calibration's error at held-out stops."""
     verify = results.verify
     if (reason := _outdated(results, VERIFY, "the verification")) == "":
         reason = "not verified" if verify is None else f"the verification measured no {characteristic} error"
@@ -272,7 +271,7 @@ def _held_out(results: StageResults, arm: str, error: Literal["position_mm", "di
 
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
-    """Errors [mm] of all distances between measured positions against those between the targets."""
+    """Return the errors [mm] of the distances between measured positions, for all pairs of targets."""
     points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
     if len(points) < 2:
         return []

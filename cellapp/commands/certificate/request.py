@@ -1,4 +1,4 @@
-"""What ``certificate`` is asked for."""
+"""Request of the verb ``certificate``."""
 
 from __future__ import annotations
 

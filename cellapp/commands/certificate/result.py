@@ -149,7 +149,7 @@ class CertifiedData(Record):
 
 
 SIMULATED = "simulated cell"
-"""How the warning begins that says so: it must not pass for a real one."""
+"""Begin of the warning that a cell is simulated: its certificate must not pass for that of a real one."""
 
 
 class CertificateResult(Result, schema="cellapp-certificate"):
@@ -229,7 +229,7 @@ class CertificateResult(Result, schema="cellapp-certificate"):
         return bool(self.key_id)
 
     def complaints(self) -> list[str]:
-        """Why the certificate does not confirm conformity; empty if it does or nothing is judged."""
+        """Say why the certificate does not confirm conformity; empty if it does or nothing is judged."""
         unjudged = [
             f"{one.characteristic.replace('_', ' ')} of {one.where}: {one.conformity}"
             for one in self.judgements

@@ -1,4 +1,4 @@
-"""The verb ``certificate``: read a run, write and sign what it proves."""
+"""The verb ``certificate``: write and sign what a run proves."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ SIGNATURE_FILE = CERTIFICATE_FILE + SIGNATURE_SUFFIX
 DATA_SECTIONS = ("tolerances", "traceability")
 """Sections of the profile that a file may complete."""
 CERTIFIED_STAGES: tuple[StageName, ...] = (VERIFY, ISO9283)
-"""Measurements of which a certificate states figures."""
+"""Measurements whose figures a certificate states."""
 _LONGEST_NUMBER, _LONGEST_NAME = 60, 30
 _NUMBER = re.compile(rf"(?=.{{1,{_LONGEST_NUMBER}}}$)[\w./+-]+(?: [\w./+-]+)*", re.ASCII)
-"""Words that fit into a file name, a signed comment and a heading."""
+"""Pattern of a number that fits into a file name, a signed comment and a heading."""
 _MOST_BYTES = 50_000_000
-"""A certificate has some ten thousand bytes."""
+"""Largest file that is read; a certificate has some ten thousand bytes."""
 PageOf = Callable[[CertificateResult], str]
 """Draws the page of a certificate as HTML."""
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """What was asked for: number (empty for a new one), time, hash of the file with data, documents, key that signs."""
+    """The request: number (empty for a new one), time, hash of the data file, documents, id of the signing key."""
 
     number: str
     written: datetime
@@ -65,7 +65,7 @@ class _Asked:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of all files that are written."""
+        """Names of all files to write."""
         return (CERTIFICATE_FILE, *self.documents, *([SIGNATURE_FILE] if self.key_id else []))
 
 
@@ -106,19 +106,19 @@ def certificate_run(
     out : path, optional
         Folder of the files; the run's own if not given.
     number : str, optional
-        Of the certificate; made of profile, day and data if not given.
+        Of the certificate; by default made of profile, day and data.
     data : path, optional
-        YAML with the profile's sections ``tolerances`` and ``traceability``; its keys come before the profile's.
+        YAML with the profile's sections ``tolerances`` and ``traceability``; its keys override the profile's.
     pdf : bool
-        Print the page to a PDF, too, through an installed Chromium.
+        Also print the page to a PDF, with an installed Chromium.
     outputs : Outputs
-        What may be replaced in a folder ``out``; left out, nothing. In the run's folder an unsigned one is.
+        Which files in a folder ``out`` may be replaced; none by default. In the run's folder an unsigned one may be.
 
     Raises
     ------
     InputError
-        If the run is open for reading only, ``number`` or ``data`` is not valid, a signed certificate stands in the
-        folder, nothing here prints, or the files cannot be written. Nothing is stored then.
+        If the run is read-only, ``number`` or ``data`` is not valid, the folder holds a signed certificate, nothing
+        here can print, or the files cannot be written. Nothing is stored then.
     """
     if not run.writable:
         raise InputError(f"{run.path} is open for reading only; open it for writing")
@@ -160,7 +160,7 @@ def certificate_run(
 
 
 def _documents(page: bytes, *, pdf: bool) -> dict[str, bytes]:
-    """The files that show a certificate to people, name -> content: its page and a print of that."""
+    """Return the files for people, name -> content: the page, and its print on request."""
     if not pdf:
         return {PAGE_FILE: page}
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as folder:
@@ -217,14 +217,14 @@ def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, aske
 
 
 def certified_basis(run: RunFile, stages: RunStages) -> Basis:
-    """What a certificate rests on; the digest of a measurement that was not made is empty."""
+    """Return the basis of a certificate; the digest of a missing measurement is empty."""
     model = {} if stages.in_force is None else {stages.in_force.name: stages.in_force.digest}
     made = {name: stages.current[name].digest if name in stages.current else "" for name in CERTIFIED_STAGES}
     return basis_of(run, model | made)
 
 
 def _times_of_measuring(run: RunFile, stages: RunStages) -> tuple[str, ...]:
-    """First and last time (ISO 8601, UTC) of collecting and of what the certificate states; empty if none is known."""
+    """Return the first and last time (ISO 8601, UTC) of collecting and of certified measurements; empty if unknown."""
     times = [time for one in run.sessions() for time in (one.began, one.ended) if time is not None]
     times += [stages.current[name].written for name in CERTIFIED_STAGES if name in stages.current]
     return (min(times), max(times)) if times else ()
@@ -243,7 +243,7 @@ def _checked_number(run: RunFile, number: str | None) -> str:
 
 
 def issued(run: RunFile) -> list[CertificateResult]:
-    """Every certificate that the run stores and this version can read."""
+    """Return all certificates in the run that this version can read."""
     found = []
     for stage in read_history(run):
         if stage.name == CERTIFICATE:
@@ -253,7 +253,7 @@ def issued(run: RunFile) -> list[CertificateResult]:
 
 
 def _new_number(run: RunFile, profile: Profile, written: datetime, basis: Basis) -> str:
-    """Profile, day, the first digits of a hash of all that the certificate rests on, and a count if that was used."""
+    """Make a number of profile, day, the first digits of the basis' hash, and a count if it was used before."""
     name = re.sub(r"[^\w.+-]+", "-", profile.name, flags=re.ASCII).strip("-")[:_LONGEST_NAME] or "cell"
     digest = hashlib.sha256(basis.model_dump_json().encode()).hexdigest()
     number, used = f"{name}-{written:%Y%m%d}-{digest[:8]}", {one.number for one in issued(run)}

@@ -1,4 +1,4 @@
-"""The certificate of a run from what is known of it. Pure functions, no I/O: nothing is assumed that nobody gave."""
+"""Build a certificate from the data of a run. Pure functions, no I/O: nothing is assumed that nobody gave."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _METHOD = (
     " target."
 )
 _MOST_NAMED = 5
-"""Targets that a sentence names; further ones are counted."""
+"""Most targets that a sentence names; further ones are counted."""
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller as the run recorded it; empty where it did not say."""
+    """A controller as the run recorded it; fields are empty if it did not report them."""
 
     model: str = ""
     serial: str = ""
@@ -50,14 +50,14 @@ class Controller:
 
 @dataclass(frozen=True)
 class CertificateInput:
-    """All that a certificate is made from.
+    """All data that a certificate is made from.
 
     Attributes
     ----------
     profile : Profile
-        That of the run, completed by what the operator gave.
+        The run's profile, completed by what the operator gave.
     measured : tuple
-        First and last time of measuring (ISO 8601, UTC); empty where it was not recorded.
+        First and last time of measuring (ISO 8601, UTC); empty if not recorded.
     """
 
     number: str
@@ -75,7 +75,7 @@ class CertificateInput:
 
 
 def certificate_of(given: CertificateInput) -> CertificateResult:
-    """State what is known, judge it, and name what is missing."""
+    """State and judge what is known, and name what is missing."""
     profile, results, stated = given.profile, given.results, given.profile.traceability
     instruments = used_instruments(profile, given.measured)
     budgets = {
@@ -190,7 +190,7 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
 
 
 def _tests(results: StageResults) -> CertifiedTests | None:
-    """The largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
+    """Return the largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
     tested = None if ISO9283 in results.out_of_date else results.iso9283
     if tested is None:
         return None
@@ -244,7 +244,7 @@ def _unverified(profile: Profile, results: StageResults) -> list[str]:
 
 
 def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
-    """What the as-left figures hold for, and what they do not cover."""
+    """Say for what the as-left figures hold, and what they do not cover."""
     if verify is None:
         return []
     sentences = [
@@ -275,7 +275,7 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
 
 
 def _conditions(results: StageResults, arm: str) -> list[str]:
-    """Working conditions that the commands were made for, and by how much others move the SMR."""
+    """State the working conditions of the commands, and by how much other conditions move the SMR."""
     if results.compensate is None or COMPENSATE in results.out_of_date:
         return []
     largest: dict[str, float] = {}

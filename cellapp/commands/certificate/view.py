@@ -69,7 +69,7 @@ _NOWHERE = (None, None, None)
 
 
 def view(result: CertificateResult, request: CertificateRequest | None = None) -> View:
-    """What is certified, where it was written, and with ``strict`` what does not confirm conformity."""
+    """Show what is certified and where it was written; ``strict`` fails on all that does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
     doubts = "; it does not confirm conformity" if result.complaints() else ""
@@ -81,7 +81,7 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
 
 
 def certificate_tables(result: CertificateResult) -> list[Table]:
-    """Errors as found and as left, judgements, uncertainty budget, instruments."""
+    """Show errors as found and as left, judgements, uncertainty budget, instruments."""
     judged = [judgement_table(result.judgements)] if result.judgements else []
     tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
     return [
@@ -96,7 +96,7 @@ def certificate_tables(result: CertificateResult) -> list[Table]:
 
 
 def certificate_sentences(result: CertificateResult) -> list[str]:
-    """Verdict, marks, limits, what is not given, and where the certificate was written."""
+    """State verdict, marks, limits, what is not given, and where the certificate was written."""
     verdict = certificate_verdict(result)
     signed = "signed" if result.signed else "not signed"
     written = [f"certificate {result.number}, {signed}: {', '.join(result.files)}"] if result.files else []
@@ -110,14 +110,14 @@ def certificate_sentences(result: CertificateResult) -> list[str]:
 
 
 def certificate_verdict(result: CertificateResult) -> Verdict:
-    """All judgements of a certificate in a title and a sentence."""
+    """Summarize all judgements of a certificate in a title and a sentence."""
     if result.judgements:
         return verdict_of(result.judgements)
     return Verdict(None, "Not judged", "No tolerance is given: the figures stand without a verdict.")
 
 
 def certificate_marks(result: CertificateResult, outdated: str = "") -> list[str]:
-    """What a reader must see first; ``outdated`` says why the certificate no longer holds."""
+    """Return the marks that a reader must see first; ``outdated`` says why the certificate no longer holds."""
     return [
         *([f"this certificate is out of date: {outdated}"] if outdated else []),
         *result.warnings,
@@ -126,7 +126,7 @@ def certificate_marks(result: CertificateResult, outdated: str = "") -> list[str
 
 
 def certificate_sections(result: CertificateResult) -> list[Section]:
-    """The certificate as it is printed, from its judgements to the hashes of what it rests on."""
+    """Show the certificate as printed, from its judgements to the hashes of its basis."""
     objects = Facts(tuple((f"Arm {name}", _arm_words(arm)) for name, arm in result.arms.items()))
     hashes = _hashes(result)
     return [
@@ -149,7 +149,7 @@ def _of_table(table: Table, about: str = "") -> Section:
 
 
 def _statements(result: CertificateResult) -> list[str]:
-    """What a certificate says besides its figures: method, rule, limits, what is not given, copies."""
+    """State what is not in figures: method, rule, limits, what is not given, copies."""
     rule = RULE_WORDS[result.judgements[0].rule] if result.judgements else ""
     missing = f"Not given: {'; '.join(result.missing)}." if result.missing else _COMPLETE
     return [
@@ -163,7 +163,7 @@ def _statements(result: CertificateResult) -> list[str]:
 
 
 def targets_table(result: CertificateResult) -> Table:
-    """Every verified target: where it is in the tracker frame, its error as found and as left [mm]."""
+    """Show every verified target: position in the tracker frame, error as found and as left [mm]."""
     return table_of(
         "Verified targets [mm]",
         result.targets,
@@ -180,7 +180,7 @@ def targets_table(result: CertificateResult) -> Table:
 
 
 def errors_table(result: CertificateResult) -> Table:
-    """Errors as found and as left [mm]: measured at targets, where they were, else predicted at held-out stops."""
+    """Show errors as found and as left [mm]: measured at targets, if any, else predicted at held-out stops."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
         rows += _error_rows(f"Arm {name}, position", arm.errors.positions)
@@ -189,7 +189,7 @@ def errors_table(result: CertificateResult) -> Table:
 
 
 def turn_tables(result: CertificateResult) -> list[Table]:
-    """The same of the flange's rotation [mrad], where a probe measured it."""
+    """Show the errors as found and as left of the flange's rotation [mrad], where a probe measured it."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
         rows += _error_rows(f"Arm {name}, orientation", arm.errors.orientations)
@@ -197,7 +197,7 @@ def turn_tables(result: CertificateResult) -> list[Table]:
 
 
 def turn_budget_tables(result: CertificateResult) -> list[Table]:
-    """Standard uncertainties of an error of orientation by arm [mrad], and expanded; empty where none was measured."""
+    """Show standard and expanded uncertainties of orientation by arm [mrad]; empty if none was measured."""
     lines = result.orientation_contributions or ()
     rows: list[tuple[Cell, ...]] = [
         (one.source, one.where, _or_unknown(one.standard_mrad), one.evaluation, one.basis) for one in lines
@@ -212,7 +212,7 @@ def turn_budget_tables(result: CertificateResult) -> list[Table]:
 
 
 def iso_table(tests: CertifiedTests) -> Table:
-    """The characteristics of ISO 9283 [mm], as found and as left, of all arms beside each other."""
+    """Show the characteristics of ISO 9283 [mm], as found and as left, with a column for each arm."""
     values = {(one.where, one.characteristic, one.commands): one for one in tests.characteristics}
     arms = list(dict.fromkeys(one.where for one in tests.characteristics))
     rows: list[tuple[Cell, ...]] = [
@@ -230,7 +230,7 @@ def iso_table(tests: CertifiedTests) -> Table:
 
 
 def iso_sentence(tests: CertifiedTests) -> str:
-    """Under which conditions the tests were made, and what is missing."""
+    """State the conditions of the tests, and what is missing."""
     speed = "" if tests.speed_share is None else f"{tests.speed_share:.0%} of the profile's speed; "
     loads = ", ".join(f"{name} {mass:g} kg" for name, mass in tests.payload_kg.items())
     missing = f" Missing: {'; '.join(tests.missing)}." if tests.missing else ""
@@ -243,7 +243,7 @@ def iso_sentence(tests: CertifiedTests) -> str:
 
 
 def budget_table(result: CertificateResult) -> Table:
-    """Standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
+    """Show standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
     by_arm = grouped((one.where, one) for one in result.contributions)
     sources = dict.fromkeys(one.source for one in result.contributions)
     rows: list[tuple[Cell, ...]] = [_budget_row(source, by_arm) for source in sources]
@@ -262,7 +262,7 @@ def budget_table(result: CertificateResult) -> Table:
 
 
 def instruments_table(result: CertificateResult) -> Table:
-    """What was measured with."""
+    """Show the instruments that were used."""
     fields = ("model", "serial", "calibrated", "due", "certificate")
     return table_of(
         "Instruments",
@@ -276,7 +276,7 @@ def instruments_table(result: CertificateResult) -> Table:
 
 
 def _error_rows(what: str, errors: Sequence[tuple[ErrorSummary | None, ErrorSummary | None]]) -> list[tuple[Cell, ...]]:
-    """What was measured and what is predicted, each as found and as left."""
+    """Return the rows of measured and of predicted errors, each as found and as left."""
     rows: list[tuple[Cell, ...]] = []
     for source, (found, left) in zip(("verified targets", "predicted, held out"), errors, strict=True):
         if left is not None:
@@ -286,7 +286,7 @@ def _error_rows(what: str, errors: Sequence[tuple[ErrorSummary | None, ErrorSumm
 
 
 def _budget_row(source: str, by_arm: Mapping[str, Sequence[UncertaintyContribution]]) -> tuple[Cell, ...]:
-    """One source for all arms; the basis is that of the arm where it counts most."""
+    """Return the row of one source for all arms; the basis is that of the arm with the largest contribution."""
     found = {arm: next((one for one in lines if one.source == source), None) for arm, lines in by_arm.items()}
     largest = max((one for one in found.values() if one is not None), key=lambda one: one.standard_mm or 0.0)
     values = [None if one is None else _or_unknown(one.standard_mm) for one in found.values()]
@@ -314,7 +314,7 @@ def _or_unknown(value: float | None) -> Cell:
 
 
 def _facts(result: CertificateResult) -> list[tuple[str, str]]:
-    """Who, when, where, under which conditions."""
+    """Return who, when, where, and under which conditions."""
     return [
         ("Organisation", result.organisation or NOT_GIVEN),
         ("Client", result.client or NOT_GIVEN),
@@ -345,7 +345,7 @@ def _arm_words(arm: CertifiedArm) -> str:
 
 
 def _shared(title: str, unit: str, ranges: dict[str, Range | None]) -> list[tuple[str, str]]:
-    """A range of every arm, said once where all are alike."""
+    """Return each arm's range, or one for all if they are the same."""
     words = {name: _stated(one, unit) for name, one in ranges.items()}
     if len(set(words.values())) == 1:
         return [(title, next(iter(words.values())))]
@@ -373,7 +373,7 @@ def _period(measured: Sequence[str]) -> str:
 
 
 def _hashes(result: CertificateResult) -> list[tuple[str, str]]:
-    """SHA-256 of everything that the certificate rests on."""
+    """Return the SHA-256 hashes of everything that the certificate rests on."""
     data = result.data
     if data is None:
         return []

@@ -1,4 +1,4 @@
-"""Charts of a check: the evidence stop by stop, and the errors that it comes from."""
+"""Charts of a check: the evidence stop by stop, and the errors behind it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from cellapp.ground.counting import counted
 
 _STOP = Axis("stop")
 _CHANGE, _NONE = 3, 1
-"""Styles of the two curves: those of effects and of the geometry."""
+"""Styles of the curves for a change and for none: those of effects and of the geometry."""
 
 
 def check_charts(result: CheckResult) -> tuple[Chart, ...]:
-    """Evidence and errors over the stops."""
+    """Show the evidence and the errors over the stops."""
     return evidence_chart(result), error_chart(result)
 
 
 def evidence_chart(result: CheckResult) -> Chart:
-    """Logs of the likelihood ratios of a change and of none, with the limits at which the test is sure."""
+    """Show the log likelihood ratios of a change and of none, with the limits at which the test decides."""
     stops = np.arange(1.0, len(result.stops) + 1.0)
     drawn = (
         series("a change", stops, [stop.log_evidence for stop in result.stops], style=_CHANGE),
@@ -39,7 +39,7 @@ def evidence_chart(result: CheckResult) -> Chart:
 
 
 def error_chart(result: CheckResult) -> Chart:
-    """Distance of each measured SMR from its prediction, by arm."""
+    """Show the distance of each measured SMR from its prediction, by arm."""
     drawn, words = [], []
     for style, (name, arm) in enumerate(result.arms.items()):
         measured = [

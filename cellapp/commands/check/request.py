@@ -1,4 +1,4 @@
-"""What ``check`` is asked for."""
+"""Request of the verb ``check``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.commands.record import Asked, Request, Stored, Verb
 
 STOPS = 20
 FEWEST_STOPS = 4
-"""Fewer stops of one arm do not tell a motion of its base from one of its joints."""
+"""Least stops of an arm: fewer do not tell a motion of its base from that of a joint."""
 
 
 class CheckRequest(Request):
@@ -46,7 +46,7 @@ class CheckRequest(Request):
     ] = None
 
     def moves(self) -> bool:
-        """Touches were recorded already: nothing moves for them."""
+        """Return False: touches were recorded already, nothing moves for them."""
         return self.touches is None
 
 

@@ -1,4 +1,4 @@
-"""The verb ``check``: a few stops that show whether the stored calibration of a run still holds, and what changed."""
+"""The verb ``check``: measure a few stops to see whether a run's calibration still holds, and what changed."""
 
 from __future__ import annotations
 
@@ -83,8 +83,8 @@ def check_run(
 ) -> CheckResult:
     """Measure at most ``stops`` stops of all arms, judge the model in force by them, and store the result.
 
-    The test ends early when it is sure. ``simulated_plant`` takes the place of the simulated cell's hidden physics for
-    this job, to show a change. ``ask`` is asked before the first motion of real arms, ``open_with`` opens the cell.
+    The test ends early once it decides. ``simulated_plant`` replaces the simulated cell's hidden physics for this job,
+    to show a change. ``ask`` is called before the first motion of real arms, ``open_with`` opens the cell.
 
     Raises
     ------
@@ -119,19 +119,19 @@ def check_run(
         )
         result = _result(run, checked, len(chosen), driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
-        _store(run, checked, result)  # those who watch read the run when they hear of the end
+        _store(run, checked, result)  # before the end is reported: listeners then read the run
     return result
 
 
 def check_by_touches(run: RunFile, path: Path) -> CheckResult:
     """Judge the model in force by touches of sockets, and store the result. Nothing moves.
 
-    ``path`` is a file that holds them, or the folder of a run in which ``touch`` recorded them.
+    ``path`` is a file of touches, or the folder of a run in which ``touch`` recorded them.
 
     Raises
     ------
     InputError
-        If the run is not calibrated, or these are no touches of its arms.
+        If the run is not calibrated, or the file has no touches of its arms.
     """
     touches, notes = _touches_of_run(run.profile, path) if path.is_dir() else _touches_of_file(run.profile, path)
     for name, its in touches.items():
@@ -166,7 +166,7 @@ def _touches_of_run(profile: Profile, folder: Path) -> tuple[dict[str, Readings]
 
 
 def plant_of(path: Path) -> Plant:
-    """The hidden physics of another profile. Raises ``InputError`` if it has none."""
+    """Return the hidden physics of another profile. Raises ``InputError`` if it has none."""
     plant = load_profile(path).plant
     if plant is None:
         raise InputError(f"--simulated-plant {path}: this profile has no section 'plant'")
@@ -178,10 +178,10 @@ def plant_of(path: Path) -> Plant:
 
 @dataclass(frozen=True, eq=False)
 class _Checked:
-    """The model that is checked and what is known of it.
+    """The model to check and its data.
 
-    ``used`` is the stage in force, ``arms`` that whose model is in the tracker frame of the readings. ``located_T``
-    (4, 4) maps coordinates in that frame into the one of a tracker that was located since; None if it was not.
+    ``used`` is the stage in force, ``arms`` the stage whose model is in the tracker frame of the readings.
+    ``located_T`` (4, 4) maps coordinates of that frame into the frame of a tracker located since; None if it was not.
     """
 
     stages: RunStages
@@ -194,12 +194,12 @@ class _Checked:
 
     @property
     def stale(self) -> str:
-        """Why the model did not hold even before the check, whatever an earlier check found."""
+        """Why the model did not hold even before the check, without what an earlier check found; empty if it held."""
         return "; ".join(filter(None, (self.stages.outdated_arms(), self.stages.outdated_station())))
 
 
 def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
-    """What is checked, with orientation of the arms ``turned``. Raises ``InputError`` if the run is not calibrated."""
+    """Read what is checked; arms ``turned`` with orientation. Raises ``InputError`` if the run is not calibrated."""
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
     readings = {name: known_readings(run, name) for name in run.profile.arms}
@@ -218,7 +218,7 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
 
 
 def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
-    """The profile with other hidden physics; the tracker stays where it is unless ``plant`` places it."""
+    """Return the profile with other hidden physics; the tracker stays in place unless ``plant`` places it."""
     if plant is None:
         return profile
     own, simulated = profile.plant, all(arm.driver.needs_plant for arm in profile.arms.values())
@@ -232,7 +232,7 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
 
 
 def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Array]]:
-    """The stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
+    """Choose the stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
     candidates = check_candidates(profile, checked.model, checked.readings)
     free = len(next(iter(candidates.values())))
     chosen = choose_stops(checked.belief, candidates, min(count, free), start=home_positions(profile))
@@ -263,7 +263,7 @@ def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, 
 
 
 def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Conclusion) -> CheckVerdict:
-    """The verdict of the test; beyond it, a located tracker may have moved again, and an arm may not be seen."""
+    """Return the verdict: that of the test; if valid, a located tracker may have moved again, or an arm not be seen."""
     if found.verdict != "valid":
         return found.verdict
     if checked.located_T is not None and found.T_new_old is not None:
@@ -294,13 +294,13 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
 
 
 def _turned_mrad(arm: ArmModel, found: FoundPoint) -> float | None:
-    """Angle [mrad] of the measured orientation from the computed one; None where none was measured."""
+    """Return the angle [mrad] between measured and computed orientation; None if none was measured."""
     turn = measured_turn(arm, found.point, arm.flange(found.q[None], found.conditions)[0][0])
     return None if turn is None else float(np.linalg.norm(turn)) * 1e3
 
 
 def _next_step(verdict: CheckVerdict, folder: Path) -> str:
-    """What to do now, as a sentence with its commands; empty if nothing."""
+    """Say what to do next, as a sentence with commands; empty if nothing."""
     again = (
         "measure the cell anew ('cellapp plan PROFILE --run NEW', 'cellapp collect NEW') and calibrate it with this run"
         f" as prior: 'cellapp calibrate NEW --prior {folder}'"
@@ -321,7 +321,7 @@ def _next_step(verdict: CheckVerdict, folder: Path) -> str:
 
 
 def _store(run: RunFile, checked: _Checked, result: CheckResult) -> None:
-    """Store the result. What it says of arms rests on their model, wherever the tracker is located from then on."""
+    """Store the result. A change of arms rests on the arms' stage: it stays valid if the tracker is located later."""
     used = checked.arms if result.verdict in CHANGES_OF_ARMS else checked.used
     append_stage(run, CHECK, result, basis_on_model(run, used))
     for line in (*result.complaints(), *result.notes):

@@ -17,7 +17,7 @@ _BEFORE = SequentialState(0, False, False, False, 0.0, 0.0, 1.0)
 
 
 def touches_result(model: StageName, stale: str, found: TouchCheck, next_step: str) -> CheckResult:
-    """The result as ``check`` stores it; a stop is a touch, its point the mean of its socket by the model."""
+    """Build the result that ``check`` stores; a stop is a touch, its point the mean of its socket by the model."""
     conclusion, stops = found.conclusion, _stops(found.readings, found)
     hidden = f"touches of these sockets cannot show: {', '.join(found.hidden)}" if found.hidden else ""
     return CheckResult(
@@ -47,7 +47,7 @@ def touches_result(model: StageName, stale: str, found: TouchCheck, next_step: s
 
 
 def _stops(readings: Mapping[str, Readings], found: TouchCheck) -> tuple[CheckedStop, ...]:
-    """Every touch with where the test stood after it: the first of a socket says nothing."""
+    """Return every touch with the state of the test after it; the first touch of a socket gives no evidence."""
     standings, standing, seen = iter(found.standings), _BEFORE, set()
     stops = []
     for name, its in readings.items():

@@ -23,23 +23,23 @@ _VERDICTS = {
 
 _UNITS = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 _LEAST_CHANCE = 1e-12
-"""Smaller probabilities mean nothing: no error of measuring is normal as far out as that."""
+"""Least probability that is stated: measuring errors are not normal so far out."""
 
 
 def view(result: CheckResult, request: CheckRequest | None = None) -> View:
-    """What was measured, the verdict, the evidence, and why the calibration does not hold."""
+    """Show what was measured, the verdict, the evidence, and why the calibration does not hold."""
     strict = request is not None and request.strict
     parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result), *check_charts(result))
     return View(parts, result.complaints(strict=strict), held="the calibration holds")
 
 
 def check_tables(result: CheckResult) -> list[Table]:
-    """Errors of each arm, what changed, what these stops would show too weakly, and every stop."""
+    """Show each arm's errors, what changed, changes that these stops may miss, and every stop."""
     return [_arm_table(result), *with_rows(_change_table(result), _weak_table(result), _stop_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
-    """The verdict, how sure it is, what moved and by how much, the accuracy that is left, and what to do now."""
+    """State the verdict, its certainty, what moved and by how much, the remaining accuracy, and what to do."""
     return [
         verdict_sentence(result),
         evidence_sentence(result),
@@ -58,7 +58,7 @@ def check_sentences(result: CheckResult) -> list[str]:
 
 
 def verdict_sentence(result: CheckResult) -> str:
-    """The verdict in words, with how many stops it took."""
+    """State the verdict, and after how many stops it was reached."""
     took = "" if result.seconds is None else f" in {result.seconds:.0f} s"
     what = ", ".join(one.words for one in result.changes if one.words != TRACKER)
     found = f" ({what})" if what else ""
@@ -69,7 +69,7 @@ def verdict_sentence(result: CheckResult) -> str:
 
 
 def evidence_sentence(result: CheckResult) -> str:
-    """The chance of the errors without a change, and what the test promises."""
+    """State the probability of the errors without a change, and the error rates of the test."""
     return (
         f"probability of errors as large if nothing had changed: {_chance(result.p_value)}; the test takes a cell that"
         f" did not change for changed in {100.0 * result.false_alarm:g} % of checks, and misses a visible change in"
@@ -78,7 +78,7 @@ def evidence_sentence(result: CheckResult) -> str:
 
 
 def change_sentence(change: FoundChange) -> str:
-    """What changed, by how much, and how sure that is."""
+    """Say what changed, by how much, and how sure that is."""
     amount = "" if change.value is None else f" by {_amount(change)}"
     turned = "" if change.turned_mrad is None else f", and turns its probe by {change.turned_mrad:.3f} mrad,"
     return (
@@ -92,12 +92,12 @@ def change_sentence(change: FoundChange) -> str:
 
 
 def _in_unit(unit: str) -> tuple[float, str]:
-    """Factor and display unit of a change: lengths in mm, angles in mrad."""
+    """Return the factor and display unit of a change: mm for lengths, mrad for angles."""
     return _UNITS.get(unit, (1.0, unit))
 
 
 def _shown(change: FoundChange) -> tuple[float | None, float | None, str]:
-    """Amount, standard error and unit for people."""
+    """Return the amount, standard error and unit of a change for people."""
     scale, unit = _in_unit(change.unit)
     error = None if change.standard_error is None else change.standard_error * scale
     return None if change.value is None else change.value * scale, error, unit
@@ -152,7 +152,7 @@ def _change_table(result: CheckResult) -> Table:
 
 
 def _weak_table(result: CheckResult) -> Table:
-    """Visible changes that would have to be larger to be found."""
+    """Show visible changes that would have to be larger to be found by these stops."""
     return table_of(
         "Check: visible changes that these stops may miss",
         result.weak,

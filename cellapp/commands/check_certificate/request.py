@@ -1,4 +1,4 @@
-"""What ``check-certificate`` is asked for."""
+"""Request of the verb ``check-certificate``."""
 
 from __future__ import annotations
 

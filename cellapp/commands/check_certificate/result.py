@@ -31,5 +31,5 @@ class CertificateCheckResult(Result, schema="cellapp-certificate-check"):
     problems: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Why the certificate cannot be relied on; empty if it can."""
+        """Say why the certificate cannot be relied on; empty if it can."""
         return list(self.problems)

@@ -1,4 +1,4 @@
-"""The verb ``check-certificate``: verify the signature of a certificate, its pages and its data."""
+"""The verb ``check-certificate``: verify a certificate's signature, its pages and its data."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY
 
 _SHOWN = (".html", ".htm", ".pdf")
-"""Files that show a certificate to people."""
+"""Suffixes of files that show a certificate to people."""
 _OTHER_MODEL = "another model is in force since"
 
 
 def run(request: CheckCertificateRequest, work: Work) -> CertificateCheckResult:
-    """Verify a certificate, with a run also that its data are those that were signed."""
+    """Verify a certificate; with a run also that its data are the signed ones."""
     key = None if request.public_key is None else load_public_key(request.public_key)
     with nullcontext() if request.run is None else RunFile.open(request.run) as opened:
         return check_certificate(request.file, key, opened)
@@ -47,11 +47,10 @@ def run(request: CheckCertificateRequest, work: Work) -> CertificateCheckResult:
 def check_certificate(
     path: Path, public_key: PublicKey | None = None, run: RunFile | None = None
 ) -> CertificateCheckResult:
-    """Verify the signature of a certificate, the files that show it, and that a run is still the one it was made from.
+    """Verify a certificate's signature, the files that show it, and that a run is still the one it was made from.
 
-    ``path`` is the certificate, or a page or print of it; then the certificate stands beside. ``problems`` of the
-    result name whatever does not hold; without a public key the signature is one of them. Raises ``InputError`` if
-    ``path`` cannot be read.
+    ``path`` is the certificate, or a page or print of it next to the certificate. ``problems`` of the result name
+    whatever does not hold; a missing public key is one of them. Raises ``InputError`` if ``path`` cannot be read.
     """
     shown = path if path.suffix.lower() in _SHOWN else None
     path = path if shown is None else path.with_name(CERTIFICATE_FILE)
@@ -88,7 +87,7 @@ def check_certificate(
 
 @dataclass(frozen=True)
 class _Checked:
-    """What the signature file says of the certificate; ``problem`` is empty if it holds."""
+    """The signature's statement on a certificate; ``problem`` is empty if it holds."""
 
     state: SignatureState
     key_id: str = ""
@@ -125,14 +124,14 @@ def _document(path: Path, sha256: str) -> DocumentState:
 
 
 def _uncovered(certificate: CertificateResult, folder: Path, shown: Path | None) -> list[str]:
-    """Files that show a certificate and of which it has no hash: anything may stand in them."""
+    """Return files that show a certificate which has no hash of them: they may contain anything."""
     usual = [folder / name for name in (PAGE_FILE, PRINT_FILE) if path_exists(folder / name)]
     beside = {one.name for one in (*usual, *([] if shown is None else [shown]))} - set(certificate.documents)
     return [f"{name} is not covered by the certificate, which states no hash of it" for name in sorted(beside)]
 
 
 def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """Where a run is not, or no longer, what a certificate was made from."""
+    """Say where a run differs from the one that a certificate was made from."""
     data, stages = certificate.data, read_stages(run)
     if data is None:
         return ["it does not say which data it rests on"]
@@ -151,7 +150,8 @@ def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
 
 
 def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) -> list[str]:
-    """``stored`` are digests of all measurements that the run keeps: without the certified one it was changed."""
+    """Name changed stages; ``stored`` are the digests of all measurements in the run: they include the certified
+    one."""
     if set(data.stages) - set(CERTIFIED_STAGES) != set(now.stages) - set(CERTIFIED_STAGES):
         return [_OTHER_MODEL]
     words = {VERIFY: "targets were verified since", ISO9283: "the cell was tested by ISO 9283 since"}
@@ -163,7 +163,7 @@ def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) ->
 
 
 def _stored_otherwise(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """The run keeps every certificate: a file that was changed is found without its signature, too."""
+    """Say that the certificate is not the stored one: the run keeps every certificate, also without its signature."""
     if certificate in issued(run):
         return []
     return ["the run does not store this certificate: it was made for another run, or it was changed"]

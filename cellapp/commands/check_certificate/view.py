@@ -8,14 +8,14 @@ from cellapp.commands.record import View
 
 
 def view(result: CertificateCheckResult, request: CheckCertificateRequest | None = None) -> View:
-    """What of a certificate holds, and every problem."""
+    """Show what of a certificate holds, and every problem."""
     file = result.certificate if request is None else request.file
     failed = f"{file} does not hold: {'; '.join(result.problems)}"
     return View(check_sentences(result), [failed] if result.problems else (), held=f"signature {result.signature}")
 
 
 def check_sentences(result: CertificateCheckResult) -> list[str]:
-    """What of a certificate holds, and every problem."""
+    """State what of a certificate holds, and every problem."""
     named = f"certificate {result.number}" if result.number else result.certificate
     key = f" (key {result.key_id})" if result.key_id else ""
     said = [f"{named}: signature {result.signature}{key}"]

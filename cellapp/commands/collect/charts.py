@@ -1,4 +1,4 @@
-"""Charts of a collection: residuals and standard errors as they come in, and drift of the references."""
+"""Charts of a collection: residuals and standard errors as readings arrive, and drift of the references."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NO_REFERENCES = "No reference was measured yet."
 NO_SWEEP = "No sweep is recorded yet."
 _STOP = Axis("stop")
 _GAP_S = 0.5
-"""Between two speeds of a sweep that is recorded now; they come each 0.1 s."""
+"""Longest time between two speeds of a live sweep without a gap; they arrive every 0.1 s."""
 
 
 def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
-    """Residual of each stop from the model that was refitted with it, by arm.
+    """Show the residual of each stop from the model refitted with it, by arm.
 
-    ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported;
-    ``nothing`` is said where there is no report.
+    ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported. ``nothing`` is
+    the message without a report.
     """
     by_arm = _by_arm(reports, arms)
     message = nothing
@@ -44,7 +44,7 @@ def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (),
 def stored_residual_chart(
     stops: Sequence[CollectedStop], arms: Sequence[str] = (), chosen: CollectedStop | None = None
 ) -> Chart:
-    """Residual of each stored stop from the model that has learnt from all of them, by arm; one of them is marked."""
+    """Show the residual of each stored stop from the model fitted to all of them, by arm; mark the ``chosen`` stop."""
     by_arm = grouped((one.arm, (one.stop + 1, one.residual_mm)) for one in stops if one.residual_mm is not None)
     number = styles(list(dict.fromkeys((*arms, *by_arm))))
     drawn = [
@@ -62,7 +62,7 @@ def stored_residual_chart(
 
 
 def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
-    """Standard error of a predicted SMR position over the stops, by arm; ``arms`` and ``nothing`` as above."""
+    """Show the standard error of a predicted SMR position over the stops, by arm; ``arms`` and ``nothing`` as above."""
     by_arm = _by_arm(reports, arms)
     message = nothing
     if reports:
@@ -96,17 +96,17 @@ def _arm_series(
 
 
 def drift_by_reference(references: Iterable[ReferenceDrift]) -> dict[str, list[tuple[int, float]]]:
-    """Stops done and drift [mm] of each reference, in the order of measurement."""
+    """Return the stops done and drift [mm] of each reference, in the order of measurement."""
     return grouped((row.name, (row.stops_done, row.drift_mm)) for row in references)
 
 
 def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
-    """Distance of every reference from its first measurement over the stops of a run, with the limit [mm]."""
+    """Show the distance of every reference from its first measurement over the stops of a run, with the limit [mm]."""
     return _drift_chart(drift_by_reference(references), limit_mm, Axis("stops done"))
 
 
 def live_drift_chart(reports: Sequence[ReferenceReport]) -> Chart:
-    """The same from the events of a running collection, which count reference measurements from 1."""
+    """Show the same drift from the events of a running collection, which count reference measurements from 1."""
     drift_mm = grouped(
         (name, (number, drift))
         for number, report in enumerate(reports, start=1)
@@ -139,7 +139,7 @@ def _drift_message(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm
 
 
 def live_sweep_chart(live: SweepLive, trace: Sequence[tuple[float, float]]) -> Chart:
-    """The same of the sweep that is recorded now, as far as it is: times since its first point [s], speeds [mm/s]."""
+    """Show the speed of the SMR in the sweep being recorded: times since its first point [s], speeds [mm/s]."""
     times, speeds = _with_gaps(trace)
     seen = f"up to {max(speed for _, speed in trace):.0f} mm/s" if trace else "nothing yet"
     lost = f"; {counted(live.lost_beams, 'lost beam')}" if live.lost_beams else ""
@@ -149,7 +149,7 @@ def live_sweep_chart(live: SweepLive, trace: Sequence[tuple[float, float]]) -> C
 
 
 def _with_gaps(trace: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Times and speeds of a trace; NaN where it has a gap."""
+    """Return the times and speeds of a trace, with NaN in its gaps."""
     times: list[float] = []
     speeds: list[float] = []
     for at_s, speed in trace:
@@ -162,7 +162,7 @@ def _with_gaps(trace: Sequence[tuple[float, float]]) -> tuple[list[float], list[
 
 
 def sweep_chart(trace: SweepTrace | None) -> Chart:
-    """Speed of the SMR over the time of the last sweep, with gaps where the beam was lost."""
+    """Show the speed of the SMR over the time of the last sweep, with gaps where the beam was lost."""
     axes = Axis("time", "s"), Axis("speed of the SMR", "mm/s")
     if trace is None:
         return Chart("Last sweep", *axes, (), NO_SWEEP)

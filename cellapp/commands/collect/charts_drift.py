@@ -11,23 +11,23 @@ from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 
 _BLOCK, _MOST_BLOCKS, _FEWEST = 20, 24, 3
-"""Stops of a block at least: enough for its scatter; blocks at most, and at least for anything to drift."""
+"""Least stops of a block: enough for its scatter; most blocks; least blocks for a drift to show."""
 _TWO_SIDED = 2.09
 """Half width of the 95 % band of a mean of 20 in standard errors: Student's t with 19 degrees of freedom."""
 _EXPECTED = 0.05
-"""Share of the 95 % bands that leave zero out by chance."""
+"""Share of 95 % bands that exclude zero by chance."""
 _RARE = 0.01
-"""Probability below which more of them are a drift."""
+"""More bands than chance that exclude zero are a drift if their probability is below this."""
 _HOUR = 3600.0
 
 
 def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
-    """Mean of the residuals (n, 3) [m] along x, y, z of blocks of stops over the time (n,) [s] of a run.
+    """Show the mean residuals (n, 3) [m] along x, y, z of blocks of stops over the time (n,) [s] of a run.
 
-    Without times it is over the order of the readings.
+    Without times they are shown over the order of the readings.
     """
     title, y = f"Arm {name}: residuals over the run", Axis("mean residual", "mm")
-    known = np.isfinite(residuals_M).all(axis=1)  # an effect may depend on what was not recorded at every stop
+    known = np.isfinite(residuals_M).all(axis=1)  # NaN if an effect needs a value not recorded at the stop
     time_s, residuals_M = time_s[known], residuals_M[known]
     timed = bool(np.isfinite(time_s).all()) and float(np.ptp(time_s)) > 0.0
     x = Axis("time since the run began", "h") if timed else Axis("reading")
@@ -50,7 +50,7 @@ def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
 
 
 def _message(name: str, mean: Array, band: Array) -> str:
-    """Whether more bands leave zero out than chance does."""
+    """Say whether more bands exclude zero than by chance."""
     outside, total = int(np.count_nonzero(np.abs(mean) > band)), mean.size
     drifts = _chance_of_at_least(outside, total) < _RARE
     verdict = "drift" if drifts else "do not drift"
@@ -62,6 +62,6 @@ def _message(name: str, mean: Array, band: Array) -> str:
 
 
 def _chance_of_at_least(outside: int, total: int) -> float:
-    """Probability that chance alone leaves that many zeros out (binomial distribution)."""
+    """Return the probability that chance alone excludes that many zeros (binomial distribution)."""
     p = _EXPECTED
     return 1.0 - sum(math.comb(total, k) * p**k * (1.0 - p) ** (total - k) for k in range(outside))

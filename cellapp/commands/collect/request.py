@@ -1,4 +1,4 @@
-"""What ``collect`` is asked for."""
+"""Request of the verb ``collect``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CollectRequest(Request):
 
 
 def _loads(text: str) -> dict[str, float]:
-    """Arm -> what it carries [kg]. Raises ``ValueError``."""
+    """Parse the load [kg] of each arm. Raises ``ValueError``."""
     found: dict[str, float] = {}
     for part in text.split(","):
         name, _, number = (piece.strip() for piece in part.partition("="))

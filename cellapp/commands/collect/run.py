@@ -50,8 +50,8 @@ def collect_stops(
     payload: Mapping[str, float] | None = None,
     hung: Hung | None = None,
 ) -> CollectResult:
-    """Measure the planned stops; ``ask`` is asked before the first motion of real arms, ``hung`` where the
-    plan needs another load, unless ``payload`` says that it hangs [kg].
+    """Measure the planned stops. ``ask`` is called before the first motion of real arms; ``hung`` where the plan needs
+    another load, unless ``payload`` says that it is mounted [kg].
 
     Raises as ``collect_run`` and ``confirmation`` do, and ``InputError`` if another job runs in the folder.
     """
@@ -82,7 +82,7 @@ def collect_planned(
     payload: Mapping[str, float] | None = None,
     hung: Hung | None = None,
 ) -> CollectResult:
-    """As ``collect_stops``, within a job that has the folder already."""
+    """Measure as ``collect_stops`` does, within a job that has locked the folder already."""
     refuse_second_station(run)
     missing = keep_log(run)
     confirm = confirmation(run.profile, ask if ask is None or not missing else lambda words: ask(f"{words}\n{missing}"))
@@ -103,5 +103,5 @@ def collect_planned(
 
 
 def hanging(work: Work) -> Hung:
-    """What asks the person of an interface to hang another load."""
+    """Return the callable that asks the interface's user to mount another load."""
     return lambda words: work.choose(f"{words} Does it hang?", ("no", "yes")) == "yes"

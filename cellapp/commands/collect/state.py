@@ -1,4 +1,4 @@
-"""What a run says about its collecting, as a typed result."""
+"""State of a run's collection, as a typed result."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from cellapp.ground.results import CALIBRATE
 
 
 def collection_state(run: RunFile, results: StageResults | None = None) -> CollectionResult | None:
-    """Sessions, missing readings, reference drift, standard errors, stops; None if this run records no session.
+    """Return sessions, missing readings, reference drift, standard errors, stops; None if no session was recorded.
 
-    ``results`` of the run say what is left of the stops after calibration.
+    ``results`` of the run give the residuals of the stops after calibration.
     """
     sessions = run.sessions()
     if not sessions:
@@ -78,7 +78,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
 
 
 def _calibrated(results: StageResults | None) -> Mapping[str, ArmCalibrationResult]:
-    """The calibration of each arm, while it holds."""
+    """Return the calibration of each arm, while it holds."""
     if results is None or results.calibrate is None or CALIBRATE in results.out_of_date:
         return {}
     return results.calibrate.arms
@@ -91,7 +91,7 @@ def _stops(
     calibrated: Mapping[str, ArmCalibrationResult],
     replaced: Sequence[ReplacedReading],
 ) -> Iterator[CollectedStop]:
-    """The measured stops of each arm."""
+    """Yield the measured stops of each arm."""
     earlier = Counter((one.stop, one.arm) for one in replaced)
     late = late_readings(run)
     for name, stops in numbers.items():
@@ -112,7 +112,7 @@ def _stops(
 
 
 def _replaced(run: RunFile, model: LiveModel) -> Iterator[ReplacedReading]:
-    """The readings of each arm that later ones replaced, and how far the model of those that count is from them."""
+    """Yield the replaced readings of each arm, with their residuals from the model of the readings that count."""
     for name in run.profile.arms:
         earlier = earlier_readings(run, name)
         stops, lengths_m = earlier.readings.configuration.tolist(), model.lengths_m(name, earlier.readings)
@@ -122,17 +122,17 @@ def _replaced(run: RunFile, model: LiveModel) -> Iterator[ReplacedReading]:
 
 
 def _unmeasured(missing: Sequence[MissingReading]) -> Iterator[CollectedStop]:
-    """Stops that have no reading although they were tried or left out on purpose."""
+    """Yield stops without a reading although they were tried or left out on purpose."""
     for one in missing:
         if one.kind != "not tried":
             yield CollectedStop(stop=one.stop, arm=one.arm, suspicion=f"{one.kind}: {one.reason}")
 
 
 def _usual_mm(its: Residuals | None) -> float | None:
-    """The length that 95 % of the residuals without gross errors do not exceed [mm]."""
+    """Return the 95th percentile [mm] of the lengths of the residuals without gross errors."""
     return None if its is None or its.gross.all() else float(np.percentile(its.length_m[~its.gross], 95)) * 1e3
 
 
 def _held_out_mm(arm: ArmCalibrationResult | None) -> float | None:
-    """The 95 % percentile [mm] of the held-out errors of the calibration's last stage."""
+    """Return the 95th percentile [mm] of the held-out errors of the calibration's last stage."""
     return None if arm is None or not arm.validate_ else arm.validate_[arm.best_stage].position_mm.p95

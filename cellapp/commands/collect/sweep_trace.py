@@ -1,4 +1,4 @@
-"""The sweep of a run that was recorded last: how fast its SMR moved by the tracker."""
+"""Trace of the sweep recorded last: the speed of its SMR as seen by the tracker."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from cellapp.cell.run.stream_columns import POINT
 
 _MOST_DRAWN = 300
 _GAP = 3.0
-"""Steps between drawn points, in usual ones, from which the beam was lost between them."""
+"""Ratio of the time between two drawn points to the usual one from which the beam was lost between them."""
 
 
 def last_sweep(run: RunFile) -> SweepTrace | None:
-    """The trace of the sweep that was recorded last; None where none was planned or is recorded."""
+    """Return the trace of the sweep recorded last; None if none was planned or recorded."""
     places = {(sweep.arm, sweep.name): place for place, sweep in enumerate(read_sweeps(run))}
     found = [
         (places[key], state)

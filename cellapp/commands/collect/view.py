@@ -1,4 +1,4 @@
-"""Tables and sentences on collecting: what a session stored and what it lacks."""
+"""Tables and sentences on collecting: what a session stored and what is missing."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
-"""Missing readings that are printed one by one; ``show DIR collection`` has all."""
+"""Most missing readings that are printed one by one; ``show DIR collection`` has all."""
 
 
 def view(result: CollectResult, request: Request | None = None) -> View:
-    """What is stored, what is missing, and what was noticed."""
+    """Show what is stored, what is missing, and notes."""
     return View((*collect_lines(result), *other_notes(result, result.notes)), result.complaints())
 
 
 def stored_view(state: CollectionResult) -> View:
-    """How a run was collected so far, and how far its references moved."""
+    """Show the run's collection so far, and the drift of its references."""
     ranges = residual_range_words(state)
     drawn = (*_drift_charts(state), *([] if state.sweep is None else [sweep_chart(state.sweep)]))
     return View((*([ranges] if ranges else []), *collection_tables(state), *drawn))
 
 
 def collection_section(state: CollectionResult) -> Section:
-    """How a run was collected, with sessions, missing readings and drift in one sentence."""
+    """Show the run's collection, with sessions, missing readings and drift in one sentence."""
     count, missing = len(state.sessions), len(state.missing)
     words = [counted(count, "session"), f"{counted(missing, 'planned reading')} missing"]
     drifts = [reference.drift_mm for reference in state.references]
@@ -48,13 +48,13 @@ def collection_section(state: CollectionResult) -> Section:
 
 
 def _drift_charts(state: CollectionResult) -> list[Chart]:
-    """Reference drift over the run with its limit; empty if nothing was measured twice."""
+    """Show the drift of the references over the run with its limit; empty if none was measured twice."""
     twice = any(len(rows) > 1 for rows in drift_by_reference(state.references).values())
     return [drift_chart(state.references, state.drift_limit_mm)] if twice else []
 
 
 def collect_lines(result: CollectResult) -> list[str]:
-    """How many stops are stored, how the session ended, which readings are missing."""
+    """Say how many stops are stored, how the session ended, which readings are missing."""
     lines = [f"{counted(result.stops, 'stop')} stored: {result.outcome}"]
     if result.replaced is not None:
         counts = counted(result.replaced, "reading was", "readings were")
@@ -71,15 +71,15 @@ def collect_lines(result: CollectResult) -> list[str]:
 
 
 def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]:
-    """Notes that do not repeat why a reading is missing."""
+    """Return the notes other than reasons of missing readings."""
     reasons = {f": {one.reason}" for one in result.missing} if result is not None else set()
     return [note for note in notes if not any(note.endswith(reason) for reason in reasons)]
 
 
 def collection_tables(state: CollectionResult) -> list[Table]:
-    """Sessions, what happened in them, missing and replaced readings, drift, standard errors, stops to look at first.
+    """Show sessions, their events, missing and replaced readings, drift, standard errors, the most doubtful stops.
 
-    Only those with rows.
+    Tables without rows are left out.
     """
     tables = [
         _sessions(state),
@@ -95,7 +95,7 @@ def collection_tables(state: CollectionResult) -> list[Table]:
 
 
 def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
-    """Residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` ones."""
+    """Show residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` stops."""
     return table_of(
         title,
         stops,
@@ -111,18 +111,18 @@ def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title:
 
 
 def _retried(one: CollectedStop) -> str:
-    """Whether a later visit gave the reading, or how many readings it replaced."""
+    """Say whether a later visit gave the reading, or how many readings it replaced."""
     times = "" if one.again < 2 else f" x{one.again}"
     return f"again{times}" if one.again else "yes" if one.retried else ""
 
 
 def residual_ratio(one: CollectedStop) -> float | None:
-    """Residual in sigmas; None without a reading or a model."""
+    """Return the residual in units of sigma; None without a reading or a model."""
     return one.residual_mm / one.sigma_mm if one.residual_mm is not None and one.sigma_mm else None
 
 
 def residual_range_words(state: CollectionResult) -> str:
-    """What is normal for a residual of each arm before and after calibration; empty without a model."""
+    """State the normal residuals of each arm before and after calibration; empty without a model."""
     words = []
     for arm, its in state.residual_ranges.items():
         before = "" if its.before_mm is None else f"up to {mm(its.before_mm)} before calibration (running model)"
@@ -133,12 +133,12 @@ def residual_range_words(state: CollectionResult) -> str:
 
 
 def _doubt(one: CollectedStop) -> tuple[bool, float]:
-    """How doubtful a stop is: suspicions first, then by the ratio of residual and sigma."""
+    """Return a sort key for doubt: suspicion first, then the ratio of residual and sigma."""
     return bool(one.suspicion), residual_ratio(one) or 0.0
 
 
 def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:
-    """Stops, arm, kind and reason of missing readings; stops in a row that differ in nothing else are one row."""
+    """Return stops, arm, kind and reason of missing readings; successive stops with the same values share a row."""
     groups: list[list[MissingReading]] = []
     latest: dict[str, list[MissingReading]] = {}
     for one in missing:
@@ -155,7 +155,7 @@ def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str
 
 
 def _stop_words(first: int, last: int) -> str:
-    """Numbers of stops as persons count them, from 1."""
+    """Return the numbers of stops as people count them, from 1."""
     return f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
 
 
@@ -194,7 +194,7 @@ def _missing(state: CollectionResult) -> Table:
 
 
 def _replaced(state: CollectionResult) -> Table:
-    """Readings that were replaced by later ones: residuals before and now."""
+    """Show readings replaced by later ones: residuals before and now."""
     now = {(one.stop, one.arm): one.residual_mm for one in state.stops}
     return table_of(
         "Stops measured again: the readings before, which are kept and not used",

@@ -1,4 +1,4 @@
-"""What ``compare`` is asked for."""
+"""Request of the verb ``compare``."""
 
 from __future__ import annotations
 

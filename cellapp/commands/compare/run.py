@@ -1,4 +1,4 @@
-"""Where two runs differ: profile, parameters, held-out errors, effects, inter-base transform, verification."""
+"""Differences of two runs: profile, parameters, held-out errors, effects, inter-base transform, verification."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _MISSING: Mapping[str, str] = {
 
 
 def run(request: CompareRequest, work: Work) -> RunComparison | FleetResult:
-    """Two runs in every value; more by the history of each arm."""
+    """Compare two runs value by value; more runs by the history of each arm."""
     if len(request.folders) != 2:
         return compare_many(request.folders)
     first, second = request.folders
@@ -51,12 +51,12 @@ def run(request: CompareRequest, work: Work) -> RunComparison | FleetResult:
 
 
 def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
-    """Compare two runs; what only one of them has, or what cannot be compared, is said in the notes.
+    """Compare two runs; notes name what only one of them has and what cannot be compared.
 
     Raises
     ------
     InputError
-        If both are the same run, or what one of them stored is damaged.
+        If both are the same run, or stored data of one are damaged.
     """
     if a.folder.resolve() == b.folder.resolve():
         raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
@@ -102,7 +102,7 @@ def _other_types(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[str]
 
 
 def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Arms of one name whose serial numbers differ, each with its note."""
+    """Yield arms with one name but different serial numbers, each with a note."""
     first, second = arm_identities(a), arm_identities(b)
     for name in common:
         if first[name].is_other_than(second[name]):
@@ -114,7 +114,7 @@ def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tu
 
 
 def _missing(results: RunResults) -> Iterator[str]:
-    """Results that a run lacks, and those that no longer hold."""
+    """Yield results that a run lacks, and those that no longer hold."""
     for name, words in _MISSING.items():
         if getattr(results, name) is None and name not in results.out_of_date:
             yield f"{results.run} {words}"
@@ -134,7 +134,7 @@ def _profile_differences(a: Profile, b: Profile) -> Iterator[ProfileDifference]:
 
 
 def _leaves(profile: Profile) -> dict[str, str]:
-    """Every value of a profile as JSON, by its key as in ``arms.left.base.position[0]``."""
+    """Return every value of a profile as JSON, by its key, as ``arms.left.base.position[0]``."""
     return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), _content(profile))}
 
 
@@ -205,7 +205,7 @@ def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison
     if a is not None and b is not None and a.unit == b.unit:
         difference = b.value - a.value
         if a.unit == "rad":
-            difference = math.remainder(difference, math.tau)  # an angle near half a turn may have either sign
+            difference = math.remainder(difference, math.tau)  # angles near half a turn may differ in sign
         if a.standard_error is not None and b.standard_error is not None:
             combined = math.hypot(a.standard_error, b.standard_error)
             z = difference / combined if combined > 0.0 else None
@@ -225,7 +225,7 @@ def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison
 
 
 def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> tuple[EffectComparison, ...]:
-    """Pair the effects of two runs by name, and those of one name by place, then by order."""
+    """Pair the effects of two runs by name, and effects of the same name by place, then by order."""
     compared = []
     for slug in dict.fromkeys(effect.effect for effect in (*a, *b)):
         first = [effect for effect in a if effect.effect == slug]
@@ -256,7 +256,7 @@ def _effect(a: AcceptedEffect | None, b: AcceptedEffect | None) -> EffectCompari
 
 
 def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairComparison | None:
-    """None where neither run has a pair."""
+    """Compare the pair's results; None if neither run has a pair."""
     first, second = ({} if run is None else run.pair for run in (a, b))
     if not first and not second:
         return None
@@ -275,7 +275,7 @@ def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairCompariso
 
 
 def _distance_mm(parameters: Sequence[ValueComparison]) -> float | None:
-    """Length of the difference of the transform's translations x, y, z [m]."""
+    """Return the length [mm] of the difference of the transforms' translations x, y, z [m]."""
     differences = {value.name: value.difference for value in parameters}
     lengths = [differences.get(axis) for axis in ("x", "y", "z")]
     known = [length for length in lengths if length is not None]

@@ -1,4 +1,4 @@
-"""Tables and sentences of ``compare``: where two runs differ."""
+"""Tables and sentences of ``compare``: differences of two runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cellapp.ground.counting import counted
 _MM = ".4f"
 _MISSING = "-"
 ShownIn = Callable[[str], tuple[float, str]]
-"""Factor and display unit of a stored unit."""
+"""Stored unit -> factor and display unit."""
 _ERRORS = (
     *(number_column(f"{run}, {measure}", _MM) for measure in ("mean", "rms") for run in ("a", "b")),
     number_column("change of mean", "+.1%"),
@@ -30,14 +30,14 @@ _ERRORS = (
 
 
 def view(result: RunComparison | FleetResult, request: Request | None = None) -> View:
-    """Where two runs differ, or each arm over more of them."""
+    """Show the differences of two runs, or each arm over more runs."""
     if isinstance(result, FleetResult):
         return fleet_view(result)
     return View((*comparison_tables(result), *comparison_sentences(result)))
 
 
 def comparison_tables(result: RunComparison) -> list[Table]:
-    """Differences of the profile; of each arm held-out errors, parameters, effects, targets; then the pair."""
+    """Show differences of the profile; each arm's held-out errors, parameters, effects, targets; then the pair."""
     tables = []
     if result.profile:
         rows = tuple((entry.key, entry.a or _MISSING, entry.b or _MISSING) for entry in result.profile)
@@ -53,7 +53,7 @@ def comparison_tables(result: RunComparison) -> list[Table]:
 
 
 def comparison_sentences(result: RunComparison) -> list[str]:
-    """Which folder is a and which is b, what differs in a sentence for each subject, and what cannot be compared."""
+    """Name folders a and b, state the differences in a sentence per subject, and what cannot be compared."""
     sentences = [f"a: {result.a}", f"b: {result.b}"]
     if not result.profile:
         sentences.append("the profiles are the same")
@@ -92,7 +92,7 @@ def _error_tables(title: str, subject: str, errors: Iterable[tuple[str, ErrorCom
 
 
 def _change(entry: ErrorComparison) -> float | None:
-    """Relative change of the mean error from a to b."""
+    """Return the relative change of the mean error from a to b; None if it is not known."""
     if entry.a_mean_mm is None or entry.b_mean_mm is None or entry.a_mean_mm == 0.0:
         return None
     return entry.b_mean_mm / entry.a_mean_mm - 1.0

@@ -1,4 +1,4 @@
-"""Charts of targets: errors before and after, whether stated bounds hold, what an uncertainty is made of."""
+"""Charts of targets: errors before and after, whether stated bounds hold, sources of the uncertainty."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _NOT_YET = "No target was measured with both commands yet: push with verificatio
 
 
 def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | None]) -> list[Chart]:
-    """All charts of measured targets; ``floors_mm`` has the noise floor of each arm of the cell.
+    """Show all charts of measured targets; ``floors_mm`` is the noise floor of each arm of the cell.
 
-    The errors of each arm, always; then, where there are any, those of cooperative targets, the bounds, the rounds.
+    Always the errors of each arm; cooperative targets, bounds and rounds only if there are any.
     """
     charts = [target_chart(name, verify, floor) for name, floor in floors_mm.items()]
     if verify is None:
@@ -47,19 +47,19 @@ def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | N
 
 
 def target_chart(name: str, verify: VerifyResult | None, floor_mm: float | None) -> Chart:
-    """Measured error at each target of one arm without and with compensation, in the order of the table."""
+    """Show the measured error at each target of one arm without and with compensation, in the order of the table."""
     measured = [] if verify is None else measured_targets(verify, name)
     return _errors(f"Arm {name}: targets", "measured error", measured, floor_mm)
 
 
 def pair_chart(verify: VerifyResult) -> Chart:
-    """Error of the distance between both SMRs at each cooperative target, in the order of the table."""
+    """Show the error of the distance between both SMRs at each cooperative target, in the order of the table."""
     measured = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
     return _errors("Cooperative targets", "error of the distance", measured, None)
 
 
 def bound_chart(verify: VerifyResult) -> Chart:
-    """Measured error of the model alone against the 95 % bound that it stated; below the line the bound holds."""
+    """Show the measured error by the model alone over its stated 95 % bound; below the line the bound holds."""
     title, x, y = "Stated bounds", Axis("predicted 95 % bound", "mm", True), Axis("measured error", "mm", True)
     known = {name: bounds_and_errors(verify, name) for name in verify.arms}
     drawn = []
@@ -69,7 +69,7 @@ def bound_chart(verify: VerifyResult) -> Chart:
             drawn.append(series(f"arm {name}", drawable_mm(bound), drawable_mm(error), "points", style=style))
     if not drawn:
         return Chart(title, x, y, (), "No measured target has a predicted bound.")
-    ends = np.concatenate([values for one in drawn for values in (one.x, one.y)])  # bounds alone are much alike
+    ends = np.concatenate([values for one in drawn for values in (one.x, one.y)])  # bounds alone span too small a range
     diagonal = np.array([ends.min(), ends.max()])
     drawn.append(series("error = bound", diagonal, diagonal, "line", style=len(STAGE_STYLES) + 1, mark=":"))
     message = f"{promise_words(verify)[0].capitalize()}: 95 % are to be expected."
@@ -77,10 +77,10 @@ def bound_chart(verify: VerifyResult) -> Chart:
 
 
 def rounds_chart(verify: VerifyResult) -> Chart:
-    """Mean and largest measured error after the model alone (0) and after each correction by measuring."""
+    """Show the mean and largest measured error by the model alone (0) and after each correction by measuring."""
     corrected = [target.rounds_mm for target in verify.targets if len(target.rounds_mm) > 1]
     length = max(map(len, corrected), default=0)
-    # a target that needed fewer corrections stays where its last one left it
+    # a target with fewer corrections keeps the error of its last one
     errors = np.array([[*rounds, *[rounds[-1]] * (length - len(rounds))] for rounds in corrected]).reshape(-1, length)
     title, x, y = "Corrections by measuring", Axis("corrections"), Axis("measured error", "mm", True)
     if not corrected:
@@ -99,13 +99,13 @@ def rounds_chart(verify: VerifyResult) -> Chart:
 
 
 def parts_charts(result: CompensateResult) -> list[Chart]:
-    """What the uncertainty at the targets of each arm is made of; without arms whose commands state none."""
+    """Show the sources of the uncertainty at each arm's targets; not for arms whose commands state none."""
     by_arm = grouped((command.arm, command.parts) for command in result.targets if command.parts is not None)
     return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
-    """Standard uncertainty of a coordinate by its sources: of one command, or root mean square over several."""
+    """Show the standard uncertainty of a coordinate by sources: of one command, or the rms over several."""
     bars = {}
     for part, words in PART_WORDS.items():
         value = float(np.sqrt(np.mean([getattr(one, part) ** 2 for one in parts]))) if parts else 0.0
@@ -119,7 +119,7 @@ def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
 
 
 def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: float | None) -> Chart:
-    """Errors without and with compensation, and after corrections; those out of tolerance are marked."""
+    """Show errors without and with compensation, and after corrections; mark those out of tolerance."""
     x, y = Axis("target"), Axis(label, "mm", logarithmic=True)
     if not measured:
         return Chart(title, x, y, (), _NOT_YET)

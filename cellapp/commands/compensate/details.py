@@ -1,4 +1,4 @@
-"""One target in words, tables and charts: where it is, what is predicted of it, what is unknown, what was measured."""
+"""One target in words, tables and charts: position, predictions, unknown conditions, measurements."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class TargetDetails:
 
 
 def target_details(state: TargetState) -> TargetDetails:
-    """What a run says about one target; all empty where it says nothing."""
+    """Return what a run knows about one target; all empty if it knows nothing."""
     sentences: list[str] = []
     for command in state.commands:
         sentences += _command_lines(command)
@@ -50,7 +50,7 @@ def target_details(state: TargetState) -> TargetDetails:
 
 
 def details_tables(details: TargetDetails) -> list[Table]:
-    """The tables, with charts of bars as tables: what a shell prints."""
+    """Build the tables for a shell, with bar charts as tables."""
     columns = (Column("source"), number_column("standard uncertainty", ".4f", "mm"))
     parts = [
         Table(chart.title, columns, tuple(zip(chart.categories, chart.series[0].y.tolist(), strict=True)))
@@ -61,11 +61,11 @@ def details_tables(details: TargetDetails) -> list[Table]:
 
 
 def stored_state(results: StageResults, name: str) -> TargetState | None:
-    """What a run stored last about the target of a name; None if it knows none of that name."""
+    """Return the newest results of a run for the target of this name; None if there are none."""
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
     pushed = results.verify or results.push
     measured = () if pushed is None else _named(pushed.targets, name)
-    if commands:  # an earlier target of that name was measured
+    if commands:  # measurements of an earlier target of that name do not count
         measured = tuple(one for one in measured if one.definition == commands[0].definition)
     if not commands and not measured:
         return None
@@ -74,7 +74,7 @@ def stored_state(results: StageResults, name: str) -> TargetState | None:
 
 
 def place_lines(target: Target) -> list[str]:
-    """Where a target is as it was written: frame, pose, other arm, tolerance, conditions, preferred sides."""
+    """State a target as it was written: frame, pose, other arm, tolerance, conditions, preferred sides."""
     lines = [f"{target.name}: arm {target.arm}, {_pose_words(target.position, target.rpy)}, {_frame_words(target)}"]
     if target.partner is not None:
         partner = target.partner
@@ -95,7 +95,7 @@ def place_lines(target: Target) -> list[str]:
 
 
 def side_words(approach: Sequence[int]) -> str:
-    """The joints' last motions: ``joint 1 +, joint 3 -``."""
+    """State the joints' last motions: ``joint 1 +, joint 3 -``."""
     joints = [f"joint {number} {_SIDES[sign]}" for number, sign in enumerate(approach, start=1) if sign]
     return ", ".join(joints) or "any side"
 
@@ -195,7 +195,7 @@ def _rounds(rounds_mm: Sequence[float]) -> str:
 
 
 def _point_tables(measured: MeasuredTarget) -> Iterator[Table]:
-    """Wanted, predicted and measured SMR and their differences; none where they were not stored."""
+    """Yield a table of wanted, predicted and measured SMR and their differences; none if they were not stored."""
     if measured.wanted_M is None or measured.measured_M is None:
         return
     columns = (
@@ -233,7 +233,7 @@ def _pose_words(position: Point, rpy: Point | None) -> str:
 def _frame_words(target: Target) -> str:
     frame = target.work_frame
     if frame is not None:
-        from cellapp.cell.targets.goals import work_frame_pose  # loads scipy: only where there is a work frame
+        from cellapp.cell.targets.goals import work_frame_pose  # loads scipy: only for a work frame
 
         rms_mm = work_frame_pose(frame)[1] * 1e3
         parent = "the tracker frame" if frame.parent == "tracker" else f"the base of arm {frame.parent}"

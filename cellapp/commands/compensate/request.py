@@ -1,4 +1,4 @@
-"""What ``compensate`` is asked for."""
+"""Request of the verb ``compensate``."""
 
 from __future__ import annotations
 

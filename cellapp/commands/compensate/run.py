@@ -1,4 +1,4 @@
-"""The verb ``compensate``: commands for targets with the model in force."""
+"""The verb ``compensate``: compute commands for targets with the model in force."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def run(request: CompensateRequest, work: Work) -> CompensateResult:
 
 
 def listed_targets(targets: Path | tuple[Target, ...], profile: Profile) -> tuple[Target, ...]:
-    """The targets of a request: those of its file, or as a program gave them."""
+    """Return the targets of a request: read from its file, or as a program gave them."""
     return load_targets(targets, profile) if isinstance(targets, Path) else targets
 
 
 def compensate_run(run: RunFile, targets: Sequence[Target]) -> CompensateResult:
-    """Compute and store commands for targets with the model in force; a note says where that is out of date."""
+    """Compute and store commands for targets with the model in force; a note says if that is out of date."""
     return compensated_commands(run, read_stages(run), targets)[1]
 
 
 def compensated_commands(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
-    """As ``compensate_run``; also returns the commands themselves."""
+    """Compensate as ``compensate_run`` does; also return the commands themselves."""
     used = stage_in_force(run, stages)
     model = model_of(run, used)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
@@ -59,14 +59,14 @@ def compensate_targets(
     targets: Sequence[Target],
     notes: Sequence[str] = (),
 ) -> tuple[tuple[Command, ...], CompensateResult]:
-    """Commands for targets with a model, and their result; ``readings`` are those of the model.
+    """Compute commands for targets with a model; ``readings`` are those of the model.
 
-    The result has ``notes`` first, then what is not known of a cell that this program does not drive.
+    The result has ``notes`` first, then notes on what is unknown of a cell that this program does not drive.
 
     Raises
     ------
     InputError
-        If the model is of other arms than the profile.
+        If model and profile have different arms.
     """
     ranges = {name: ConditionRanges.of(one, model.arms.get(name)) for name, one in readings.items()}
     commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)

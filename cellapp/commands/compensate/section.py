@@ -1,4 +1,4 @@
-"""Targets as a section: what was measured there, what is predicted, what is refused."""
+"""Targets as a section of the report: measurements, predictions, refusals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ABOUT = (
 def targets_section(
     compensate: CompensateResult | None, verify: VerifyResult | None, floors_mm: Mapping[str, float | None]
 ) -> Section:
-    """Compensated targets, measured ones, or both; ``floors_mm`` has the noise floor of each arm."""
+    """Show compensated targets, measured targets, or both; ``floors_mm`` is the noise floor of each arm."""
     predicted = [] if compensate is None else compensate_summary(compensate)
     measured = [] if verify is None else verify_summary(verify)
     message = predicted[0] if verify is None else verify_message(verify)
@@ -49,7 +49,7 @@ def targets_section(
 
 def _tables(compensate: CompensateResult | None, verify: VerifyResult | None) -> Iterator[Table]:
     if verify is not None:
-        yield from verification_tables(verify)[:1]  # the tables of each target have the tolerances, too
+        yield from verification_tables(verify)[:1]  # without tolerances: the tables of targets have them
         yield from measured_tables(verify)
     if compensate is not None:
         if verify is None:

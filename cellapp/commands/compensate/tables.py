@@ -1,6 +1,6 @@
-"""Tables of targets: commands, what is predicted of them, what is unknown, refusals, and what was measured.
+"""Tables of targets: commands, predictions, unknown conditions, refusals, and measurements.
 
-A list may hold thousands of targets: a table shows those that need most attention, in the order of the list.
+A list may have thousands of targets: a table shows those that need attention most, in the order of the list.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _BOUND: Field = ("95 % bound", "within_mm", MM)
 _TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.tolerance_mm), "g")
 _TURN_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g")
 _NUMBERED: tuple[Field, ...] = (("number", lambda row: str(row[0])), ("target", lambda row: row[1].name))
-"""Of rows of a number and what was measured, as the next ones."""
+"""First columns of rows (number, measurement)."""
 _ERRORS: tuple[Field, ...] = (
     ("before", lambda row: row[1].nominal_mm, MM),
     ("after", lambda row: row[1].compensated_mm, MM),
@@ -55,12 +55,12 @@ _MET: tuple[Field, ...] = (
 
 
 def stored_tables(result: CompensateResult) -> list[Table]:
-    """What ``show DIR targets`` prints beside its sentences: commands, uncertainties by their parts, tolerances."""
+    """Show the tables of ``show DIR targets``: commands, uncertainties by source, tolerances."""
     return [*command_tables(result), *uncertainty_tables(result), *predicted_tables(result)]
 
 
 def command_tables(result: CompensateResult) -> list[Table]:
-    """Compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
+    """Show compensated joint angles [deg] of every target that can be commanded, one table for each arm."""
     tables = []
     for arm in dict.fromkeys(target.arm for target in result.targets):
         commands = [
@@ -77,7 +77,7 @@ def command_tables(result: CompensateResult) -> list[Table]:
 
 
 def predicted_tables(result: CompensateResult) -> list[Table]:
-    """Whether commands are expected to meet the tolerances; empty if no target has one."""
+    """Show whether commands should meet the tolerances; empty if no target has one."""
     judged = [target for target in result.targets if target.tolerance_mm is not None]
     table = table_of(
         "Predicted: targets with a tolerance [mm]",
@@ -93,9 +93,9 @@ def predicted_tables(result: CompensateResult) -> list[Table]:
 
 
 def turn_tables(result: CompensateResult) -> list[Table]:
-    """The flange's rotation: by the published geometry, its uncertainty with the compensated command, its tolerance.
+    """Show the flange's rotation: by the published geometry, uncertainty with the compensated command, tolerance.
 
-    Empty where no orientation was measured.
+    Empty if no orientation was measured.
     """
     known = [target for target in result.targets if target.orientation is not None]
     table = table_of(
@@ -113,7 +113,8 @@ def turn_tables(result: CompensateResult) -> list[Table]:
 
 
 def uncertainty_tables(result: CompensateResult) -> list[Table]:
-    """Standard uncertainty of a coordinate at each command by its sources, and the 95 % bound; empty without parts."""
+    """Show the standard uncertainty of a coordinate at each command by sources, and the 95 % bound; empty if
+    unknown."""
     known = [target for target in result.targets if target.parts is not None]
     table = table_of(
         "Standard uncertainty of a coordinate by its sources [mm]",
@@ -130,7 +131,7 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
 
 
 def unknown_tables(result: CompensateResult) -> list[Table]:
-    """Conditions that nobody stated, by how much each moves the SMR, and where one states it."""
+    """Show unstated conditions, by how much each moves the SMR, and where to state it."""
     table = table_of(
         "Working conditions that nobody stated",
         unknown_conditions(result.targets),
@@ -145,7 +146,7 @@ def unknown_tables(result: CompensateResult) -> list[Table]:
 
 
 def refusal_tables(result: CompensateResult) -> list[Table]:
-    """Targets that are not commanded, the reason, and what to do about it; empty if there are none."""
+    """Show targets that cannot be commanded, why, and what to do; empty if there are none."""
     refused = [target for target in result.targets if target.refusal]
     reasons: tuple[Field, ...] = (
         ("refused because", "refusal"),
@@ -158,13 +159,13 @@ def refusal_tables(result: CompensateResult) -> list[Table]:
 
 
 def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
-    """The targets of one arm that were measured with both commands: the order of tables and charts."""
+    """Return the targets of one arm measured with both commands, in the order of tables and charts."""
     own = [target for target in verify.targets if target.arm == arm]
     return [target for target in own if None not in (target.nominal_mm, target.compensated_mm)]
 
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
-    """Each target with its errors, one table for each arm; cooperative targets; those without a measurement."""
+    """Show each target with its errors, one table for each arm; cooperative targets; targets without measurement."""
     return [
         *_arm_tables(verify),
         *measured_turn_tables(verify),
@@ -174,7 +175,7 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
 
 
 def measured_turn_tables(verify: VerifyResult) -> list[Table]:
-    """Targets at which a probe measured the rotation of the flange; empty without any."""
+    """Show targets at which a probe measured the flange's rotation; empty if there are none."""
     measured = [target for target in verify.targets if target.orientation is not None]
     table = table_of(
         "Measured: rotation of the flange, angle from the target [mrad]",
@@ -192,12 +193,12 @@ def measured_turn_tables(verify: VerifyResult) -> list[Table]:
 
 
 def all_measured_tables(verify: VerifyResult) -> list[Table]:
-    """What ``show DIR verification`` prints: statistics, then every target."""
+    """Show the tables of ``show DIR verification``: statistics, then every target."""
     return [*verification_tables(verify), *measured_tables(verify)]
 
 
 def pair_tables(verify: VerifyResult) -> list[Table]:
-    """Cooperative targets: by how much the distance between both SMRs was off; empty without them."""
+    """Show the error of the distance between both SMRs at cooperative targets; empty if there are none."""
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
     table = table_of(
         "Cooperative targets: error of the distance between both SMRs [mm]",
@@ -213,7 +214,7 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
-    """Targets, single and cooperative, that have no measurement, and why."""
+    """Show targets without measurement, single and cooperative, and why."""
     without = [one for one in all_measured(verify) if one.note]
     fields: tuple[Field, ...] = (("target", "name"), ("arm", _arms), ("reason", "note"))
     table = table_of("Targets that were not measured", without[:MOST_ROWS], *fields, count=len(without))
@@ -242,20 +243,20 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
 
 
 def _prediction_urgency(target: TargetCommand) -> float:
-    """Refused ones first, then by the bound as a share of the tolerance."""
+    """Return a sort key: refused targets first, then by the bound as a share of the tolerance."""
     if target.refusal:
         return math.inf
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
 
 
 def _turn_urgency(target: TargetCommand) -> float:
-    """The bound of the flange's rotation as a share of its tolerance."""
+    """Return a sort key: the bound of the flange's rotation as a share of its tolerance."""
     within = 0.0 if target.orientation is None else target.orientation.within_mrad
     return within / (target.orientation_tolerance_mrad or math.inf)
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation, and the targets with a tolerance.
+    """Show errors at new targets before and after compensation, and the targets with a tolerance.
 
     Empty if no target was measured with both commands.
     """
@@ -282,7 +283,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
-    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    """Show targets with a tolerance; of many, those with the largest error as a share of it."""
     judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
     table = table_of(
         "Targets with a tolerance [mm]",

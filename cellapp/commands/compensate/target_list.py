@@ -1,4 +1,4 @@
-"""A list of targets with what a run says about each: the table of the screen Targets, and one target in words."""
+"""Targets with what a run knows about each: the table of the screen Targets, and one target in words."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ _MEASURED_WORDS = {
     "cannot say": "not decided: nearer to its tolerance than its uncertainty",
 }
 COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
-"""How many columns a narrow place can show without parting a position or a rotation."""
+"""Numbers of columns that a narrow screen can show without splitting a position or a rotation."""
 
 
 @dataclass(frozen=True)
 class TargetState:
-    """What a run says about one target as it is now.
+    """What a run currently knows about one target.
 
     Attributes
     ----------
     commands, measured : tuple
-        One for each arm that goes there; empty where nothing was computed or driven.
+        One for each arm at the target; empty if nothing was computed or driven.
     pair : MeasuredPair or None
-        What was measured between both arms of a cooperative target.
+        What was measured between both arms of a cooperative target; None if nothing.
     """
 
     commands: tuple[TargetCommand, ...] = ()
@@ -60,7 +60,7 @@ class TargetState:
 
     @property
     def refusals(self) -> list[str]:
-        """Why the target is not commanded, with the arm where two go there."""
+        """Why the target is not commanded; with the arm's name if it has two arms."""
         several = len(self.commands) > 1
         return [
             f"{command.arm}: {command.refusal}" if several else command.refusal
@@ -76,7 +76,7 @@ class TargetState:
 
     @property
     def verdict(self) -> str:
-        """The worst verdict of what was measured; without measurements, of what is predicted."""
+        """The worst verdict on the measurements; without any, on the predictions."""
         judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
         turned = [one.orientation.verdict for one in self.measured if one.orientation is not None]
         words: list[str] = [word for word in (*(one.verdict for one in judged), *turned) if word]
@@ -97,17 +97,15 @@ class TargetState:
 
 
 def target_state(target: Target, results: StageResults | None) -> TargetState:
-    """What the run says about one target."""
+    """Return what the run knows about one target."""
     return target_states((target,), results)[0]
 
 
 def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
-    """What the run says about each target. A result counts while the target is as it was when the result was made.
+    """Return what the run knows about each target; a result counts only if the target has not changed since.
 
-    A measurement counts for another tolerance, too, and is then judged by that one: where the SMR went does not depend
-    on it.
-
-    Of measurements and motions the last measurement counts; without one, the last motion.
+    A measurement also counts after a change of the tolerance and is then judged by the new one, as the SMR's position
+    does not depend on it. Of measurements and motions the last measurement counts; without one, the last motion.
     """
     if results is None:
         return [TargetState()] * len(targets)
@@ -134,12 +132,12 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
 
 
 def target_list(targets: Sequence[Target], results: StageResults | None) -> Table:
-    """Each target with its state."""
+    """Show each target with its state."""
     return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
 def target_words(target: Target, results: StageResults | None) -> str:
-    """What the run says about one target, and where it is."""
+    """State what the run knows about one target, and its position."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
     if target.rpy is not None:
@@ -150,7 +148,7 @@ def target_words(target: Target, results: StageResults | None) -> str:
 
 
 def stale_model(results: StageResults) -> str:
-    """Why the model in force should not be used as it is; empty if it holds."""
+    """Say why the model in force should not be used; empty if it holds."""
     located = results.locate
     if located is not None and located.verdict != "located":
         return "no motion of the tracker explains the points of the last 'locate'"
@@ -202,7 +200,7 @@ def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
 
 
 def _rounds_words(one: Measured) -> str:
-    """How far the model alone came, where the target was corrected by measuring."""
+    """State the error by the model alone, if the target was corrected by measuring."""
     rounds = len(one.rounds_mm) - 1
     return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
 
@@ -227,7 +225,7 @@ def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:
 
 
 def _errors(state: TargetState) -> str:
-    """Error before and after: the distance of both SMRs of a cooperative target, else the largest of its arms."""
+    """State the error before and after: of the SMR distance at a cooperative target, else the largest of its arms."""
     shown: list[Measured] = [one for one in state.measured if one.compensated_mm is not None]
     if state.pair is not None and state.pair.compensated_mm is not None:
         shown = [state.pair]
@@ -239,7 +237,7 @@ def _errors(state: TargetState) -> str:
 
 
 def _short_state(state: TargetState) -> str:
-    """The verdict, or why there is none."""
+    """Return the verdict, or why there is none."""
     if state.refusals:
         return "; ".join(state.refusals)
     if state.measured:
@@ -255,7 +253,7 @@ def _short_state(state: TargetState) -> str:
 
 
 def _with_tolerance(target: Target, stored: TargetRecord) -> Target:
-    """The target with the tolerances that it had when a result was made."""
+    """Return the target with the tolerances that a stored result had."""
     changed: dict[str, float | None] = {}
     if stored.tolerance_mm != target.tolerance_mm:
         changed["tolerance"] = _thousandth(stored.tolerance_mm)
@@ -269,7 +267,7 @@ def _thousandth(value: float | None) -> float | None:
 
 
 def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
-    """A measurement whose rotation is judged by the target's tolerance; unchanged where it was judged by that."""
+    """Return a measurement with its rotation judged by the target's tolerance; unchanged if it was judged by that."""
     limit, turn = target.orientation_tolerance_mrad, one.orientation
     if turn is None or one.orientation_tolerance_mrad == limit:
         return one
@@ -279,7 +277,7 @@ def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> Mea
 
 
 def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
-    """A measurement judged by ``tolerance_mm``; unchanged where it was judged by that."""
+    """Return a measurement judged by ``tolerance_mm``; unchanged if it was judged by that."""
     if one.tolerance_mm == tolerance_mm:
         return one
     verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)

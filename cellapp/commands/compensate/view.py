@@ -10,6 +10,6 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: CompensateResult, request: Request | None = None) -> View:
-    """What is expected at the targets, and why it is uncertain; of a stored result also the commands."""
+    """Show what is expected at the targets, and the uncertainty's sources; of a stored result also the commands."""
     tables = stored_tables(result) if request is None else predicted_tables(result)
     return View((*tables, *compensate_lines(result), *parts_charts(result)))

@@ -1,4 +1,4 @@
-"""Targets in words: what was compensated, refused, measured; what is unknown, and what to do."""
+"""Targets in words: compensated, refused, measured; unknown conditions, and what to do."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PART_WORDS: Mapping[str, str] = {
 }
 """Column headings of the parts of an uncertainty."""
 _MOST_NOTES = 20
-"""Notes on single targets that are printed; all are in the JSON."""
+"""Most notes on single targets that are printed; the JSON has all."""
 Measured = MeasuredTarget | MeasuredPair
 """A measured target of one arm, or of two."""
 _MOST_NAMED = 5
-"""Targets that a sentence names; further ones are counted."""
+"""Most targets that a sentence names; further ones are counted."""
 _ADVICE: Mapping[str, str] = {
     "temperature": "state conditions: {temperature: ...} of the target, or measure again at its temperature",
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
@@ -40,12 +40,12 @@ _ADVICE: Mapping[str, str] = {
     "collide": "move or turn the target; bodies and obstacles are those of the profile",
     "asked": "move or turn the target; clearance, bodies and obstacles are those of the profile",
 }
-"""What to do, by a word of the condition or of the reason."""
+"""What to do, by a word in the condition or the reason."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A condition that nobody stated, over all targets: the largest displacement [mm], where, at how many targets."""
+    """An unstated condition over all targets: largest displacement [mm], where, and number of targets."""
 
     condition: str
     effects: tuple[str, ...]
@@ -55,27 +55,27 @@ class Unknown:
 
 
 def advice(reason: str) -> str:
-    """What to do about an unknown condition or a refusal; empty where the words say it themselves."""
+    """Say what to do about an unknown condition or a refusal; empty if its text says that itself."""
     return next((text for word, text in _ADVICE.items() if word in reason), "")
 
 
 def all_measured(verify: VerifyResult) -> list[Measured]:
-    """Single and cooperative targets."""
+    """Return single and cooperative targets together."""
     return [*verify.targets, *verify.pairs]
 
 
 def shown_tolerance(tolerance_mm: float | None) -> float | None:
-    """A tolerance without what the conversion from metres left in its last digits."""
+    """Return a tolerance without rounding errors of the conversion from metres."""
     return None if tolerance_mm is None else round(tolerance_mm, 6)
 
 
 def arms_words(arms: Iterable[str]) -> str:
-    """The arms of a target."""
+    """Return the names of a target's arms, joined by a plus sign."""
     return " + ".join(dict.fromkeys(arms))
 
 
 def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
-    """Conditions that nobody stated, the most important first."""
+    """Summarize the unstated conditions, the most important first."""
     found = grouped((one.condition, (one.mm, target.name, one.effects)) for target in targets for one in target.unknown)
     summaries = []
     for condition, entries in found.items():
@@ -89,13 +89,13 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 
 
 def compensate_lines(result: CompensateResult) -> list[str]:
-    """What ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
+    """Return the lines that ``compensate`` prints: the summary, unknown conditions, refusals, notes."""
     lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
     return [*compensate_summary(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
-    """How many targets can be commanded, how many are predicted in and out, the largest bound, what is not seen."""
+    """State how many targets can be commanded and are predicted in or out, the largest bound, what is not seen."""
     return [
         _count_words(result),
         *_prediction_words(result),
@@ -106,7 +106,7 @@ def compensate_summary(result: CompensateResult) -> list[str]:
 
 
 def refusal_lines(result: CompensateResult) -> list[str]:
-    """Why targets cannot be commanded, one line each, and what to do."""
+    """Say why targets cannot be commanded and what to do, one line each."""
     lines = []
     for target in result.targets:
         if target.refusal:
@@ -117,14 +117,14 @@ def refusal_lines(result: CompensateResult) -> list[str]:
 
 
 def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
-    """What to know about commands that are not refused; of many, the first ones."""
+    """Return the notes on commands that are not refused; only the first of many."""
     lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
     more = [f"and {counted(len(lines) - _MOST_NOTES, 'more note')} on targets"] if len(lines) > _MOST_NOTES else []
     return [*lines[:_MOST_NOTES], *more]
 
 
 def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
-    """What was not stated, by how much it moves the SMR, and what to do; one line for each condition."""
+    """State each unknown condition, by how much it moves the SMR, and what to do."""
     lines = []
     for one in unknown_conditions(targets):
         where = "" if one.targets == 1 else f", the most of {one.targets} targets"
@@ -171,7 +171,7 @@ def _bound_words(result: CompensateResult) -> list[str]:
 
 
 def _turn_words(result: CompensateResult) -> list[str]:
-    """Rotations of the flange before, their bounds after, their verdicts; empty where no orientation was measured."""
+    """State flange rotations before, their bounds after, and their verdicts; empty if no orientation was measured."""
     known = [(one.orientation, one.name) for one in result.targets if one.orientation is not None]
     if not known:
         return []
@@ -199,7 +199,7 @@ def _unseen_words(result: CompensateResult) -> list[str]:
 
 
 def verify_message(verify: VerifyResult) -> str:
-    """The verification in one sentence: how many targets are within tolerance, and the mean error before and after."""
+    """Summarize the verification: number of targets within tolerance, mean error before and after."""
     parts = [_tolerance_message(verify)] if _judged(verify) else []
     before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
     after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
@@ -221,7 +221,8 @@ def verify_message(verify: VerifyResult) -> str:
 
 
 def push_lines(pushed: VerifyResult) -> list[str]:
-    """What ``push`` prints: with measurements those; without, how many targets were reached, why not the others."""
+    """Return the lines that ``push`` prints: measurements, or else which targets were reached and why not the
+    others."""
     if any(target.compensated_mm is not None for target in pushed.targets):
         return verify_lines(pushed)
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
@@ -231,14 +232,14 @@ def push_lines(pushed: VerifyResult) -> list[str]:
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
-    """What ``push --verify`` prints: the summary, what was not measured, notes."""
+    """Return the lines that ``push --verify`` prints: the summary, what was not measured, notes."""
     missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
     missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
     return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
 
 
 def verify_summary(verify: VerifyResult) -> list[str]:
-    """The message, how far the model alone came, whether its bounds held."""
+    """Return the message, the errors by the model alone, and whether its bounds held."""
     message = verify_message(verify)
     return [
         *([message] if message else []),
@@ -250,7 +251,7 @@ def verify_summary(verify: VerifyResult) -> list[str]:
 
 
 def rounds_words(verify: VerifyResult) -> list[str]:
-    """How far the model alone came, and what correcting by measuring left; empty without corrections."""
+    """State the errors by the model alone, and after correction by measuring; empty without corrections."""
     lines = []
     for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
         corrected = [one for one in measured if one.corrected_mm is not None]
@@ -273,14 +274,14 @@ def rounds_words(verify: VerifyResult) -> list[str]:
 
 
 def decision_words(verify: VerifyResult) -> list[str]:
-    """By which rule tolerances were decided, and what is missing for it; empty without a tolerance."""
+    """State the decision rule of the tolerances and what it lacks; empty without a tolerance."""
     if not _judged(verify):
         return []
     return [line for line in (RULE_WORDS[verify.rule], undecided_words(verify.not_given)) if line]
 
 
 def promise_words(verify: VerifyResult) -> list[str]:
-    """How many errors of the model alone are within the bound that it stated; empty where it stated none."""
+    """State how many errors by the model alone are within its bound; empty if it stated none."""
     known = bounds_and_errors(verify)
     if not known:
         return []
@@ -291,7 +292,7 @@ def promise_words(verify: VerifyResult) -> list[str]:
 
 
 def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tuple[float, float]]:
-    """Predicted 95 % bound and measured error [mm] of the model alone, for the targets (of one arm) that have both."""
+    """Return predicted 95 % bound and measured error [mm] by the model alone, for targets (of one arm) with both."""
     return [
         (target.within_mm, error)
         for target in verify.targets
@@ -300,7 +301,7 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
 
 
 def named_few(names: Sequence[str]) -> str:
-    """Some names; further ones are counted."""
+    """Return the first names, and count the others."""
     more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     return ", ".join([*names[:_MOST_NAMED], *more])
 

@@ -1,4 +1,4 @@
-"""What ``correct`` is asked for."""
+"""Request of the verb ``correct``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb ``correct``: a controller's program, its targets corrected so that the real arm reaches them."""
+"""The verb ``correct``: correct the targets of a controller's program so that the real arm reaches them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_
 
 _JOINTS = 6
 _LARGEST = 32 * 1024 * 1024
-"""Bytes of a program that are read."""
+"""Most bytes of a program that are read."""
 
 
 def run(request: CorrectRequest, work: Work) -> CorrectResult:
@@ -60,26 +60,26 @@ def correct_run(
     extrapolate: bool = False,
     outputs: Outputs = NEW_ONLY,
 ) -> CorrectResult:
-    """Write a copy of a program whose targets a plain controller reaches truly.
+    """Write a copy of a program with targets that a plain controller truly reaches.
 
-    Nothing is written while a target has no correction: the result lists them, and its ``out`` is None.
+    Nothing is written if a target cannot be corrected: the result lists such targets, and its ``out`` is None.
 
     Parameters
     ----------
     run : RunFile
         A calibrated run.
     program, out : Path
-        ``.script`` or ``.urp``, both the same.
+        Files ``.script`` or ``.urp``, both of the same kind.
     arm : str or None
-        The arm; needed where the run has several.
+        The arm; needed if the run has several.
     tcp : six numbers or None
-        x, y, z [m] and rotation vector [rad] of the TCP in the flange frame, where the program sets none.
+        x, y, z [m] and rotation vector [rad] of the TCP in the flange frame, if the program sets none.
     partly : bool
-        Write although some targets stay as they are.
+        Write the copy even if some targets stay uncorrected.
     extrapolate : bool
-        Correct targets outside the joint ranges of the readings too.
+        Also correct targets outside the joint ranges of the readings.
     outputs : Outputs
-        What may be replaced; left out, nothing.
+        Which files may be replaced; none by default.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def correct_run(
 
 
 def typed_tcp(text: str) -> Six:
-    """A TCP as a person types it: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
+    """Parse a TCP that a person typed: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
     try:
         numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
         if not np.isfinite(numbers).all():
@@ -154,7 +154,7 @@ def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
 
 
 def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
-    """Raise ``InputError`` unless the run's controller computes by the rows that are nominal in the profile."""
+    """Raise ``InputError`` unless the run's controller uses the nominal D-H rows of the profile."""
     settings, controller = run.profile.arms[name], recorded_controllers(run).get(name)
     if not np.allclose(model.nominal.rows, nominal_arm(settings).rows, rtol=0.0, atol=1e-9):
         raise InputError(f"correct: arm '{name}': arms.{name}.factory is not that of the calibration; calibrate again")

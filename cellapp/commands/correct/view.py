@@ -1,4 +1,4 @@
-"""The targets of a program that was corrected, as a table and sentences."""
+"""Corrected targets of a program, as a table and sentences."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 
 def view(result: CorrectResult, request: Request | None = None) -> View:
-    """Every target, what was assumed, what could not be corrected."""
+    """Show every target, the assumptions, and what could not be corrected."""
     return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
 
 
 def correct_table(result: CorrectResult) -> Table:
-    """Two rows for each target, its old and its new numbers; with these the size and uncertainty of the correction.
+    """Show each target's old and new numbers in two rows, with size and uncertainty of the correction.
 
-    Below the motion stands what its solution is nearest to.
+    Below the motion stands the configuration nearest to its solution.
     """
     columns = (
         Column("line"),
@@ -41,4 +41,4 @@ def _rows(target: CorrectedTarget) -> list[tuple[Cell, ...]]:
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return ",".join(f"{value:.3f}" for value in values)  # without spaces, at which a narrow terminal would break it
+    return ",".join(f"{value:.3f}" for value in values)  # without spaces: a narrow terminal would break lines there

@@ -1,4 +1,4 @@
-"""What ``demo`` is asked for."""
+"""Request of the verb ``demo``."""
 
 from __future__ import annotations
 

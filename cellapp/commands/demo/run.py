@@ -16,7 +16,7 @@ _SWEEPS = 20
 
 
 def run(request: DemoRequest, work: Work) -> WholeRunResult:
-    """Write the profile where there is none, and run everything."""
+    """Write the profile if there is none, and run everything."""
     name = TWIN if request.full else TWIN_SMALL
     profile = request.folder / FOLDER / f"{name}.yaml"
     if profile.is_file():

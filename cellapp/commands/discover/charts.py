@@ -1,4 +1,4 @@
-"""Charts of a discovery: the gap shrinking step by step, pictures of effects, probabilities of the candidates."""
+"""Charts of a discovery: held-out error step by step, pictures of effects, probabilities of the candidates."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from cellapp.estimation.discovery.records import ArmDiscoveryResult, Picture
 from cellapp.robot.kinematics.transforms import Array
 
 _SMOOTH = 0.02
-"""Points farther off the line between their neighbours, as a share of the range, are a cloud and not a line."""
+"""Points farther off the line between their neighbours, as a share of the range, are drawn as a cloud, not a line."""
 _MOST_BARS = 8
-"""Candidates drawn, the most probable ones: the others are all near zero."""
+"""Most candidates that are drawn, the most probable first: the others are all near zero."""
 _BAND_SIGMAS = 2.0
 """Half width of a drawn band in standard deviations."""
 
 
 def gap_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
-    """Held-out error before any step of the search and after each, with the noise floor."""
+    """Show the held-out error before the search and after each step, with the noise floor."""
     steps, floor = gap_steps(arm), noise_floor(arm)
     gaps = drawable_mm([gap for _, gap in steps])
     drawn = series("held-out rms", np.arange(float(len(gaps))), gaps)
@@ -43,7 +43,7 @@ def _gap_message(arm: ArmDiscoveryResult, floor_mm: float | None) -> str:
 
 
 def _largest_step(arm: ArmDiscoveryResult) -> tuple[float, str]:
-    """Largest share of the squared error that one effect took away, and that effect; empty if no step names one."""
+    """Return the largest share of the squared error that one effect removed, and the effect; empty if none is named."""
     total = arm.heldout_mm.before**2 - arm.heldout_mm.after**2
     taken: dict[str, float] = {}
     for before, step in zip(arm.steps, arm.steps[1:], strict=False):
@@ -53,7 +53,7 @@ def _largest_step(arm: ArmDiscoveryResult) -> tuple[float, str]:
 
 
 def candidates_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
-    """Probability of each effect that was tested, the most probable ones first."""
+    """Show the probability of each tested effect, the most probable first."""
     ordered = dict(sorted(arm.candidates.items(), key=lambda entry: -entry[1])[:_MOST_BARS])
     likely = [f"{effect.replace('_', ' ')} {probability_words(p)}" for effect, p in ordered.items() if p >= 0.05]
     message = "No probabilities were computed." if not ordered else "No effect that was tested is probable."
@@ -64,7 +64,7 @@ def candidates_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
 
 
 def picture_chart(name: str, picture: Picture) -> Chart:
-    """Measured points of one effect and what the model computes: a curve with a band of two sigma, or points."""
+    """Show measured points of one effect and the model: a curve with a band of two sigma, or points."""
     if picture.direction is not None:
         return _loop_chart(name, picture)
     shown = picture if picture.curve is None else picture.curve
@@ -83,7 +83,7 @@ def picture_chart(name: str, picture: Picture) -> Chart:
 
 
 def _loop_chart(name: str, picture: Picture) -> Chart:
-    """A loop: measured points and what the model computes, after upward and after downward motion."""
+    """Show a hysteresis loop: measured and computed points after upward and after downward motion."""
     x, direction = np.array(picture.x), np.array(picture.direction)
     measured, computed = np.array(picture.measured), np.array(picture.computed)
     drawn = []
@@ -96,7 +96,7 @@ def _loop_chart(name: str, picture: Picture) -> Chart:
 
 
 def is_line(picture: Picture) -> bool:
-    """Whether the computed values are a function of x that a line can show, and not a cloud."""
+    """Return whether the computed values are a function of x, drawn as a line, and not a cloud."""
     if picture.curve is not None or len(picture.x) < 3:
         return picture.curve is not None
     x, y = np.array(picture.x), np.array(picture.computed)
@@ -106,7 +106,7 @@ def is_line(picture: Picture) -> bool:
 
 
 def picture_title(picture: Picture) -> str:
-    """Title with the variable on the x axis, unless the title names it already."""
+    """Return the title with the variable of the x axis, unless it is named already."""
     variable = picture.x_label.partition(" [")[0]
     if picture.title.endswith(variable) or picture.curve is not None:
         return picture.title
@@ -115,7 +115,7 @@ def picture_title(picture: Picture) -> str:
 
 
 def typical_range(values: Array, always: Array) -> tuple[float, float]:
-    """Limits that leave out the few farthest of ``values``, but none of ``always``."""
+    """Return limits that leave out the farthest 1 % of ``values`` on either side, but contain all of ``always``."""
     low, high = np.quantile(values, (0.01, 0.99))
     low, high = min(float(low), float(always.min())), max(float(high), float(always.max()))
     room = 0.08 * (high - low) or 1.0
@@ -123,7 +123,7 @@ def typical_range(values: Array, always: Array) -> tuple[float, float]:
 
 
 def with_micro_sign(label: str) -> str:
-    """A label with the units of a page: ``[µrad]`` for ``[urad]``."""
+    """Return a label with the page's units: ``[µrad]`` for ``[urad]``."""
     return label.replace("[urad]", "[µrad]").replace("[um]", "[µm]")
 
 

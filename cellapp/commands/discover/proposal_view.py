@@ -1,4 +1,4 @@
-"""Proposed stops in words: which questions they answer, what they are worth, and how to go on."""
+"""Proposed stops in words: which questions they answer, their gain, and how to go on."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from cellapp.estimation.discovery.records import Proposal, ProposalQuestion
 _WIDTH = 80
 _COLUMNS = (("now", 7), ("proposed", 9), ("random", 8), ("gain", 6), ("needed", 7))
 _HIDDEN = 0.01
-"""Below this share of the proposed discrimination, the present one shows nothing of an effect."""
+"""If the present discrimination is below this share of the proposed one, the data show nothing of the effect yet."""
 
 
 def proposal_lines(proposal: Proposal) -> list[str]:
-    """Questions with their discriminations, advice and next steps, in lines for a terminal.
+    """State the questions with their discriminations, advice and next steps, in lines for a terminal.
 
     Each number is a discrimination (non-centrality lambda): now, with the proposed stops, with as many random stops
     of the same candidates; then the gain of proposed over random stops, and the value that a clear answer needs.
@@ -53,7 +53,7 @@ def _outcome(question: ProposalQuestion) -> str:
     if question.against is None:
         if now < _HIDDEN * proposed:
             return "not visible so far; these stops would show it"
-        # the size that is seen goes with the inverse square root of the non-centrality
+        # the visible size scales with the inverse square root of the non-centrality
         share = math.sqrt(now / max(proposed, 1e-12))
         return f"the smallest visible size falls to {100.0 * share:.0f} %"
     if now >= question.needed:

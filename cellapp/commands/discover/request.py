@@ -1,4 +1,4 @@
-"""What ``discover`` is asked for."""
+"""Request of the verb ``discover``."""
 
 from __future__ import annotations
 

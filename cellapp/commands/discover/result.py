@@ -1,4 +1,4 @@
-"""The result of ``discover`` from the objects of discovery."""
+"""Conversion of a discovery to the result of ``discover``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cellapp.robot.effects import EFFECTS
 
 
 def discover_result(found: CellDiscovery) -> DiscoverResult:
-    """The object that ``discover --json`` writes and that the run file keeps."""
+    """Build the object that ``discover --json`` writes and the run file stores."""
     return DiscoverResult(
         arms={name: discovery.result for name, discovery in found.arms.items()},
         pair={} if found.pair is None else {"effects": pair_result(found.pair)["effects"]},
@@ -31,7 +31,7 @@ def discover_result(found: CellDiscovery) -> DiscoverResult:
 
 
 def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
-    """Proposed stops; ``first`` is the number of the first of them in the run's plan, None where it has none."""
+    """Build the proposed stops; ``first`` is the number of the first one in the run's plan, None if not in the plan."""
     arms = grouped((prediction.arm, _question(prediction)) for prediction in proposed.predictions)
     return Proposal(
         count=len(proposed.stops),

@@ -1,4 +1,4 @@
-"""The verb ``discover``: search for missing effects, append the stage; propose stops that would tell more."""
+"""The verb ``discover``: search for missing effects, append the stage, propose informative stops."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cellapp.robot.model import CellModel
 
 
 def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
-    """Search the run; propose stops if that is asked for."""
+    """Search the run for missing effects; propose stops on request."""
     with RunFile.open(request.folder, write=True) as opened:
         if request.propose is None:
             return discover_run(opened, work.listener, work.control)
@@ -43,12 +43,12 @@ def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
 
 
 def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
-    """Search every arm of a calibrated run for missing effects, append the stage, export the model with them.
+    """Search every arm of a calibrated run for missing effects, append the stage, export the model with the effects.
 
     Raises
     ------
     InputError
-        If the run is not calibrated yet, or by a version that did not store the calibration for itself.
+        If the run is not calibrated yet, or was by a version that did not store the calibration on its own.
     Cancelled
         On request; nothing is stored then.
     """
@@ -63,13 +63,13 @@ def propose_run(
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
-    They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or a driver
-    ``none``) only gets the list.
+    They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or driver
+    ``none``) gets only the list.
 
     Raises
     ------
     InputError
-        As ``discover_run``; or if there is nothing to propose. The discovery is stored in the second case.
+        As ``discover_run``; or if there is nothing to propose. In that case the discovery is stored.
     Cancelled
         On request; no proposal is written then.
     """
@@ -111,8 +111,8 @@ def discover_effects(
 ) -> tuple[DiscoverResult, CellDiscovery]:
     """Search every arm for missing effects.
 
-    ``model`` is the calibrated one, ``readings`` are those of the calibration; ``search_arm`` searches one of
-    them. The model of the outcome has the accepted effects, and its provenance is of now.
+    ``model`` is the calibrated model, ``readings`` are those of its calibration; ``search_arm`` searches one arm. The
+    model in the outcome has the accepted effects and a new provenance.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from cellapp.ground.results import Estimate
 
 _MM = ".4f"
 _SAME = 0.005
-"""A last step within this relative difference of the final error is the final model: no extra row for it."""
+"""If the last step is within this relative difference of the final error, the final model gets no row of its own."""
 
 
 _SIZE_COLUMNS = (
@@ -26,7 +26,7 @@ _SIZE_COLUMNS = (
 
 
 def gap_steps(arm: ArmDiscoveryResult) -> list[tuple[str, float]]:
-    """Steps of the search with the held-out rms error [mm] after each; the last is that of the final model."""
+    """Return the steps of the search and the held-out rms error [mm] after each; the last is the final model."""
     steps = [(step.what, step.heldout_mm) for step in arm.steps]
     after = arm.heldout_mm.after
     if not steps or abs(steps[-1][1] - after) > _SAME * after:
@@ -35,7 +35,7 @@ def gap_steps(arm: ArmDiscoveryResult) -> list[tuple[str, float]]:
 
 
 def noise_floor(arm: ArmDiscoveryResult) -> float | None:
-    """Noise floor [mm], as stated or else as estimated; None where neither is known."""
+    """Return the noise floor [mm], stated or else estimated; None if neither is known."""
     floor = arm.noise_floor_mm
     if floor is not None and math.isfinite(floor):
         return floor
@@ -43,13 +43,13 @@ def noise_floor(arm: ArmDiscoveryResult) -> float | None:
 
 
 def noise_floor_words(arm: ArmDiscoveryResult) -> str:
-    """``noise floor``, ``estimated`` where the readings state no uncertainty."""
+    """Return ``noise floor``; ``estimated noise floor`` if the readings state no uncertainty."""
     estimated = arm.noise_mm is not None and arm.noise_mm.source == "estimated"
     return "estimated noise floor" if estimated else "noise floor"
 
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
-    """Held-out error after each step of each arm, its accepted effects, and the sizes of each of them."""
+    """Show each arm's held-out error after each step, its accepted effects, and their sizes."""
     return with_rows(
         *(
             table
@@ -60,7 +60,7 @@ def discovery_tables(result: DiscoverResult) -> list[Table]:
 
 
 def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """What recordings of motion show beside the accepted effects."""
+    """Show effects in recordings of motion beside the accepted ones."""
     accepted = {one.effect for one in arm.accepted}
     rows: list[tuple[Cell, ...]] = [
         (found.effect, parameter, *interval_95(estimate))
@@ -73,7 +73,7 @@ def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Held-out error after each step, with the step numbers of its chart, and the noise floor."""
+    """Show the held-out error after each step, numbered as in the chart, and the noise floor."""
     floor = noise_floor(arm)
     rows = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
     return table_of(
@@ -86,7 +86,7 @@ def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Accepted effects by their names in the handbook, with their probability and what they explain."""
+    """Show accepted effects by their names in the handbook, with their probability and the error they explain."""
     return table_of(
         f"Arm {name}: accepted effects, held-out rms [mm]",
         arm.accepted,
@@ -100,7 +100,7 @@ def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Accepted effects with all their evidence."""
+    """Show accepted effects with all their evidence."""
     return table_of(
         f"Arm {name}: accepted effects, held-out rms without and with each",
         arm.accepted,
@@ -124,7 +124,8 @@ def _correlated_words(found: AcceptedEffect) -> str | None:
 
 
 def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
-    """Parameters with 95 % intervals, one table for each effect, what moves the SMR most first; then those in motion.
+    """Show parameters with 95 % intervals, a table for each effect, largest SMR displacement first; then effects in
+    motion.
 
     Free curves and data-driven terms have too many coefficients for a table: it has their size, figures show the rest.
     """
@@ -163,7 +164,7 @@ def _curve_row(where: str, band: CycleBand, moves_mm: float | None) -> tuple[Cel
 
 
 def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Dominant cycles per revolution of the periodic error of each joint."""
+    """Show the dominant cycles per revolution of each joint's periodic error."""
     return table_of(
         f"Arm {name}: periodic error by cycles per revolution",
         [(joint, band) for found in arm.accepted for joint, band in (found.cycles or {}).items()],
@@ -179,7 +180,7 @@ def _range_of(band: CycleBand) -> Cell:
 
 
 def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Posterior probability of every effect that was tested, the most probable first."""
+    """Show the posterior probability of every tested effect, the most probable first."""
     accepted = {found.effect for found in arm.accepted}
     return table_of(
         f"Arm {name}: probability of each effect that was tested",
@@ -191,7 +192,7 @@ def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def structure_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Tests of what is left for structure."""
+    """Show tests of the final residuals for structure."""
     return table_of(
         f"Arm {name}: structure of what is left",
         () if arm.structure is None else arm.structure.tests,
@@ -201,7 +202,7 @@ def structure_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Effects that these data cannot show, with the reason."""
+    """Show effects that these data cannot show, with the reason."""
     return table_of(
         f"Arm {name}: effects that these data cannot show",
         arm.invisible,
@@ -212,7 +213,7 @@ def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table:
 
 
 def not_found_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Effects that were not found, with the smallest size that would have been."""
+    """Show effects that were not found, with the smallest size that would have been found."""
     return table_of(
         f"Arm {name}: searched for and not found",
         arm.not_found,

@@ -1,4 +1,4 @@
-"""The result of ``discover``: a section for each arm; on the page of a run with how discovery decides."""
+"""The result of ``discover``: a section for each arm; on the page of a run also how discovery decides."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverRes
 from cellapp.ground.profile.schema import Discovery
 
 _MOST_PICTURES = 6
-"""Pictures of effects of an arm that are drawn, those of the joints that move most; the JSON has the values of all."""
+"""Most pictures of an arm's effects, for the joints that move most; the JSON has all values."""
 
 
 def view(result: DiscoverResult, request: Request | None = None) -> View:
-    """What was found in each arm and what it means, notes, and the stops that were proposed."""
+    """Show the effects found in each arm and their meaning, notes, and proposed stops."""
     arms = [arm_section(f"discovery-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
     notes = [f"Note: {note}" for note in result.notes or ()]
     return View((*arms, *notes, *([] if result.proposal is None else proposal_lines(result.proposal))))
 
 
 def explanation_text(result: DiscoverResult) -> str:
-    """All that explains the tables of a discovery."""
+    """Return all text that explains the tables of a discovery."""
     arms = [Section(f"Arm {name}", [*_remarks(arm), *_meanings(arm)]) for name, arm in result.arms.items()]
     return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
@@ -59,7 +59,7 @@ def explanation_text(result: DiscoverResult) -> str:
 def discovery_section(
     discover: DiscoverResult, settings: Discovery, charts: Mapping[str, tuple[Sequence[Chart], Sequence[Chart]]]
 ) -> Section:
-    """All arms; ``charts`` has of each how sure its model is, and what its effects turn each joint by."""
+    """Show all arms; ``charts`` has each arm's charts of the model's uncertainty and of its effects by joint."""
     verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
     arms = [
         arm_section(f"discovery-{number}", name, arm, *charts[name])
@@ -72,7 +72,7 @@ def discovery_section(
 def arm_section(
     key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
 ) -> Section:
-    """Verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
+    """Show one arm: verdict, steps, accepted effects with pictures, undetectable effects, and the remainder."""
     found = with_rows(
         numbered_steps_table(name, arm),
         short_accepted_table(name, arm),
@@ -104,7 +104,7 @@ def arm_section(
 
 
 def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What recordings of motion show, what only they can show, and what stays out of commands."""
+    """Say what recordings of motion show, what only they can show, and which effects commands do not use."""
     if arm.motion is None:
         return []
     said = []
@@ -124,11 +124,11 @@ _IN_UNITS = {
     "frequency": ("Hz", 1.0, 2),
     "damping": ("of the critical damping", 1.0, 3),
 }
-"""Parameters of motion that the sentence states, by the beginning of their name: unit, factor, digits."""
+"""Parameters of motion that the sentence states, by prefix of their name: unit, factor, digits."""
 
 
 def _in_figures(one: MotionEffectResult) -> str:
-    """Time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
+    """State time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
     parts = []
     for begins, (unit, factor, digits) in _IN_UNITS.items():
         its = [value for name, value in one.parameters.items() if name.rstrip("0123456789") == begins]
@@ -139,7 +139,7 @@ def _in_figures(one: MotionEffectResult) -> str:
 
 
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:
-    """What contradicts an effect, could replace it, is possible too, hardly fits its law, or cannot be shown."""
+    """Say what contradicts, could replace or is possible beside an effect, fits its law badly, or cannot be shown."""
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
@@ -154,7 +154,7 @@ def _remarks(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def _meanings(arm: ArmDiscoveryResult) -> Iterator[Section]:
-    """Cause, usual size, what to check and what would settle it, of every accepted effect."""
+    """Yield cause, usual size, checks, and deciding measurement of every accepted effect."""
     for found in arm.accepted:
         meaning = found.meaning
         if meaning is None:

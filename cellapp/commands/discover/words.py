@@ -1,4 +1,4 @@
-"""A discovery in words: what was found, what it could be instead, what is left."""
+"""A discovery in words: what was found, its alternatives, what remains."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from cellapp.estimation.discovery.records import (
 
 _TURN = 360.0
 _UNEVEN = 2.0
-"""Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
+"""Ratio of a curve's largest to smallest standard deviation from which both are named."""
 _NOTICEABLE_MISFIT = 0.1
-"""Displacement beside a law over that by it from which the law is called not quite as expected: below a tenth it is
-hidden by the uncertainty of the masses alone."""
+"""Ratio of the displacement beside a law to that by the law, from which the law counts as not quite as expected: below
+a tenth it is hidden by the uncertainty of the masses alone."""
 _NOT_IMPROBABLE = 0.05
 """Probability from which an effect that was not accepted is mentioned."""
 _GAP_DEG = 10.0
-"""The widest range of a joint without readings is named from here on: narrower ones are plain sampling."""
+"""Width from which a joint's widest range without readings is named: narrower ones are plain sampling."""
 
 
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
-    """The sentence of the verdict without the arm's name."""
+    """Return the verdict's sentence without the arm's name."""
     return arm.sentence.removeprefix(f"arm {name}: ")
 
 
 def verdict_lines(result: DiscoverResult) -> list[str]:
-    """The sentence of each arm's verdict, and its orientation errors where orientation was measured."""
+    """Return the sentence of each arm's verdict, and its orientation errors if orientation was measured."""
     return [
         line
         for name, arm in result.arms.items()
@@ -43,7 +43,7 @@ def verdict_lines(result: DiscoverResult) -> list[str]:
 
 
 def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Held-out orientation errors before and after; none where no orientation was measured."""
+    """State held-out orientation errors before and after; none if no orientation was measured."""
     errors = arm.heldout_orientation_mrad
     if errors is None:
         return []
@@ -55,12 +55,12 @@ def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def size_words(meaning: EffectMeaning) -> str:
-    """The usual size with how well it is known."""
+    """Return the usual size of an effect and how well it is known."""
     return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"
 
 
 def misfit_words(found: AcceptedEffect) -> str:
-    """What the effect moves beside its law; empty where it has no free part or hardly any in it."""
+    """State the displacement beside the effect's law; empty if it has no free part or hardly any displacement in it."""
     if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
         return ""
     return (
@@ -70,14 +70,14 @@ def misfit_words(found: AcceptedEffect) -> str:
 
 
 def also_possible(arm: ArmDiscoveryResult) -> str:
-    """Effects that were not accepted and are not improbable, the most probable first."""
+    """List effects that were not accepted, are visible and not improbable, the most probable first."""
     settled = {found.effect for found in (*arm.accepted, *arm.invisible)}
     others = [(slug, p) for slug, p in arm.candidates.items() if slug not in settled and p >= _NOT_IMPROBABLE]
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
 
 def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Effects that could replace an accepted one, and those that the data rule out."""
+    """State effects that could replace an accepted one, and those that the data rule out."""
     sentences = []
     for found in arm.accepted:
         rivals = found.indistinguishable
@@ -94,18 +94,18 @@ def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def contradiction_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What behaves like an effect with an impossible sign or size."""
+    """State what behaves like an effect with an impossible sign or size."""
     return [f"Something {found.sentence}." for found in arm.contradictions]
 
 
 def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Accepted effects whose law is not quite as expected."""
+    """State the accepted effects whose law is not quite as expected."""
     words = [misfit_words(found) for found in arm.accepted]
     return [f"{text[0].upper()}{text[1:]}." for text in words if text]
 
 
 def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Whether what is left shows structure; empty where it was not tested."""
+    """Say whether the final residuals show structure; empty if that was not tested."""
     if arm.structure is None:
         return []
     sentence = arm.structure.sentence
@@ -113,7 +113,7 @@ def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Joints of an accepted effect that have no figure; effects that recordings of motion show have loops instead."""
+    """Name the joints of an accepted effect that have no figure; effects in recordings of motion have loops instead."""
     if arm.motion is not None and arm.motion.used:
         return []
     sentences = []
@@ -130,7 +130,7 @@ def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
+    """State what remains unexplained, what a residual network finds in it, and the predicted uncertainty."""
     return [
         *structure_sentences(arm),
         *_scatter_sentences(arm),
@@ -175,7 +175,7 @@ def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
-    """Heading and description of each data-driven term."""
+    """Return a heading and a description of each data-driven term."""
     impossible = {contradiction.sentence for contradiction in arm.contradictions}
     descriptions = [
         found.description
@@ -200,12 +200,12 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
 
 
 def picture_words(picture: Picture) -> str:
-    """Size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
+    """State the size, the scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
     return " ".join([size_sentence(picture), *_certainty_sentences(picture), *gap_sentences(picture)])
 
 
 def size_sentence(picture: Picture) -> str:
-    """Size of an effect and scatter about it; width of a loop."""
+    """State the size of an effect and the scatter about it; for a loop its width."""
     if picture.direction is not None:
         measured, computed = (_loop_width(picture, values) for values in (picture.measured, picture.computed))
         return f"The loop is {measured:.1f} {_unit(picture)} wide as measured, {computed:.1f} by the model."
@@ -218,14 +218,14 @@ def size_sentence(picture: Picture) -> str:
 
 
 def _loop_width(picture: Picture, values: Sequence[float]) -> float:
-    """Distance between the means after upward and after downward motion; not a number without one of both."""
+    """Return the distance of the means after upward and after downward motion; NaN if either direction is missing."""
     directions = picture.direction or ()
     up, down = ([v for v, d in zip(values, directions, strict=True) if d == sign] for sign in (1, -1))
     return abs(sum(up) / len(up) - sum(down) / len(down)) if up and down else math.nan
 
 
 def _certainty_sentences(picture: Picture) -> list[str]:
-    """Where a curve over a whole turn is most and least certain, if that differs."""
+    """Say where a curve over a whole turn is least and most certain, if that differs."""
     curve, unit = picture.curve, _unit(picture)
     if curve is None or not _is_whole_turn(curve):
         return []
@@ -240,7 +240,7 @@ def _certainty_sentences(picture: Picture) -> list[str]:
 
 
 def gap_sentences(picture: Picture) -> list[str]:
-    """The widest range without a reading of a curve over a whole turn."""
+    """Name the widest range without a reading of a curve over a whole turn."""
     if picture.curve is None or not _is_whole_turn(picture.curve):
         return []
     begin, end = _largest_gap(picture.x)
@@ -258,7 +258,7 @@ def _is_whole_turn(curve: CurveRecord) -> bool:
 
 
 def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:
-    """Ends [deg] of the widest range of a turn without a value; the second may be beyond 180."""
+    """Return the ends [deg] of the widest range of a turn without a value; the second may exceed 180."""
     around = [*angles, angles[0] + 360.0]
     return max(pairwise(around), key=lambda pair: pair[1] - pair[0])
 

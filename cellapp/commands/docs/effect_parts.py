@@ -1,4 +1,4 @@
-"""What an effect declares of itself, as Markdown for the handbook."""
+"""Declaration of an effect as Markdown for the handbook."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import textwrap
 from cellapp.robot.effects import DriverVariable, Effect
 
 _WIDTH = 120
-"""Columns of the Markdown files."""
+"""Line width of the Markdown files."""
 _GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
 
 
 def declared_part(effect: Effect) -> str:
-    """What an effect declares, as Markdown: cause, laws, usual size, checks, further stops; with markers around it."""
+    """Return an effect's declaration as Markdown, between markers: cause, laws, usual size, checks, further stops."""
     meaning = effect.meaning.at(_GENERAL_PLACE.get(effect.slug, "the joint"))
     known = "" if meaning.size_source == "none" else f" ({meaning.size_source})"
     parts = [
@@ -28,7 +28,7 @@ def declared_part(effect: Effect) -> str:
 
 
 def _laws(effect: Effect) -> list[str]:
-    """What an effect depends on, its laws as results name them, and what is not possible."""
+    """State what an effect depends on, its laws as named in results, and what is impossible."""
     parts = []
     if effect.variables:
         parts.append(_wrapped(f"**Depends on** {', '.join(sorted(_variable(one) for one in effect.variables))}."))

@@ -1,4 +1,4 @@
-"""The handbook's chapters, the sections of single effects, and the anchors of headings."""
+"""Chapters of the handbook, sections of single effects, and anchors of headings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "decisions": "decisions that shaped the house, with what was measured",
     },
 }
-"""Name and subject of each chapter, a Markdown file of this package, by the part of the handbook that it belongs to."""
+"""Name and subject of each chapter, a Markdown file of ``cellapp.docs``, by part of the handbook."""
 CHAPTERS: Mapping[str, str] = {name: subject for part in PARTS.values() for name, subject in part.items()}
 """Name and subject of each chapter, in the order of the parts."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
@@ -60,16 +60,16 @@ _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 _FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _MARKER = re.compile(r"<!--.*?-->\n")
 _FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
-"""What the first line of an example says after its language: how tests run it."""
+"""Words after the language on the first line of an example: they tell the tests how to run it."""
 
 
 def topics() -> list[str]:
-    """Names of the chapters and of the effects that have a section."""
+    """Return the names of the chapters and of the effects that have a section."""
     return [*CHAPTERS, *effect_sections()]
 
 
 def topic_text(topic: str) -> str:
-    """Markdown of a chapter, or of the section of one effect, without the markers and the words for tests.
+    """Return the Markdown of a chapter or of one effect's section, without markers and words for tests.
 
     Raises
     ------
@@ -83,13 +83,13 @@ def topic_text(topic: str) -> str:
 
 
 def chapter_text(chapter: str) -> str:
-    """A chapter as it is kept, with the markers around the parts that repeat declarations."""
+    """Return a chapter as stored, with the markers around parts that repeat declarations."""
     return resources.files("cellapp.docs").joinpath(f"{chapter}.md").read_text("utf-8")
 
 
 def effect_sections() -> dict[str, str]:
-    """Section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
-    from cellapp.commands.docs.effect_parts import declared_part  # here: chapters are read without the mathematics
+    """Return each effect's section by slug: from the chapter on effects, or a plug-in effect's declaration."""
+    from cellapp.commands.docs.effect_parts import declared_part  # late: chapters do not need it
     from cellapp.robot.effects import EFFECTS
 
     text = chapter_text("effects")
@@ -101,10 +101,10 @@ def effect_sections() -> dict[str, str]:
 
 
 def anchors(chapter: str) -> dict[str, str]:
-    """Headings of a chapter by the anchor that a link to each carries: small letters, words joined by hyphens."""
+    """Return the headings of a chapter by the anchors that links use: small letters, words joined by hyphens."""
     return {anchor_of(heading): heading for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
 
 
 def anchor_of(heading: str) -> str:
-    """The anchor of a heading, as Markdown readers make it."""
+    """Return the anchor of a heading, as Markdown readers form it."""
     return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")

@@ -1,4 +1,4 @@
-"""What ``docs`` is asked for."""
+"""Request of the verb ``docs``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.outputs import Writes
 
 SCREENS = "screens"
-"""The topic that draws into a folder."""
+"""Topic that draws pictures into a folder."""
 
 
 class DocsRequest(Request):

@@ -1,4 +1,4 @@
-"""The verb ``docs``: a part of the handbook, its topics, or pictures of the screens."""
+"""The verb ``docs``: show a part of the handbook or its topics, or draw pictures of the screens."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cellapp.commands.record import Work
 
 
 def run(request: DocsRequest, work: Work) -> DocsResult:
-    """Find or draw what is asked for."""
+    """Find or draw the requested topic."""
     if request.words is not None:
         lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(request.words)]
         return DocsResult(topic="", text="\n".join(lines) or f"no section has all of these words: {request.words}")

@@ -1,4 +1,4 @@
-"""The handbook by sections, for reading in a terminal: headings, links, pictures by their words, search."""
+"""The handbook by sections, for reading in a terminal: headings, links, captions of pictures, search."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _FENCE = re.compile(r"^```")
 _HEADING = re.compile(r"^(#+) (.+)$")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 _CAPTION = re.compile(r"(!\[([^\]]+)\]\([^)]+\)\n)\n\*\2\.?\*\n")
-"""A picture and, below it, the same words again."""
+"""A picture followed by a caption that repeats its words."""
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)")
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of a chapter with the Markdown below it, up to the next heading; ``level`` 1 is the chapter's own."""
+    """A heading of a chapter with the Markdown up to the next heading; ``level`` 1 is the chapter's own."""
 
     chapter: str
     anchor: str
@@ -29,24 +29,24 @@ class Section:
 
     @property
     def address(self) -> str:
-        """As a link to it is written."""
+        """Address of a link to it."""
         return f"{self.chapter}.md#{self.anchor}"
 
     @property
     def terminal_text(self) -> str:
-        """Its Markdown with pictures named by their words."""
+        """Its Markdown with each picture replaced by its words."""
         return _PICTURE.sub(r"*Picture: \1*", _CAPTION.sub(r"\1", self.text))
 
     @property
     def links(self) -> tuple[tuple[str, str], ...]:
-        """Words and address of each link, once."""
+        """Words and address of each link, without repetition."""
         found = dict((place, words) for words, place in reversed(_LINK.findall(_without_fences(self.text))))
         return tuple((words, place) for place, words in reversed(found.items()))
 
 
 @dataclass(frozen=True)
 class Found:
-    """A section that has the words searched for, and the first line with one of them."""
+    """A section that contains all searched words, and its first line with one of them."""
 
     section: Section
     line: str
@@ -54,7 +54,7 @@ class Found:
 
 @cache
 def sections(chapter: str) -> tuple[Section, ...]:
-    """The sections of a chapter in order.
+    """Build the sections of a chapter in order.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def sections(chapter: str) -> tuple[Section, ...]:
 
 
 def section_at(address: str, present: str) -> Section | None:
-    """Where a link leads that stands in the chapter ``present``; None for other files and pages."""
+    """Return the section that a link in the chapter ``present`` leads to; None for other files and pages."""
     file, _, anchor = address.partition("#")
     chapter = file.removesuffix(".md") if file else present
     if chapter not in CHAPTERS or "://" in address:
@@ -75,7 +75,7 @@ def section_at(address: str, present: str) -> Section | None:
 
 
 def search(words: str) -> tuple[Found, ...]:
-    """Sections that hold all of some words, those with all in the heading first; capitals do not count."""
+    """Find the sections with all of some words, ignoring case; first those with all words in the heading."""
     wanted = words.lower().split()
     if not wanted:
         return ()
@@ -85,7 +85,7 @@ def search(words: str) -> tuple[Found, ...]:
         for one in sections(chapter)
         if all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
     ]
-    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # a stable sort
+    hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable sort
     return tuple(Found(one, _line_with(one.text, wanted)) for one in hits)
 
 

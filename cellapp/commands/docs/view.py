@@ -9,7 +9,7 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: DocsResult, request: Request | None = None) -> View:
-    """The text, or how many files were drawn where."""
+    """Show the text, or how many files were drawn where."""
     if result.text is not None:
         return View((result.text.rstrip("\n"),))
     return View((f"{len(result.files)} {result.topic} in {Path(result.files[0]).parent}",))

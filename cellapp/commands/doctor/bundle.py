@@ -1,4 +1,4 @@
-"""One file for a report to the authors: what is installed, the profile, what the doctor found, the log of a run, some
+"""One ZIP file for a report to the authors: installed packages, profile, findings of the doctor, log of a run, some
 states of each controller; no secrets, no keys, no readings."""
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _PACKAGES = (
 )
 _MOST_EVENTS = 1000
 _MOST_OF_A_FILE = 1024 * 1024
-"""Bytes of a text file that are packed, its end."""
+"""Most bytes of a text file that are packed, taken from its end."""
 _LEAST_ARGUMENT = 8
-"""Shorter arguments of the command are words that stand everywhere."""
+"""Shorter arguments of the command are not treated as secrets: such words occur everywhere."""
 _ERROR_LOG = Path("cellapp-error.log")
 
 
 def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str, str], seconds: float) -> bytes:
-    """The ZIP file. ``log`` are the files of ``run_log``; ``seconds`` is what the doctor took."""
+    """Build the ZIP file. ``log`` are the files of ``run_log``; ``seconds`` is the time that the doctor took."""
     secrets = _secrets(profile)
     timings: dict[str, float] = {"doctor_s": seconds}
     parts = {
@@ -54,7 +54,7 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str,
         "doctor.json": result.to_json(indent=1),
         "profile.json": _without_commands(profile),
     }
-    if profile.notify is None:  # its command may hold what only its owner knows
+    if profile.notify is None:  # its command may contain secrets
         parts["profile.yaml"] = _end_of(path)
     for name, arm in profile.arms.items():
         began_s = time.monotonic()
@@ -73,7 +73,7 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str,
 
 
 def newest_run(profile: Profile) -> Path | None:
-    """The folder of the newest run below ``logs`` that is of a profile of this name; None without one."""
+    """Return the folder of the newest run below ``logs`` of a profile with this name; None if there is none."""
     files = [(file.stat().st_mtime, file) for file in Path("logs").glob("*/run.sqlite")]
     for _, file in sorted(files, reverse=True):
         with suppress(CellappError), RunFile.open(file.parent) as run:
@@ -91,7 +91,7 @@ def _versions() -> dict[str, str]:
 
 
 def _secrets(profile: Profile) -> set[str]:
-    """Secrets that the profile leads to, in whatever text they may stand."""
+    """Collect the secrets of the profile and of environment variables with such names."""
     found = set[str]()
     with suppress(SettingError, OSError):
         found.add(profile.tracker.driver.token() or "")
@@ -104,7 +104,7 @@ def _secrets(profile: Profile) -> set[str]:
 
 
 def _without_commands(profile: Profile) -> str:
-    """The whole profile as JSON, without the arguments of its command."""
+    """Return the whole profile as JSON, without the arguments of the command in its section ``notify``."""
     content = json.loads(profile_to_json(profile))
     if profile.notify is not None:
         content["notify"]["command"] = [profile.notify.command[0], *([REDACTED] * (len(profile.notify.command) - 1))]
@@ -119,7 +119,7 @@ def _end_of(path: Path) -> str:
 
 
 def run_log(folder: Path | None) -> dict[str, str]:
-    """The end of a run's log, and why stops were left out; empty without a run. Raises ``InputError``."""
+    """Return the end of a run's log, and why stops were left out; empty without a run. Raises ``InputError``."""
     if folder is None:
         return {}
     if not (folder / "run.sqlite").is_file():

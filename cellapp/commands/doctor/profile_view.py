@@ -1,4 +1,4 @@
-"""What a profile says, in units that people read: the cell, and what constrains a plan."""
+"""Contents of a profile in units for people: the cell, and the constraints of a plan."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NO_DEVICE = "no device: readings come from a file"
 
 
 def profile_tables(profile: Profile) -> list[Table]:
-    """The cell and the constraints of its plan, one quantity a row."""
+    """Show the cell and the constraints of its plan, one quantity per row."""
     return [
         Table(f"Cell {profile.name}", _COLUMNS, tuple(cell_words(profile))),
         Table("Plan", _COLUMNS, tuple(constraint_words(profile))),
@@ -31,7 +31,7 @@ def profile_tables(profile: Profile) -> list[Table]:
 
 
 def cell_words(profile: Profile) -> list[tuple[str, str]]:
-    """Arms, tracker, air sensor and what else the profile names, each as name and words."""
+    """Return arms, tracker, air sensor and everything else in the profile, each as name and words."""
     words = [row for name, arm in profile.arms.items() for row in _arm_words(name, arm)]
     tracker = profile.tracker
     words.append(("tracker", _device(tracker.driver.kind, tracker.driver.has_device)))
@@ -44,7 +44,7 @@ def cell_words(profile: Profile) -> list[tuple[str, str]]:
 
 
 def _obstacle(obstacle: AnyObstacle) -> str:
-    """Shape and sizes of an obstacle, what it is fixed to, and its pose there."""
+    """Describe an obstacle: shape and sizes, what it is fixed to, and its pose there."""
     match obstacle:
         case BoxObstacle():
             shape = f"box {' x '.join(f'{1e3 * size:.0f}' for size in obstacle.size)} mm"
@@ -72,7 +72,7 @@ def _arm_words(name: str, arm: Arm) -> list[tuple[str, str]]:
 
 
 def constraint_words(profile: Profile) -> list[tuple[str, str]]:
-    """What constrains a plan, each as name and words."""
+    """Return the constraints of a plan, each as name and words."""
     plan, tracker = profile.plan, profile.tracker
     reserve = f", and {plan.reserve} in reserve" if plan.reserve else ""
     ceiling = "" if plan.ceiling is None else f", ceiling at {plan.ceiling:.3f} m"
@@ -101,7 +101,7 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
 
 
 def doctor_verdict(result: DoctorResult) -> str:
-    """What the doctor found, in one line."""
+    """Summarize the doctor's findings in one line."""
     warnings = sum(finding.status == "warning" for finding in result.findings)
     more = f" ({counted(warnings, 'warning')})" if warnings else ""
     if not result.failed:
@@ -111,7 +111,7 @@ def doctor_verdict(result: DoctorResult) -> str:
 
 
 def device_words(finding: Finding) -> tuple[str, str, str, str]:
-    """Device, serial number, state and temperatures of a finding that carries what a device reported; else its text."""
+    """Return device, serial number, state and temperatures of a finding with a device's report; else its text."""
     device = finding.device
     name = finding.subject.split(":")[0]
     if device is None:
@@ -156,7 +156,7 @@ def _degrees(pair: tuple[float, float]) -> str:
 
 
 def _ranges(pairs: Sequence[tuple[float, float]]) -> str:
-    """Ranges [rad] of the joints, in degrees; one where all are the same."""
+    """Return joint ranges [rad] as degrees; one range if all are the same."""
     words = [_degrees(pair) for pair in pairs]
     return f"{words[0]} deg, each joint" if len(set(words)) == 1 < len(words) else f"{', '.join(words)} deg"
 

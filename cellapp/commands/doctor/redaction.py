@@ -1,4 +1,4 @@
-"""Taking secrets out of texts that leave the computer."""
+"""Removal of secrets from texts that leave the computer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ _NAMED = re.compile(
     re.IGNORECASE,
 )
 _LEAST = 4
-"""Shorter secrets are not searched for: they would be found in every number."""
+"""Least length of a secret that is searched for: shorter ones would be found in every number."""
 
 
 def redacted(text: str, secrets: Collection[str] = ()) -> str:
-    """A text without values of keys such as ``token`` or ``password``, keys in PEM form, users in addresses, and
-    without the given ``secrets`` wherever they stand."""
+    """Remove values of keys such as ``token`` or ``password``, PEM keys, users in addresses, ``secrets`` from texts."""
     for secret in sorted((one for one in secrets if len(one) >= _LEAST), key=len, reverse=True):
         text = text.replace(secret, REDACTED)
     text = _PRIVATE.sub(REDACTED, text)

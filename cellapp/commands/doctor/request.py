@@ -1,4 +1,4 @@
-"""What ``doctor`` is asked for."""
+"""Request of the verb ``doctor``."""
 
 from __future__ import annotations
 

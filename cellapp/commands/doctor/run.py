@@ -1,4 +1,4 @@
-"""The verb: what is reachable, what is missing, what would be refused, and what plug-ins add."""
+"""The verb ``doctor``: what is reachable, what is missing, what would be refused, and what plug-ins add."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from drivers.trackers.settings import TrackerSettings
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
-    """Check all that the profile names, and write what the controllers report of themselves where that is asked for."""
+    """Check everything that the profile names; on request write what the controllers report of themselves."""
     if request.run_folder is not None and request.bundle is None:
         raise InputError("--run: only with --bundle")
     profile = load_profile(request.profile)
@@ -52,7 +52,7 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
 
 
 def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
-    """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
+    """Return the findings of ``examine``, after those on plug-ins, as the verb's result."""
     found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile, reference_nests)))))
     tables = factory_tables(profile, _reports(found))
     if not tables:
@@ -76,7 +76,7 @@ def examine_run(profile: Profile, reference_nests: Path | None = None) -> Doctor
 
 
 def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], ...], str]]:
-    """D-H rows and checksum that the controller of each arm reported, by arm."""
+    """Return the D-H rows and checksum that each arm's controller reported."""
     return {
         finding.subject.removeprefix("arm ").removesuffix(": link"): (device.dh_rows, device.dh_checksum)
         for finding in result.findings
@@ -85,7 +85,7 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
 
 
 def repeatable_devices(profile: Profile) -> tuple[str, ...]:
-    """Devices whose probe may be repeated every few seconds, as they are called in findings."""
+    """Return the names in findings of devices whose probe may be repeated every few seconds."""
     settings: dict[str, ArmSettings | TrackerSettings | AirSensorSettings] = {
         **{f"arm {name}": arm.driver for name, arm in profile.arms.items()},
         "tracker": profile.tracker.driver,
@@ -96,7 +96,7 @@ def repeatable_devices(profile: Profile) -> tuple[str, ...]:
 
 
 def probe_devices(profile: Profile, devices: Collection[str]) -> DoctorResult:
-    """What some devices say now; nothing moves, and nothing else is checked."""
+    """Probe some devices now; nothing moves, and nothing else is checked."""
     return DoctorResult(findings=tuple(map(_result, probe(profile, devices))))
 
 
@@ -105,14 +105,14 @@ def _result(finding: Finding) -> ResultFinding:
 
 
 def installed_plugins() -> tuple[Plugin, ...]:
-    """Every entry point in a group of this program, also those that are not used."""
+    """Return every entry point in a group of this program, including unusable ones."""
     return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins, *METHODS.plugins)
 
 
 def installed_findings() -> list[Finding]:
-    """What each installed plug-in adds; those that cannot be used keep no job from starting."""
+    """Return what each installed plug-in adds; unusable plug-ins are only warnings and stop no job."""
     installed = installed_plugins()
     added = in_words(one for one in installed if not one.problem)
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
-    refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # a list that cannot be read has no group
+    refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # an unreadable list has no group
     return [*findings, *(Finding("plug-in", "warning", words) for words in refused)]

@@ -1,4 +1,4 @@
-"""Where a base stands in the cell, from points that the tracker measured."""
+"""Pose of a base in the cell, from points that the tracker measured."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 @dataclass(frozen=True)
 class SurveyedBase:
-    """A base pose in the cell frame, and the fit that it comes from."""
+    """A base pose in the cell frame, and the fit it comes from."""
 
     pose: Pose
     fit: BaseFit
 
 
 def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> SurveyedBase:
-    """Return the pose of an arm's base in C from points in the tracker frame and the tracker's pose in C.
+    """Compute the pose of an arm's base in C from points in the tracker frame and the tracker's pose in C.
 
-    Points with joint positions rest on the nominal geometry of the arm and its SMR offset.
+    Points given by joint positions use the arm's nominal geometry and its SMR offset.
 
     Raises
     ------
     InputError
-        If a point cannot be used, or the points do not fix the base.
+        If a point cannot be used, or the points do not determine the base.
     """
     p_B = np.array([_point_at_base(arm, number, point) for number, point in enumerate(points, start=1)])
     p_M = np.array([point.tracker for point in points])
@@ -48,12 +48,12 @@ def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> Sur
 def draft_with_surveyed_base(
     draft: ProfileDraft, index: int, points: Sequence[SurveyPoint], path: Path
 ) -> tuple[ProfileDraft, SurveyedBase]:
-    """Return the draft with the base of one arm from points; ``path`` is where the profile is, or will be.
+    """Return the draft with the base of one arm computed from points; ``path`` is the profile's (future) path.
 
     Raises
     ------
     InputError
-        As ``surveyed_base``, and if the arm or the tracker's pose do not hold yet.
+        As ``surveyed_base``, and if the arm or the tracker's pose is not valid yet.
     """
     arm, tracker = arm_and_tracker_pose(draft, index, path)
     found = surveyed_base(arm, points, tracker)
@@ -64,7 +64,7 @@ def draft_with_surveyed_base(
 
 
 def _point_at_base(arm: Arm, number: int, point: SurveyPoint) -> Array:
-    """The point in the base frame (3,) [m]."""
+    """Return the point in the base frame, (3,) [m]."""
     if point.joints is None:
         return np.array(point.base)
     if len(point.joints) != len(arm.type.joints):

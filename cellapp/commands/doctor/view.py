@@ -15,7 +15,7 @@ _UNITS = ("mrad", "mm", "mm", "mrad", "mrad")
 
 
 def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
-    """What the profile says of the cell where that is asked for, and every finding."""
+    """Show on request the cell as in the profile, and every finding."""
     described = profile_tables(load_profile(request.profile)) if request is not None and request.cell else []
     findings = [f"{finding.status:8} {finding.subject}: {finding.text}" for finding in result.findings]
     tables = [_controller_table(name, its) for name, its in (result.controllers or {}).items()]
@@ -25,7 +25,7 @@ def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
 
 
 def _controller_table(name: str, its: ControllerCalibration) -> Table:
-    """What the factory's calibration changes at each joint of an arm."""
+    """Show what the factory calibration changes at each joint of an arm."""
     columns = (
         Column("joint"),
         *(number_column(f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True)),

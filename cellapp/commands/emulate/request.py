@@ -1,4 +1,4 @@
-"""What ``emulate`` is asked for."""
+"""Request of the verb ``emulate``."""
 
 from __future__ import annotations
 

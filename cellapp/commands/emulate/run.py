@@ -1,4 +1,4 @@
-"""The verb: emulate the UR controllers and the tracker bridge of a profile, with its simulated cell behind them."""
+"""The verb ``emulate``: emulate a profile's UR controllers and tracker bridge, with its simulated cell behind them."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from drivers.settings import SettingError
 from drivers.trackers.imperfections import Imperfections
 
 _STEP_S = 0.2
-"""Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
+"""Longest time until a cancel, such as Ctrl-C, is noticed."""
 _CB3_MODELS = ("UR3", "UR5", "UR10")
 _LATE_S = 0.04
-"""Packets of the tracker's stream come late by up to this much [s]."""
+"""Largest delay of packets of the tracker's stream [s]."""
 _JOINTS = 6
-"""Of every UR arm."""
+"""Joints of a UR arm."""
 _CALIBRATED = 2
-"""Calibration status of a controller that has been calibrated in the factory."""
+"""Calibration status that a controller reports after calibration in the factory."""
 
 
 def run(request: EmulateRequest, work: Work) -> EmulateResult:
-    """Emulate the cell until the work is stopped; what is served is announced when it is."""
+    """Emulate the cell until the work is stopped; announce the addresses when the servers listen."""
     trackers: list[EmulatedTracker] = []
     served: list[EmulateResult] = []
 
@@ -65,7 +65,7 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
 
 
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
-    """Return where the tracker of a profile can be emulated; None without a simulated cell or a loopback address."""
+    """Return the address of the emulated tracker; None without a simulated cell or a loopback address."""
     bridge = profile.tracker.driver.emulated_bridge()
     return None if profile.plant is None or bridge is None else EmulatedTracker(host=bridge.host, port=bridge.port)
 
@@ -83,7 +83,7 @@ def _serve_tracker(
         token = profile.tracker.driver.token()
     except SettingError as error:
         raise InputError(str(error)) from error
-    clocks = recorder_of(plant)  # as where no wire is between: the same seed, the same clocks
+    clocks = recorder_of(plant)  # the same seed and clocks as without emulation
     own = Imperfections(
         clock_offset_s=clocks.offset_s,
         clock_rate=clocks.rate_ppm * 1e-6,
@@ -112,10 +112,10 @@ def _serve_tracker(
 
 
 def emulated_arms(profile: Profile) -> list[EmulatedArm]:
-    """Return the controllers that can be emulated for a profile, on the standard ports.
+    """Return the controllers of a profile that can be emulated, on the standard ports.
 
-    The kind of an arm decides: its own loopback address, or any free one from 127.0.0.2 on. Arms with a controller on
-    another machine are left out.
+    The driver of an arm sets its address: its own loopback address, or any free one from 127.0.0.2 on. Arms with a
+    controller on another machine are left out.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def emulated_arms(profile: Profile) -> list[EmulatedArm]:
 
 
 def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
-    """Return the address of each controller; those without one get free addresses. Raises ``InputError``."""
+    """Return the address of each controller; assign free addresses to those without one. Raises ``InputError``."""
     hosts: dict[str, str] = {}
     for name, controller in controllers.items():
         if controller.host is not None and controller.host in hosts.values():
@@ -163,29 +163,29 @@ def emulate(
     lost_beams: float = 0.0,
     simulation: bool = False,
 ) -> None:
-    """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
+    """Emulate the controllers of a profile until ``cancel``; all ports are free on return.
 
     The arms belong to the simulated cell of the section ``plant``; without one, only their joints move. In real time
-    they run before other programs, if that is permitted: real controllers have computers of their own.
+    they run with priority over other programs, if permitted: real controllers have their own computers.
 
     Parameters
     ----------
     announce : callable
         Called once with the addresses, when all controllers listen.
     arms : sequence of EmulatedArm, or None
-        Controllers instead of ``emulated_arms``; a port 0 takes a free one.
+        Controllers to use instead of ``emulated_arms``; port 0 takes a free one.
     pace : float
         Seconds of the cell for each second of wall time.
     tracker : EmulatedTracker, or None
-        Address instead of ``emulated_tracker``; the tracker measures the same cell.
+        Address to use instead of ``emulated_tracker``; the tracker measures the same cell.
     announce_tracker : callable
         Called before ``announce`` with that address.
     watch_clearance : bool
-        Whether the command ``clearance`` of the control channel gives the smallest distances.
+        Whether the command ``clearance`` of the control channel reports the smallest distances.
     lost_beams : float
         How often the beam to a moving SMR breaks [1/min].
     simulation : bool
-        Whether the controllers are in simulation mode: joints move, the arms of the simulated cell rest at home.
+        Whether the controllers are in simulation mode: joints move, but the arms of the simulated cell rest at home.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def _config(emulated: EmulatedArm, arm: Arm, plant: Plant | None) -> ControllerC
 
 
 def _as_calibrated(emulated: EmulatedArm, plant: Plant | None) -> Personality:
-    """The controller with the factory's calibration of its arm, if the simulated cell has one."""
+    """Return the controller with its arm's factory calibration, if the simulated cell has one."""
     own = None if plant is None else factory_calibration(plant, emulated.arm)
     if own is None:
         return emulated.controller
@@ -274,7 +274,7 @@ def _as_calibrated(emulated: EmulatedArm, plant: Plant | None) -> Personality:
 
 
 def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Personality:
-    """Return the controller of a UR arm. Raises ``InputError`` if the arm's type is not a UR arm."""
+    """Build the controller of a UR arm. Raises ``InputError`` if the arm's type is no UR arm."""
     model = arm.type.model.strip()
     joints = arm.type.joints
     if not model.upper().startswith("UR") or len(joints) != _JOINTS:

@@ -7,7 +7,7 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: EmulateResult, request: Request | None = None) -> View:
-    """Controllers and ports, for the person who started them."""
+    """Show the controllers and their ports."""
     served = [_arm_words(arm) for arm in result.arms]
     if (tracker := result.tracker) is not None:
         served.append(f"tracker: simulated, bridge protocol at {tracker.host} port {tracker.port}")

@@ -1,4 +1,4 @@
-"""What ``export`` is asked for."""
+"""Request of the verb ``export``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.outputs import Writes
 
 _FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters, urdf-cell, commands or urscript."
-"""For the help, which must not load the formats; a test compares them."""
+"""Formats for the help, which must not load them; a test compares both lists."""
 STAGES = ("calibrate", "discover", "compensate", "verify")
 
 

@@ -39,9 +39,9 @@ _GEOMETRY_NOTE = (
 
 
 def run(request: ExportRequest, work: Work) -> ExportResult:
-    """Write what is asked for."""
+    """Write the requested files."""
     with RunFile.open(request.folder) as opened:
-        if request.form is None or request.out is None:  # neither is given then
+        if request.form is None or request.out is None:  # the request has both or neither
             streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
             recordings = {kind: path for kind, path in streams.items() if path is not None}
             return export_run(opened, request.csv, request.geometry, request.plan, work.outputs, recordings=recordings)
@@ -64,21 +64,21 @@ def export_as_run(
     format_name : str
         One of ``formats.all_formats()``.
     out : Path
-        The file. If there are several arms and none is named, each arm's name goes before the ending; a format for the
+        The file. With several arms and no ``arm``, each arm's name is inserted before the suffix; a format for the
         whole cell has one file.
     arm : str or None
         The arm; None means all.
     stage_name : str or None
-        ``calibrate`` or ``discover``: whose geometry is written. None means that of the model in force. Of commands
-        ``compensate`` or ``verify``; None means those of the last compensation.
+        Stage whose geometry is written, ``calibrate`` or ``discover``; None means the model in force. For commands
+        ``compensate`` or ``verify``; None means the last compensation.
     outputs : Outputs
-        What may be replaced; left out, nothing.
+        Which files may be replaced; none by default.
 
     Raises
     ------
     InputError
-        If there is no such format, arm or stage, the run is not calibrated, the format cannot hold an arm, a file
-        exists with another text, or it cannot be written; also as ``export_commands``.
+        If there is no such format, arm or stage, the run is not calibrated, the format cannot represent an arm, a file
+        with another text exists, or a file cannot be written; also as ``export_commands``.
     """
     form, stages = format_named(format_name), read_stages(run)
     if isinstance(form, CommandFormat):
@@ -144,7 +144,7 @@ def _stale_notes(stale: str) -> list[str]:
 
 
 def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
-    """Return every arm with the geometry of one stage and what that loses of the model in force."""
+    """Return every arm with the geometry of one stage and what that loses against the model in force."""
     in_force = stage_in_force(run, stages)
     stage = in_force if stage_name is None else _stage(run, stages, stage_name)
     model, best = model_of(run, stage), model_of(run, in_force)
@@ -175,9 +175,9 @@ def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
 
 
 def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport]) -> list[str]:
-    """Say where the geometry that was identified without effects is nearer to the whole model than the one written.
+    """Say for which arms the geometry identified without effects is closer to the whole model than the one written.
 
-    Without effects in the model, the geometry takes up what it can of them: the better chain for programs without them.
+    Without effects in the model, the geometry absorbs what it can of them: a better chain for programs without effects.
     """
     if CALIBRATE not in stages.current or stages.current[CALIBRATE] is stages.in_force:
         return []
@@ -193,7 +193,7 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
 
 
 def lost_by_arm(run: RunFile) -> list[str]:
-    """What no file of a rigid chain holds of each calibrated arm, in words."""
+    """Say for each calibrated arm what a file of a rigid chain cannot represent."""
     lines = []
     for name, export in calibrated_arms(run, read_stages(run)).items():
         loss = export.lost_together
@@ -204,7 +204,7 @@ def lost_by_arm(run: RunFile) -> list[str]:
 
 
 def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
-    """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
+    """Return the head of every file: the arm, its source, and what the file does not represent."""
     return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export)]
 
 
@@ -213,7 +213,7 @@ def _arm_sentences(export: ArmExport) -> list[str]:
         f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
         *lost_sentences(export.lost, export.lost_together),
     ]
-    return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
+    return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
@@ -235,12 +235,13 @@ def export_run(
     *,
     recordings: Mapping[Kind, Path] = MappingProxyType({}),
 ) -> ExportResult:
-    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or some of these.
+    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or several of
+    these.
 
     Raises
     ------
     InputError
-        If none is given, there is nothing to write, or a file cannot be written, or may not.
+        If no file is given, there is nothing to write, or a file cannot or must not be written.
     """
     if csv is None and geometry is None and plan is None and not recordings:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The verb ``export`` for commands: what ``compensate`` computed or ``push`` verified last, for other programs."""
+"""The verb ``export`` for commands: those last computed by ``compensate`` or verified by ``push``."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def export_commands(
     stage_name: str | None = None,
     outputs: Outputs = NEW_ONLY,
 ) -> ExportResult:
-    """Write the commands of every arm that has some, a file each; see ``export_as_run``.
+    """Write the commands of every arm that has some, one file each; see ``export_as_run``.
 
     Raises
     ------
     InputError
         If nothing was compensated or verified, that is out of date, the arm has no commands, or none that the format
-        may hold.
+        allows.
     """
     stage = _stage(run, stages, stage_name or COMPENSATE)
     if form.drives and is_unplaced(run.profile):
@@ -73,7 +73,7 @@ def export_commands(
 
 
 def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
-    """The stage whose commands are written, which still holds."""
+    """Return the stage whose commands are written; refuse one that no longer holds."""
     if name not in (COMPENSATE, VERIFY):
         raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
     known = COMPENSATE if name == COMPENSATE else VERIFY
@@ -115,7 +115,7 @@ def _of_arm(
 
 
 def _rates(run: RunFile, arm: Arm) -> tuple[float, float]:
-    """Speed [rad/s] and acceleration [rad/s^2] that no joint exceeds: as slow as first motions on real hardware."""
+    """Return the limits of joint speed [rad/s] and acceleration [rad/s^2]: those of first motions on real hardware."""
     joints = arm.type.joints
     share = arm.speed_scale * run.profile.collection.slow_start.speed
     speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))
@@ -127,4 +127,4 @@ def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> 
         form_line(form, simulated=profile.is_simulated),
         f"Arm '{commands.name}' ({commands.arm.type.model}), {commands.source}.",
     ]
-    return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
+    return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment

@@ -8,5 +8,5 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: ExportResult, request: Request | None = None) -> View:
-    """The files that were written, and what they do not hold."""
+    """Show the written files, and what they do not represent."""
     return View(tuple(export_lines(result)))

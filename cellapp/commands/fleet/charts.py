@@ -23,10 +23,10 @@ from cellapp.estimation.monitoring.fleet.trend import CONFIDENCE, Line
 from cellapp.estimation.monitoring.fleet.trends import MONTH_DAYS, days_since_1970
 
 MOST_PARAMETERS = 6
-"""Parameters of an arm that have a chart: those that changed or drift, then those nearest to it."""
+"""Most parameters of an arm with a chart: those that changed or drift, then those closest to a change."""
 _LINE_POINTS = 60
 _FARTHEST = 3.0
-"""Spans of the values that a trend is drawn beyond them, at most."""
+"""How far a trend is drawn beyond its values, at most, in spans of these."""
 _CONDITIONS: tuple[tuple[str, Axis, tuple[Figure, ...]], ...] = (
     (
         "Noise and repeatability",
@@ -38,12 +38,12 @@ _CONDITIONS: tuple[tuple[str, Axis, tuple[Figure, ...]], ...] = (
 
 
 def trend_charts(arm: ArmHistory) -> list[Chart]:
-    """Every followed error with its line, and every parameter whose drift is proven."""
+    """Show every followed error with its trend line, and every parameter with a proven drift."""
     return [_trend_chart(trend) for trend in arm.trends if trend.figure != "parameter" or trend.proven]
 
 
 def condition_charts(arm: ArmHistory) -> list[Chart]:
-    """Noise and repeatability in one chart, the temperature in another; only what at least two runs have."""
+    """Show noise and repeatability in one chart, the temperature in another; only those with at least two runs."""
     known = {figure: values for figure, values in arm.figures.items() if len(values) > 1}
     return [
         _values_chart(title, axis, {figure: known[figure] for figure in figures if figure in known})
@@ -68,14 +68,14 @@ def _values_chart(title: str, axis: Axis, values: Mapping[Figure, Sequence[Dated
 
 
 def parameter_charts(arm: ArmHistory) -> list[Chart]:
-    """Differences from the first run with 95 % bands, of the parameters that tell most."""
+    """Show differences from the first run with 95 % bands, of the most significant parameters."""
     changed = [one for one in arm.parameters if one.changes and one.part == "arm"]
     chosen = sorted(changed, key=_chance)[:MOST_PARAMETERS]
     return [_parameter_chart(one) for one in chosen]
 
 
 def effect_chart(arm: ArmHistory) -> Chart | None:
-    """Sizes of all effects over time; zero where a search did not find one. None without effects."""
+    """Show sizes of all effects over time; zero if a search did not find one. None without effects."""
     drawn: list[Series] = []
     start = _start([size.time for effect in arm.effects for size in effect.sizes])
     for number, effect in enumerate(arm.effects):
@@ -96,7 +96,7 @@ def effect_chart(arm: ArmHistory) -> Chart | None:
 
 
 def pair_chart(pair: PairHistory) -> Chart | None:
-    """How far the second base has moved in the frame of the first; None without two transforms."""
+    """Show the displacement of the second base in the frame of the first; None if fewer than two runs have it."""
     if not pair.distances_mm or not pair.parameters:
         return None
     first = pair.parameters[0].first
@@ -147,7 +147,7 @@ def _line(trend: Trend, start: float) -> Line:
 
 
 def _end(trend: Trend, days: np.ndarray, start: float) -> float:
-    """Where the line ends: at the newest value, or where it reaches the tolerance if that is near."""
+    """Return the end of the trend line: the newest value, or the crossing of the tolerance if that is near."""
     newest = float(days.max())
     if trend.crossing is None:
         return newest
@@ -178,7 +178,7 @@ def _parameter_chart(one: ParameterHistory) -> Chart:
 
 
 def _chance(one: ParameterHistory) -> tuple[float, float]:
-    """Changes with the smallest chance first; those with the same by their size in standard uncertainties."""
+    """Return a sort key: smallest probability of a change first, then by size in standard uncertainties."""
     chances = [change.p_value for change in one.changes if change.p_value is not None]
     largest = max(abs(c.difference) / c.standard_uncertainty if c.standard_uncertainty else 0.0 for c in one.changes)
     return min(chances, default=1.0), -largest

@@ -1,8 +1,8 @@
-"""An index of the records of all runs below a folder, so that only changed runs are read again.
+"""Index of the records of all runs below a folder, so that only changed runs are read again.
 
 The run files are the source. The index is an SQLite file beside them that may be deleted at any time: a row counts only
-if path, size, time and newest stage of its run are those of the file, and its text has the hash that was stored with
-it. Where it is damaged it is made again; where it cannot be written or is in use, the runs are read without it.
+if path, size, time and newest stage match the run file, and its text matches the stored hash. A damaged index is
+rebuilt; if it cannot be written or is in use, the runs are read without it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from cellapp.ground.version import __version__
 
 INDEX_FILE = ".cellapp-index.sqlite"
 _VERSION = f"1, cellapp {__version__}"
-"""Of the records; rows of another version are read again from their runs."""
+"""Version of the records; rows of another version are read again from their runs."""
 _BUSY_S = 0.5
-"""How long another process is waited for: reading the runs takes about as long."""
+"""How long to wait for another process: reading the runs takes about as long."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class Stamp:
 
 @dataclass(frozen=True)
 class IndexedRecords:
-    """Records of the runs below a folder, and how many of them were read from the runs themselves."""
+    """Records of the runs below a folder, and how many were read from the run files."""
 
     records: tuple[RunRecord, ...]
     read: int
 
 
 def indexed_records(folder: Path) -> IndexedRecords:
-    """The record of every run in ``folder`` and below. A single run has no index: it is read."""
+    """Return the record of every run in ``folder`` and below. A single run has no index: it is read."""
     runs = list(run_folders(folder))
     if runs == [folder]:
         return IndexedRecords((read_record(folder),), 1)
@@ -66,7 +66,7 @@ def indexed_records(folder: Path) -> IndexedRecords:
             records[run] = fresh[run] = read_record(run)
     keys = {_key(folder, run) for run in runs}
     if fresh or stored.keys() - keys:
-        # only what stays true as long as the run does not change: a problem may pass, a prior may change
+        # only records that hold as long as the run does not change: a problem may pass, a prior may change
         lasting = {run: record for run, record in fresh.items() if record.alone and not record.problem}
         rows = [(run, stamp, record) for run, record in lasting.items() if (stamp := stamps[run])]
         _store(folder, rows, keys)
@@ -74,7 +74,7 @@ def indexed_records(folder: Path) -> IndexedRecords:
 
 
 def stamp_of(run: Path) -> Stamp | None:
-    """The stamp of a run; None where its file cannot be read, and where its results are older than stages."""
+    """Return the stamp of a run; None if its file cannot be read, or its results are from before stages."""
     path = run / FILE_NAME
     try:
         file = path.stat()
@@ -97,12 +97,12 @@ def stamp_of(run: Path) -> Stamp | None:
 
 
 def _key(folder: Path, run: Path) -> str:
-    """Path of a run below the folder: the folder may be moved with its index."""
+    """Return a run's path relative to the folder, which may be moved with its index."""
     return run.relative_to(folder).as_posix()
 
 
 def _load(folder: Path) -> dict[str, tuple[Stamp, RunRecord]]:
-    """Rows that are whole and of this version; none where there is no index or it cannot be read."""
+    """Read the intact rows of this version; none if there is no readable index."""
     path = folder / INDEX_FILE
     if not path.is_file():
         return {}
@@ -124,7 +124,7 @@ def _load(folder: Path) -> dict[str, tuple[Stamp, RunRecord]]:
 
 
 def _store(folder: Path, rows: Sequence[tuple[Path, Stamp, RunRecord]], keys: set[str]) -> None:
-    """Add rows and drop those of runs that are gone; a damaged index is replaced."""
+    """Add rows and delete those of runs that are gone; replace a damaged index."""
     path = folder / INDEX_FILE
     if not os.access(folder, os.W_OK):
         return
@@ -132,7 +132,7 @@ def _store(folder: Path, rows: Sequence[tuple[Path, Stamp, RunRecord]], keys: se
         try:
             _write(path, folder, rows, keys)
             return
-        except sqlite3.OperationalError:  # in use, or the disk is full: the runs are the source
+        except sqlite3.OperationalError:  # in use, or the disk is full: go on without the index
             return
         except sqlite3.DatabaseError:
             for damaged in (path, Path(f"{path}-journal")):

@@ -1,4 +1,4 @@
-"""Read the record of one run: only what a comparison of many runs needs, and never a change of the run."""
+"""Read the record of one run: only what a comparison of many runs needs. Never changes the run."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ from cellapp.robot.kinematics.chain import JointAngles, all_names, jacobian
 from cellapp.robot.model.nominal import nominal_arm
 
 _LEVER_CONFIGURATIONS = 64
-"""Configurations over which the displacement by a parameter is averaged: its rms is known to a tenth."""
+"""Number of configurations to average the displacement by a parameter: its rms is known to a tenth."""
 
 P = TypeVar("P", bound=BaseModel)
 
 
 def read_record(folder: Path) -> RunRecord:
-    """The record of one run; it states the problem where the run cannot be read."""
+    """Return the record of one run; if the run cannot be read, it states the problem."""
     try:
         with RunFile.peek(folder) as run:
             return _Reader(run, read_stages(run, counted_basis)).record()
     except CellappError as error:
         return RunRecord(run=str(folder), problem=str(error))
-    except (OSError, ValueError, TypeError, KeyError) as error:  # whatever a damaged or foreign file may contain
+    except (OSError, ValueError, TypeError, KeyError) as error:  # a damaged or foreign file may contain anything
         words = str(error).partition("\n")[0] or type(error).__name__
         return RunRecord(
             run=str(folder),
@@ -96,7 +96,7 @@ class Model(BaseModel):
 
 @dataclass
 class _Reader:
-    """Reads one open run; ``notes`` collect what cannot be used and why."""
+    """Reader of one open run; ``notes`` say what cannot be used and why."""
 
     run: RunFile
     stages: RunStages
@@ -146,7 +146,7 @@ class _Reader:
         return None if stage is None else self._parsed(stage, stage.text, kind)
 
     def _model(self) -> Model | None:
-        """The model in force; none where its arms no longer rest on the readings."""
+        """Return the model in force; None if its arms no longer follow from the readings."""
         stage = self.stages.in_force
         if stage is None or stage.model is None or self.stages.stale_arms():
             return None
@@ -154,13 +154,13 @@ class _Reader:
 
     def _parsed(self, stage: StoredStage, text: str, kind: type[P]) -> P | None:
         try:
-            return kind.model_validate_json(text, extra="ignore")  # keys of another version
+            return kind.model_validate_json(text, extra="ignore")  # ignore keys of other versions
         except ValidationError:
             self.notes.append(f"'{stage.name}' cannot be used: {UNREADABLE}")
             return None
 
     def _dated(self) -> _Dated:
-        """Everything that was measured with a model of this run, each at its own time."""
+        """Return all measurements with a model of this run, each at its own time."""
         found = _Dated(str(self.run.folder))
         for stage in read_history(self.run):
             if stage.name == VERIFY and (verified := self._parsed(stage, stage.text, VerifyResult)):
@@ -174,7 +174,7 @@ class _Reader:
 
 @dataclass
 class _Dated:
-    """Verifications, checks and tests of a run with the times at which they were stored."""
+    """Verifications, checks and tests of a run with the times when they were stored."""
 
     run: str
     verified: list[tuple[str, VerifyResult]] = field(default_factory=list)
@@ -202,7 +202,7 @@ class _Dated:
         return {figure: values for figure, values in found.items() if values}
 
     def _poses(self, arm: str) -> Iterator[tuple[DatedValue, DatedValue]]:
-        """Largest AP and RP of each test, with calibrated commands where those were tested."""
+        """Yield the largest AP and RP of each test, with calibrated commands if those were tested."""
         for time, one in self.tested:
             tests = one.arms[arm].tests if arm in one.arms else {}
             kind = next((kind for kind in reversed(ISO_COMMANDS) if kind in tests and tests[kind].pose), None)
@@ -242,7 +242,7 @@ class _Dated:
 
 @dataclass(frozen=True)
 class _Stored:
-    """What the stages of a run say of all arms; None where a stage is missing or no longer holds."""
+    """Results of a run for all arms; None if a stage is missing or no longer holds."""
 
     calibrated: CalibrateResult | None
     searched: DiscoverResult | None
@@ -253,7 +253,7 @@ class _Stored:
 
 @dataclass(frozen=True)
 class _ArmParts:
-    """What the stages of a run say of one arm."""
+    """Results of a run for one arm."""
 
     name: str
     settings: Arm
@@ -318,12 +318,12 @@ class _ArmParts:
         return _carried_over(self.model) if self.model is not None and self.model.effects else None
 
     def _best_errors(self) -> ErrorSummary | None:
-        """Held-out errors of the last model that was computed and still holds."""
+        """Return the held-out errors of the last model that still holds; None without one."""
         if self.calibrated is None or self.model is None:
             return None
         found = dict(self.calibrated.validate_)
         if self.calibrated.prior is None:
-            found.pop("effects", None)  # older versions wrote it into the calibration
+            found.pop("effects", None)  # older versions stored it in the calibration
         if self.searched is not None:
             found |= self.searched.validate_
         best = next((stage for stage in reversed(STAGES) if stage in found), None)
@@ -348,12 +348,12 @@ class _ArmParts:
 
 
 def _changed(path: Path) -> str:
-    """When a file last changed (ISO 8601, UTC): for runs that do not say when they were made."""
+    """Return when a file last changed (ISO 8601, UTC): for runs that do not state when they were made."""
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="milliseconds")
 
 
 def levers(arm: Arm, names: list[str]) -> dict[str, float]:
-    """Rms displacement of the SMR [m] by one unit of each parameter of the nominal arm, over all joint angles."""
+    """Compute the rms SMR displacement [m] by one unit of each parameter of the nominal arm, over all joint angles."""
     geometry = nominal_arm(arm)
     joints = len(arm.type.joints)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_LEVER_CONFIGURATIONS, joints))
@@ -369,7 +369,7 @@ def _accepted(one: AcceptedEffect, n: int) -> EffectRecord:
 
 
 def _carried_over(model: ModelArm) -> tuple[EffectRecord, ...]:
-    """Effects that a calibration took over from an earlier one."""
+    """Return the effects that a calibration took over from its prior."""
     return tuple(
         EffectRecord(
             effect=term.effect,
@@ -400,5 +400,5 @@ def _transforms(stored: _Stored) -> dict[Method, dict[str, Estimate]]:
 
 
 def _rms_error(rms: float, stops: int) -> float | None:
-    """Standard error of the rms length of 3 ``stops`` normal coordinates: rms / sqrt(2 n), for n of them."""
+    """Return the standard error of an rms length over 3 ``stops`` normal coordinates: rms / sqrt(2 n) for n of them."""
     return rms / math.sqrt(6.0 * stops) if stops else None

@@ -1,4 +1,4 @@
-"""What ``fleet`` is asked for."""
+"""Request of the verb ``fleet``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs ``fleet`` and ``compare`` for many runs: they read runs, and change none of them."""
+"""The verbs ``fleet`` and ``compare`` for many runs. They read runs and change none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cellapp.ground.errors import InputError
 
 
 def run(request: FleetRequest, work: Work) -> FleetResult:
-    """Read the runs, and write the page where one is asked for."""
+    """Read the runs; write the page on request."""
     result = fleet(request.folders)
     if request.page is not None:
         work.result_page(result, request.page)
@@ -26,9 +26,9 @@ def run(request: FleetRequest, work: Work) -> FleetResult:
 
 
 def fleet(folders: Sequence[Path]) -> FleetResult:
-    """The history of every arm in the runs of some folders and below, each run once, by the time when it began.
+    """Return the history of every arm in the runs of some folders and below, each run once, ordered by begin.
 
-    A run that cannot be read has its problem in the result.
+    A run that cannot be read is listed with its problem.
 
     Raises
     ------
@@ -50,9 +50,9 @@ def fleet(folders: Sequence[Path]) -> FleetResult:
 
 
 def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]]:
-    """The runs without copies of others, and a note on each that has some.
+    """Return the runs without copies of others, and a note on each run that has copies.
 
-    A copy began at the same instant and says the same of every arm: ten copies of a run are one measurement.
+    A copy began at the same instant and has the same data of every arm: ten copies of a run are one measurement.
     """
     alike: dict[str, list[RunRecord]] = {}
     for record in records:
@@ -68,7 +68,7 @@ def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]
 
 
 def compare_many(folders: Sequence[Path]) -> FleetResult:
-    """Compare runs with the first one, in the order given.
+    """Compare runs with the first one, in the given order.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def compare_many(folders: Sequence[Path]) -> FleetResult:
 
 
 def _not_in_first(result: FleetResult) -> Iterator[str]:
-    """Arms that the first run does not have: they are compared with another run, or with none."""
+    """Yield notes on arms that the first run lacks: they are compared with another run, or with none."""
     first = result.runs[0].run
     for name, arm in result.arms.items():
         if first not in arm.runs:

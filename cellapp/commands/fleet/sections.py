@@ -1,4 +1,4 @@
-"""Each arm of a fleet, and the bases of each pair, as sections: sentences, charts, tables."""
+"""Each arm of a fleet, and each pair's bases, as sections: sentences, charts, tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cellapp.estimation.monitoring.fleet.records import ArmHistory, PairHistory
 
 
 def arm_section(key: str, name: str, arm: ArmHistory) -> Section:
-    """One arm over its runs; it is unfolded where something is wrong with it."""
+    """Show one arm over its runs; unfolded if something is wrong with it."""
     effects = effect_chart(arm)
     sentences = [line.removeprefix(f"{name}: ") for line in arm_sentences(name, arm)]
     charts = [
@@ -28,7 +28,7 @@ def arm_section(key: str, name: str, arm: ArmHistory) -> Section:
 
 
 def pair_section(key: str, pair: PairHistory) -> Section:
-    """What is known of the bases of two arms."""
+    """Show the bases of two arms over their runs."""
     chart, table = pair_chart(pair), pair_table(pair)
     parts: list[Part] = [*([] if chart is None else [chart]), *([table] if table.rows else [])]
     return Section("Bases", parts, sentence(pair_sentence(pair)), key=key)

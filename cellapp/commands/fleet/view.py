@@ -36,9 +36,9 @@ from cellapp.ground.times import day_of
 
 _MM = ".3f"
 _FEW_ARMS = 4
-"""Arms up to which each has tables of its own in a terminal: two cells."""
+"""Most arms that each have their own tables in a terminal: two cells."""
 _MOST_PARAMETERS = 12
-"""Parameters of an arm in its table, those with the largest differences; the JSON and the page have all."""
+"""Most parameters in an arm's table, those with the largest differences; the JSON and the page have all."""
 _KNOWN_BY = {
     "controller": "serial number of its controller",
     "profile": "serial number in the profile",
@@ -47,7 +47,7 @@ _KNOWN_BY = {
 
 
 def view(result: FleetResult, request: Request | None = None) -> View:
-    """Every arm over its runs; those that are beyond tolerance or have changed fail where that is asked for."""
+    """Show every arm over its runs; on request, arms beyond tolerance or changed make it fail."""
     asked = request if isinstance(request, FleetRequest) else None
     page = [f"page: {asked.page}"] if asked is not None and asked.page is not None else []
     complaints = result.complaints() if asked is not None and asked.strict else []
@@ -56,9 +56,9 @@ def view(result: FleetResult, request: Request | None = None) -> View:
 
 
 def fleet_tables(result: FleetResult) -> list[Table]:
-    """Arms with their condition, runs with their figures, and of each arm what changed, its effects and trends.
+    """Show arms with their condition, runs with their figures, and each arm's changes, effects and trends.
 
-    Of a large fleet, only arms with something to say have tables of their own.
+    Of a large fleet, only arms with something to report have their own tables.
     """
     tables = [arms_table(result), runs_table(result)]
     for name, arm in _detailed(result).items():
@@ -68,7 +68,7 @@ def fleet_tables(result: FleetResult) -> list[Table]:
 
 
 def fleet_sentences(result: FleetResult) -> list[str]:
-    """The condition of each arm with its reasons, trends, what cannot be read or compared, and how sure all is."""
+    """State each arm's condition with reasons, trends, what cannot be read or compared, and the certainty of all."""
     sentences = [sentence for name, arm in result.arms.items() for sentence in arm_sentences(name, arm)]
     sentences += [pair_sentence(pair) for pair in result.pairs]
     sentences += [run.problem for run in result.runs if run.problem]
@@ -83,14 +83,14 @@ def fleet_sentences(result: FleetResult) -> list[str]:
 
 
 def _detailed(result: FleetResult) -> Mapping[str, ArmHistory]:
-    """Arms with tables of their own."""
+    """Return the arms that get their own tables."""
     if len(result.arms) <= _FEW_ARMS:
         return result.arms
     return {name: arm for name, arm in result.arms.items() if arm.reasons}
 
 
 def certainty_sentence(result: FleetResult) -> str:
-    """The false alarm rate and what shares it."""
+    """State the false alarm rate and what it covers."""
     return (
         f"false alarm: if nothing had changed in the whole fleet, anything would be named with a chance of at most"
         f" {100.0 * result.false_alarm:g} %; {counted(result.comparisons, 'difference')} from the first runs share"
@@ -99,7 +99,7 @@ def certainty_sentence(result: FleetResult) -> str:
 
 
 def arm_sentences(name: str, arm: ArmHistory) -> list[str]:
-    """Condition, reasons and trends of one arm."""
+    """State condition, reasons and trends of one arm."""
     runs = counted(len(arm.runs), "run")
     trends = {drift_words(trend) for trend in arm.trends if leads_away(trend)}
     return [
@@ -112,7 +112,7 @@ def arm_sentences(name: str, arm: ArmHistory) -> list[str]:
 
 
 def trend_sentences(arm: ArmHistory) -> Iterator[str]:
-    """Proven trends and when they reach the tolerance; that none is proven; or that there are too few values."""
+    """Yield proven trends and when they reach the tolerance; else that none is proven or there are too few values."""
     if not arm.trends:
         yield "too few runs at different times for a trend; it needs four"
         return
@@ -124,7 +124,7 @@ def trend_sentences(arm: ArmHistory) -> Iterator[str]:
 
 
 def trend_words(trend: Trend) -> str:
-    """The rate of a trend and, where it leads to the tolerance, when."""
+    """State the rate of a trend and, if it leads to the tolerance, when it gets there."""
     subject = f"{drift_words(trend)} (standard error {trend.slope_standard_error:.4f})"
     if trend.crossing is None:
         return subject
@@ -152,7 +152,7 @@ def _between(trend: Trend) -> str:
 
 
 def arms_table(result: FleetResult) -> Table:
-    """One row for each arm, its condition first, the worst arm first."""
+    """Show one row for each arm with its condition, the worst arm first."""
     began = {run.run: day_of(run.began) for run in result.runs}
     return table_of(
         "Arms, the worst first",
@@ -169,7 +169,7 @@ def arms_table(result: FleetResult) -> Table:
 
 
 def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
-    """Every run with the figures of its arms; only the newest rows where there are more than ``most``."""
+    """Show every run with its arms' figures; only the newest rows if there are more than ``most``."""
     figures: tuple[Figure, ...] = ("heldout", "verified", "check", "temperature")
     columns = (
         Column("run"),
@@ -194,14 +194,14 @@ def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
 
 
 def arm_tables(name: str, arm: ArmHistory) -> list[Table]:
-    """What of an arm changed since its first run, its effects, its proven trends, its checks."""
+    """Show an arm's changes since its first run, effects, proven trends and checks."""
     return with_rows(
         parameter_table(name, arm), effect_table(name, arm), trend_table(name, arm), check_table(name, arm)
     )
 
 
 def parameter_table(name: str, arm: ArmHistory, most: int = _MOST_PARAMETERS) -> Table:
-    """Newest differences from the first run, those with the smallest chance; base and tool are not judged."""
+    """Show the newest differences from the first run, most significant first; base and tool are not judged."""
     compared = [one for one in arm.parameters if one.last is not None]
     chosen = most_urgent(compared, _urgency, most)
     return table_of(
@@ -227,11 +227,11 @@ _LAST: tuple[Field, ...] = (
     ("u", lambda one: one.last.standard_uncertainty * display_unit(one.unit)[0], ".1f"),
     ("unit", lambda one: display_unit(one.unit)[1]),
 )
-"""How far a parameter moved, of histories with a last change."""
+"""Columns of a parameter's newest difference, for histories that have one."""
 
 
 def effect_table(name: str, arm: ArmHistory) -> Table:
-    """Effects of the first and of the newest run."""
+    """Show effects of the first and of the newest run."""
 
     def shown(one: EffectHistory, value: float | None) -> float | None:
         return None if value is None else value * (display_unit(one.unit)[0] if one.unit else 1.0)
@@ -254,7 +254,7 @@ def effect_table(name: str, arm: ArmHistory) -> Table:
 
 
 def trend_table(name: str, arm: ArmHistory) -> Table:
-    """Trends of the errors, and of parameters where they are proven."""
+    """Show trends of the errors, and of parameters if proven."""
     return table_of(
         f"{name}: trends",
         (trend for trend in arm.trends if trend.proven or trend.figure != "parameter"),
@@ -269,7 +269,7 @@ def trend_table(name: str, arm: ArmHistory) -> Table:
 
 
 def check_table(name: str, arm: ArmHistory) -> Table:
-    """Stored checks and judged tests of ISO 9283, by time."""
+    """Show stored checks and judged tests of ISO 9283, by time."""
     columns = (Column("when"), Column("what"), Column("outcome"), number_column("value", _MM, "mm"))
     rows: list[tuple[str, str, str, float | None]] = [
         (point.time, "check", "; ".join([point.verdict, *point.changes]), point.rms_mm) for point in arm.checks
@@ -283,7 +283,7 @@ def check_table(name: str, arm: ArmHistory) -> Table:
 
 
 def pair_table(pair: PairHistory) -> Table:
-    """Newest inter-base transform against that of the first run."""
+    """Show the newest inter-base transform beside that of the first run."""
     return table_of(
         f"Inter-base transform of {pair.arms[0]} and {pair.arms[1]}",
         (one for one in pair.parameters if one.last is not None),
@@ -298,7 +298,7 @@ def pair_table(pair: PairHistory) -> Table:
 
 
 def pair_sentence(pair: PairHistory) -> str:
-    """Whether the bases have moved against each other."""
+    """Say whether the bases have moved relative to each other."""
     arms = f"{pair.arms[0]} and {pair.arms[1]}"
     if not pair.distances_mm:
         return f"{arms}: their inter-base transforms were not made by a common method"
@@ -308,19 +308,19 @@ def pair_sentence(pair: PairHistory) -> str:
 
 
 def effect_words(effect: EffectHistory) -> str:
-    """An effect that one run names and the other names otherwise."""
+    """Describe an effect that has another name in the other run."""
     others = ", ".join(effect.instead_of)
     return f"{effect.title}: its data cannot be told from {others} of the other run; not counted as a change"
 
 
 def newest_value(arm: ArmHistory, figure: Figure) -> float | None:
-    """The newest value of a figure."""
+    """Return the newest value of a figure; None if there is none."""
     values = arm.figures.get(figure, ())
     return values[-1].value if values else None
 
 
 def short(run: str) -> str:
-    """The last two parts of a folder."""
+    """Return the last two parts of a folder's path."""
     return "/".join(Path(run).parts[-2:])
 
 

@@ -1,4 +1,4 @@
-"""What ``follow`` is asked for."""
+"""Request of the verb ``follow``."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FollowRequest(Request):
     out_of_date: OutOfDate = False
 
     def moves(self) -> bool:
-        """Whether they are driven."""
+        """Return whether they are driven."""
         return self.drive or self.verify
 
     @model_validator(mode="after")

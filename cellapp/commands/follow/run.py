@@ -1,4 +1,4 @@
-"""The verb ``follow``: plan paths with the model in force, and on request drive and verify them."""
+"""The verb ``follow``: plan paths with the model in force; on request drive and verify them."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from cellapp.ground.results import FOLLOW, PATH
 from cellapp.robot.model import CellModel
 
 Driving = Literal["plan", "drive", "verify"]
-"""Only plan, which moves nothing; drive; drive and measure."""
+"""Plan only, without motion; drive; drive and measure."""
 _PERIOD_S = 0.008
-"""Of a plan that is not driven [s]: the slower series of UR controllers. Driving plans again at the arm's own."""
+"""Period of a plan that is not driven [s], that of the slower UR controllers. Driving replans with the arm's own."""
 
 
 def run(request: FollowRequest, work: Work) -> PathResult:
-    """Plan paths; drive and measure them where that is asked for."""
+    """Plan paths; drive and measure them on request."""
     with RunFile.open(request.folder, write=True) as opened:
         return follow_run(
             opened,
@@ -67,11 +67,11 @@ def follow_run(
     outputs: Outputs = NEW_ONLY,
     ask: Ask | None = None,
 ) -> PathResult:
-    """Plan paths and store the result; with ``driving`` also drive them, and measure how well they are followed.
+    """Plan paths and store the result; with ``driving`` also drive them, and measure the path errors.
 
-    ``rehearse`` drives each path once before and corrects it by how the joints lagged. ``out_of_date`` drives by the
-    model in force even where it, or a discovery, is out of date. ``csv`` is a file for the joint positions, and
-    ``outputs`` says what it may replace. ``ask`` is asked before the first motion of real arms.
+    ``rehearse`` drives each path once beforehand and corrects it by the joints' lag. ``out_of_date`` uses the model in
+    force even if it, or a discovery, is out of date. ``csv`` is a file for the joint positions; ``outputs`` says what
+    it may replace. ``ask`` is called before the first motion of real arms.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def follow_run(
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
-        If a device refused or failed, or a controller has another payload than the one that a path is for.
+        If a device refused or failed, or a controller has another payload than a path requires.
     Cancelled
     """
     control = control or JobControl()
@@ -98,7 +98,7 @@ def follow_run(
         if driving != "plan":
             listener = stack.enter_context(running_job(run, control, "follow", listener))
             loads = [(plan.spec.arm, path_payload(run.profile, plan.spec)) for plan in plans]
-            profile = carrying(profile_at_station(run, stages), loads)  # its tracker where it stands now, if simulated
+            profile = carrying(profile_at_station(run, stages), loads)  # a simulated tracker where it stands now
 
             def opened(cell: Cell) -> None:
                 noting_controllers(run, notes, insist=out_of_date)(cell)
@@ -118,7 +118,7 @@ def follow_run(
             )
         result = path_result(model, followed, notes)
         basis = basis_on_model(run, used, paths)
-        # those who watch read the run when they hear of the end
+        # before the end is reported: listeners then read the run
         append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
     return result
 

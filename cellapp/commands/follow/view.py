@@ -1,4 +1,4 @@
-"""Paths that were planned or driven, as tables and sentences."""
+"""Planned or driven paths, as tables and sentences."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cellapp.ground.results import FOLLOW, PATH
 
 
 def view(result: PathResult, request: Request | None = None) -> View:
-    """The paths, what limits them, and why following did not succeed."""
+    """Show the paths, what limits them, and why following failed."""
     return View((*path_tables(result), *path_sentences(result)), result.complaints())
 
 
 def paths_section(result: PathResult) -> Section:
-    """Paths of a run, with how many of them can be driven and were."""
+    """Show the paths of a run, with how many can be driven and how many were."""
     refused = sum(bool(path.refusal) for path in result.paths)
     driven = sum(path.driven is not None for path in result.paths)
     words = f"{len(result.paths) - refused} of {len(result.paths)} paths can be driven"
@@ -33,7 +33,7 @@ def paths_section(result: PathResult) -> Section:
 
 
 def stored_paths(results: StageResults) -> PathResult | None:
-    """The paths that were measured last; without them those that were planned or driven. None where neither holds."""
+    """Return the paths measured last; else those planned or driven last. None if neither result holds."""
     for name, stored in ((FOLLOW, results.follow), (PATH, results.path)):
         if stored is not None and name not in results.out_of_date:
             return stored
@@ -41,7 +41,7 @@ def stored_paths(results: StageResults) -> PathResult | None:
 
 
 def path_tables(result: PathResult) -> list[Table]:
-    """The paths that can be driven; where joints turn round; and with verification the distances from the path."""
+    """Show the paths that can be driven, joint reversals, and with verification the distances from the path."""
     planned = [path for path in result.paths if not path.refusal]
     tables = []
     if planned:
@@ -56,7 +56,7 @@ def path_tables(result: PathResult) -> list[Table]:
 
 
 def path_sentences(result: PathResult) -> list[str]:
-    """Refusals, what limits the speed, what the tracker does not see, lags, and notes."""
+    """State refusals, what limits the speed, what the tracker does not see, lags, and notes."""
     lines = []
     for path in result.paths:
         head = f"path {path.name}:"

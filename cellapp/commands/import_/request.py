@@ -1,4 +1,4 @@
-"""What ``import`` is asked for."""
+"""Request of the verb ``import``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ImportRequest(Request):
 
     @model_validator(mode="after")
     def _something(self) -> Self:
-        """Readings, recordings or both."""
+        """Return readings, recordings or both."""
         if len(self.joints) != len(self.points):
             raise ValueError("give a file of --joints and one of --points for each recording")
         if self.csv is None and not self.joints:

@@ -46,14 +46,14 @@ def import_new_run(
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
-    ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it,
-    ``distances`` is a file of known distances between points in sockets, ``reference_nests`` one of nests that tie
-    tracker stations, ``on_flange`` one of touches of sockets on the other arm's flange.
+    ``recordings`` are files of joints and of points, pair by pair, and ``arm`` their arm if they do not state one.
+    ``distances`` is a file of known distances between points in sockets, ``reference_nests`` of nests that tie tracker
+    stations together, ``on_flange`` of touches of sockets on the other arm's flange.
 
     Raises
     ------
     InputError
-        As ``readings_from_csv`` and ``recordings_from_csv``, and if an arm of the profile has neither; no run is made.
+        As ``readings_from_csv`` and ``recordings_from_csv``, and if an arm of the profile has no data; no run is made.
     """
     recorded, fills = frozenset[str](), []
     if any(recordings):

@@ -9,6 +9,6 @@ from cellapp.ground.counting import counted
 
 
 def view(result: ImportResult, request: Request | None = None) -> View:
-    """How many readings each arm has, its recordings, and what was noticed."""
+    """Show the number of readings and the recordings of each arm, and notes."""
     counts = (f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items())
     return View((*counts, *recording_tables(result.recordings), *result.notes), held="; ".join(result.notes))

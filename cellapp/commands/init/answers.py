@@ -1,4 +1,4 @@
-"""The answers file of ``cellapp init``: the keys of a profile that the form has, and tracker points for a base."""
+"""The answers file of ``cellapp init``: the keys of a profile as in the form, and tracker points for a base."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from cellapp.ground.errors import InputError
 
 _POINTS = TypeAdapter(tuple[SurveyPoint, ...])
 _HEAD = ("schema", "version", "seed")
-"""Keys of a profile that may stand in the answers, but that the program writes itself."""
+"""Keys of a profile that answers may contain, but that the program writes itself."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """A profile that was written, and what is to be said about it."""
+    """A profile that was written, and notes on it."""
 
     path: Path
     notes: tuple[str, ...]
@@ -57,13 +57,13 @@ def write_answers(answers: Path, folder: Path) -> Written:
 
 
 def _with_type_files(draft: ProfileDraft) -> ProfileDraft:
-    """The draft with the file of each arm type that is given by its short name, such as ur10."""
+    """Return the draft with short names of arm types, such as ur10, replaced by their files."""
     files = {path.stem: f"arms/{path.name}" for path in arm_type_files()}
     return replace(draft, arms=tuple(replace(arm, type=files.get(arm.type, arm.type)) for arm in draft.arms))
 
 
 def _taken_points(document: Document) -> Mapping[str, tuple[SurveyPoint, ...]]:
-    """Take the points of each base out of the answers and read them."""
+    """Remove the points of each base from the answers and parse them."""
     arms = document.data.get("arms")
     surveys = {}
     for name, arm in (arms if isinstance(arms, dict) else {}).items():

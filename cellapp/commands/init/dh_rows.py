@@ -1,4 +1,4 @@
-"""D-H rows of a table as the file of an arm type: columns theta, d, a, alpha with their units in the headings."""
+"""Convert a table of D-H rows to the file of an arm type: columns theta, d, a, alpha with units in the headings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EXAMPLE = "theta_deg,d_mm,a_mm,alpha_deg"
 
 
 def arm_type_text(path: Path, *, modified: bool = False) -> str:
-    """The YAML of an arm type from D-H rows, one for each joint; limits are those of a joint that turns twice.
+    """Convert D-H rows, one for each joint, to the YAML of an arm type; its joint limits allow two turns.
 
     Standard rows are ``rot_z(q + theta) trans(a, 0, d) rot_x(alpha)``. Modified ones (Craig, Introduction to Robotics,
     section 3.4: ``rot_x(alpha) trans(a, 0, 0) rot_z(q + theta) trans(0, 0, d)``, where ``a`` and ``alpha`` of a row lie
@@ -46,7 +46,7 @@ def arm_type_text(path: Path, *, modified: bool = False) -> str:
 
 
 def _rows(table: CsvTable) -> list[tuple[float, float, float, float]]:
-    """theta, d, a, alpha of each joint [rad, m]."""
+    """Return theta, d, a, alpha of each joint [rad, m]."""
     problems = Problems(table.place)
     check_names(table, problems)
     headings = {match.group(1): name for name in table.names if (match := _HEADING.fullmatch(name.lower()))}

@@ -1,4 +1,4 @@
-"""A profile for readings that somebody recorded elsewhere: ``cellapp init --readings FILE``. Nothing is moved."""
+"""Make a profile for readings recorded elsewhere: ``cellapp init --readings FILE``. Nothing moves."""
 
 from __future__ import annotations
 
@@ -32,35 +32,34 @@ from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
 
 ARM = "robot"
-"""Name of the arm where the file has none."""
+"""Name of the arm if the file has none."""
 _IDENTIFY_SHARE = 0.75
-"""Of the rows; the others are held out and show what the calibration is worth."""
+"""Share of the rows for identification; the others are held out and show the accuracy of the calibration."""
 _PREVIEWED = 3
 _SWIFT_ROWS = 50
-"""Rows that tell a motion from stops."""
+"""Number of rows that decide between a motion and stops."""
 _UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
 
 Choose = Callable[[str, tuple[str, ...]], str]
-"""Asks a person a question with some answers; returns one of them, or "" where nobody can be asked."""
+"""(question, possible answers) -> the answer of a person; "" if nobody can be asked."""
 
 
 @dataclass(frozen=True)
 class OwnData:
-    """What is known of recorded readings.
+    """What is known about recorded readings.
 
     Attributes
     ----------
     readings : Path
-        A text file of joint positions and points, in whatever columns.
+        A text file of joint positions and points, in any columns.
     arm : str
-        Short name of an arm type that comes with the program, or a file: an arm type (YAML) or D-H rows (CSV). Empty:
-        asked.
+        Short name of an arm type of this program, or a file: an arm type (YAML) or D-H rows (CSV). Empty: ask for it.
     modified : bool
-        D-H rows of a CSV file are modified ones (Craig).
+        Whether the D-H rows of a CSV file are modified ones (Craig).
     angles, lengths : unit or ""
-        Of joint positions and points where the file does not say; empty: found, else asked.
+        Units of joint positions and points if the file has none; empty: derived, else asked for.
     name : str
-        Of the profile; that of the file if empty.
+        Name of the profile; that of the file if empty.
     """
 
     readings: Path
@@ -73,8 +72,8 @@ class OwnData:
 
 @dataclass(frozen=True)
 class OwnDataWritten:
-    """The files that were written, and what was understood; no readings for recordings of motion, which may have points
-    beside the joints."""
+    """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
+    be in the same file."""
 
     profile: Path
     readings: Path | None
@@ -83,7 +82,7 @@ class OwnDataWritten:
 
 
 def nobody(question: str, answers: tuple[str, ...]) -> str:
-    """Nobody can be asked."""
+    """Answer nothing: nobody can be asked."""
     return ""
 
 
@@ -93,7 +92,7 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     Raises
     ------
     InputError
-        If the readings or rows cannot be understood, an answer lacks and nobody can be asked, or a file exists.
+        If readings or rows cannot be understood, an answer is missing and nobody can be asked, or a file exists.
     """
     if (motion := _motion_of(own.readings)) is not None:
         return _for_recordings(own, motion, folder, outputs)
@@ -118,14 +117,14 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
 
 @dataclass(frozen=True)
 class _Motion:
-    """A recording of joint positions: number of joints, and whether the points of the tracker stand beside them."""
+    """A recording of joint positions: number of joints, and whether tracker points are in the same file."""
 
     joints: int
     points_beside: bool
 
 
 def _motion_of(path: Path) -> _Motion | None:
-    """What a recording of joint positions has (time_s, q1, q2, ...); None for other files, as readings at rest."""
+    """Describe a recording of joint positions (time_s, q1, q2, ...); None for other files, such as readings at rest."""
     try:
         file = read_header(path, "joint positions", EXAMPLES["joints"])
         names = understood(file.names, "joints", ()).names
@@ -135,15 +134,15 @@ def _motion_of(path: Path) -> _Motion | None:
         if "time_s" not in names or (points and not _is_swift(file, names.index("time_s"))):
             return None
     except InputError:
-        return None  # the reader of readings says what is wrong
+        return None  # the reader of readings reports the error
     joints = sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
     return _Motion(joints, points) if joints else None
 
 
 def _is_swift(file: CsvFile, column: int) -> bool:
-    """Whether rows follow one another as samples of a motion do, in whatever unit, and not as stops."""
+    """Return whether rows follow as fast as samples of a motion, in any unit of time, unlike stops."""
     cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
-    dated = not all(map(is_number, cells))  # dates and times of day are in seconds
+    dated = not all(map(is_number, cells))  # dates and times of day have a resolution of seconds
     stamps = np.array([stamp_seconds(cell) if dated else float(cell or "nan") for cell in cells])
     if len(cells) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
         return False
@@ -151,7 +150,7 @@ def _is_swift(file: CsvFile, column: int) -> bool:
 
 
 def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:
-    """Profile and arm type for recordings of motion, of which this file has the joints."""
+    """Write the profile and arm type for recordings of motion; this file has the joints."""
     types = _types(own, motion.joints)
     if not own.arm:
         words = ", ".join(one.name for one in types)
@@ -179,7 +178,7 @@ def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Output
 
 @dataclass(frozen=True)
 class _Type:
-    """An arm type: short name, file below the folder of profiles, its text and what it says."""
+    """An arm type: short name, file below the folder of profiles, text and parsed content."""
 
     name: str
     file: str
@@ -197,7 +196,7 @@ class _Type:
 
 
 def _types(own: OwnData, joints: int) -> list[_Type]:
-    """The type that was named, else all that come with the program and have so many joints."""
+    """Return the named type, else all types of this program with this number of joints."""
     path = Path(own.arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
         text = arm_type_text(path, modified=own.modified) if path.suffix.lower() == ".csv" else _read(path)
@@ -222,7 +221,7 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
 
 
 def _all_arms() -> list[_Type]:
-    """The arm types that come with the program."""
+    """Return the arm types of this program."""
     texts = {file: _read(file) for file in arm_type_files()}
     return [_Type(file.stem, f"arms/{file.name}", text, arm_type_of_text(text, file)) for file, text in texts.items()]
 
@@ -237,7 +236,7 @@ def _read(path: Path) -> str:
 
 
 def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
-    """The one that was named; else a person is asked, with those first that explain the readings."""
+    """Return the named type; else ask a person, listing first the types that explain the readings."""
     if own.arm:
         return types[0]
     fits = sorted(((one.explained(q, p_M).rms_m, one) for one in types), key=lambda fit: fit[0])
@@ -258,7 +257,7 @@ def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose
 def _decided_units(
     own: OwnData, recorded: Recorded, types: list[_Type], choose: Choose
 ) -> tuple[AngleUnit, LengthUnit]:
-    """As given, as the file says, as only one explains the points, or as a person says."""
+    """Return the units: as given, as in the file, as the only ones that explain the points, or as a person says."""
     angles, lengths = own.angles or recorded.angles, own.lengths or recorded.lengths
     ways = [
         (angle, length)
@@ -319,7 +318,7 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
 
 
 def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[str, ...]:
-    """How the file was understood."""
+    """Say how the file was understood."""
     decimals = ", decimal commas" if recorded.decimal_comma else ""
     known = [f"{other} = {name}" for name, other in recorded.known.others.items() if name != other]
     rows = list(zip(*recorded.table.cells.values(), strict=True))
@@ -334,7 +333,7 @@ def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tupl
 
 
 def _judged(arm_type: _Type, q: Array, p_M: Array) -> str:
-    """Whether the published arm explains the points."""
+    """Say whether the published arm explains the points."""
     now = arm_type.explained(q, p_M)
     left = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
     if now.holds:

@@ -1,4 +1,4 @@
-"""What ``init`` is asked for."""
+"""Request of the verb ``init``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class InitRequest(Request):
         if self.readings is None and (self.modified or any(one is not None for one in own)):
             raise ValueError("--arm, --modified, --angles, --lengths and --name belong to --readings; add it")
         if self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
-            from cellapp.cell.profile.starters import starter_profiles  # late: only where something is wrong
+            from cellapp.cell.profile.starters import starter_profiles  # late: needed only for a message
 
             listed = "\n".join(f"  {item.name:14} {item.sentence}" for item in starter_profiles())
             raise ValueError(

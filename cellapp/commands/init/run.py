@@ -1,4 +1,4 @@
-"""The verb ``init``: write a profile to start from."""
+"""The verb ``init``: write a profile as a starting point."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.starters import TWIN
 
 
 def run(request: InitRequest, work: Work) -> InitResult:
-    """Write it; what is missing of recorded readings is asked."""
+    """Write the profile; ask for missing data of recorded readings."""
     if request.readings is not None:
         given = OwnData(
             request.readings,

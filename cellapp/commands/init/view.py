@@ -12,13 +12,13 @@ from cellapp.commands.record import Request, View
 
 
 def view(result: InitResult, request: Request | None = None) -> View:
-    """What is to be known, what was written, what comes next."""
+    """Show notes, the written files, and the next command."""
     files = [result.profile, *([] if result.readings is None else [result.readings])]
     return View((*result.notes, f"written: {', '.join(files)}", f"next: {_next_command(result)}"))
 
 
 def _next_command(result: InitResult) -> str:
-    """A cell of which nothing moves has readings to import, and no devices to look at."""
+    """Return the next command: ``import`` for a cell that only has readings, ``doctor`` for one with devices."""
     path = Path(result.profile)
     logs = Path("logs") / path.stem
     run = path.parent.parent / logs

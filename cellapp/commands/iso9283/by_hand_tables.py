@@ -1,4 +1,4 @@
-"""Tables and sentences of what a person did at the arms: other loads, forces on the flange."""
+"""Tables and sentences of the manual parts of a test: other loads, forces on the flange."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cellapp.ground.counting import counted
 
 
 def by_hand_tables(result: Iso9283Result) -> list[Table]:
-    """Pose tests with other loads, and static compliance."""
+    """Show pose tests with other loads, and static compliance."""
     return [_loads(result), _compliance(result)]
 
 
 def by_hand_sentences(result: Iso9283Result) -> Iterator[str]:
-    """Who did what was to be done at the arms, and what of it is not in the uncertainties."""
+    """Yield who did the manual parts, and which of their errors the uncertainties do not include."""
     if not result.by_person:
         return
     who = "the simulated cell itself" if all(one.simulated for one in result.by_person) else "a person"

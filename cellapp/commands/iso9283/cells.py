@@ -1,4 +1,4 @@
-"""What the tables of a test by ISO 9283 share."""
+"""Shared parts of the tables of a test by ISO 9283."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.results import Record
 
 
 def tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
-    """Arm, commands and what was measured with them."""
+    """Yield arm, commands and the tests with these commands."""
     for name, arm in result.arms.items():
         for kind in ISO_COMMANDS:
             if kind in arm.tests:
@@ -20,14 +20,14 @@ def tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, Commande
 
 
 def series_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, SpeedSeries]]:
-    """Arm, commands and the tests that were repeated at another speed."""
+    """Yield arm, commands and the tests repeated at another speed."""
     for name, kind, tests in tests_of(result):
         for one in tests.series:
             yield name, kind, one
 
 
 class Commanded(NamedTuple):
-    """What was measured at an arm with one kind of commands; ``of`` is what it is a part of, as a series of tests."""
+    """A measurement of an arm with one kind of commands; ``of`` is what it is part of, as a series of tests."""
 
     arm: str
     commands: IsoCommands
@@ -36,13 +36,13 @@ class Commanded(NamedTuple):
 
 
 COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
-"""The first columns of a table of ``Commanded``."""
+"""First columns of a table of ``Commanded``."""
 
 
 def pair_fields(
     first: str, second: str, accuracy: str = "accuracy", repeatability: str = "repeatability"
 ) -> Iterator[Field]:
-    """Two characteristics of ``Commanded.one``, each with its uncertainty, and their number of cycles."""
+    """Yield two characteristics of ``Commanded.one`` with their uncertainties, and their number of cycles."""
     for name, attribute in ((first, accuracy), (second, repeatability)):
         yield name, f"one.{attribute}.value_mm", ".3f"
         yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
@@ -50,16 +50,16 @@ def pair_fields(
 
 
 def axis_fields() -> Iterator[Field]:
-    """The error of ``Commanded.one`` along each axis."""
+    """Yield the error of ``Commanded.one`` along each axis."""
     for place, axis in enumerate("xyz"):
         yield f"AP {axis}", lambda row, place=place: row.one.error_mm[place], ".3f"
 
 
 def pair_columns(first: str, second: str) -> tuple[Column, ...]:
-    """A column for each of two characteristics and its uncertainty."""
+    """Build a column for each of two characteristics and its uncertainty."""
     return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
 
 
 def value_cells(value: IsoValue) -> tuple[Cell, Cell]:
-    """A characteristic and its uncertainty."""
+    """Return the cells of a characteristic and its uncertainty."""
     return value.value_mm, value.expanded_mm

@@ -1,4 +1,4 @@
-"""Charts of tests by ISO 9283: accuracy as found and as left, the error of each visit over the cycles, the drift."""
+"""Charts of tests by ISO 9283: accuracy as found and as left, error of each visit over the cycles, drift."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from cellapp.ground.counting import counted
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:
-    """Accuracy at the poses, errors over the cycles of each arm with its last commands, the drift; without empty ones.
+    """Show accuracy at the poses, each arm's errors over the cycles with its last commands, drift; only non-empty
+    charts.
 
-    The tolerance of AP, where it is judged, is a line.
+    If AP is judged, its tolerance is drawn as a line.
     """
     tolerances_mm = (one.tolerance_mm for one in result.judgements if one.characteristic == "pose_accuracy")
     pose_tolerance_mm = next(tolerances_mm, None)
@@ -29,7 +30,7 @@ def iso9283_charts(result: Iso9283Result) -> list[Chart]:
 
 
 def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> Chart:
-    """AP of every arm at each pose, with each kind of commands."""
+    """Show AP of every arm at each pose, with each kind of commands."""
     drawn: list[Series] = []
     words = []
     for name, arm in result.arms.items():
@@ -56,7 +57,7 @@ def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> 
 
 
 def cycle_chart(name: str, kind: IsoCommands, tests: CommandedTests, tolerance_mm: float | None = None) -> Chart:
-    """Distance of every attained position from the commanded one, pose by pose, over all cycles."""
+    """Show the distance of each attained from the commanded position, pose by pose, over all cycles."""
     errors = [np.linalg.norm(np.array(pose.deviations_mm), axis=1) for pose in tests.pose]
     drawn = [
         series(pose.pose, np.arange(1.0, len(one) + 1.0), one, "points", style=number)
@@ -75,7 +76,7 @@ def cycle_chart(name: str, kind: IsoCommands, tests: CommandedTests, tolerance_m
 
 
 def drift_chart(result: Iso9283Result) -> Chart:
-    """Displacement of the mean position at P1 against the first group of cycles, by arm."""
+    """Show the displacement of the mean position at P1 from the first group of cycles, by arm."""
     drawn, words = [], []
     for style, (name, tests) in enumerate(_drifting(result)):
         drift = tests.drift

@@ -1,4 +1,4 @@
-"""The test of other arms of the same types, for exchangeability."""
+"""Results of a test of other arms of the same types, for exchangeability."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from cellapp.ground.profile import Profile
 
 @dataclass(frozen=True)
 class OtherTest:
-    """What another run measured, by arm."""
+    """Measurements of another run, by arm."""
 
     folder: str
     arms: Mapping[str, ArmIso9283]
 
     @property
     def cubes(self) -> dict[str, IsoCube]:
-        """The cubes of its arms."""
+        """Cubes of its arms."""
         return {name: arm.cube for name, arm in self.arms.items() if arm.cube is not None}
 
     def compared(self, arms: Mapping[str, ArmIso9283]) -> dict[str, ArmIso9283]:
-        """Arms with their exchangeability, where both tests measured the same poses with nominal commands."""
+        """Add the exchangeability of arms, if both tests measured the same poses with nominal commands."""
         return {name: self._compared(name, arm) for name, arm in arms.items()}
 
     def _compared(self, name: str, arm: ArmIso9283) -> ArmIso9283:
@@ -39,9 +39,9 @@ class OtherTest:
 
 
 def other_test(folder: Path | None, profile: Profile, arms: tuple[str, ...]) -> OtherTest | None:
-    """The newest test in another run; None if no folder is given.
+    """Read the newest test in another run; None if no folder is given.
 
-    Raises ``InputError`` if there is none, or it is of arms of other types.
+    Raises ``InputError`` if the run has none, or its arms are of other types.
     """
     if folder is None:
         return None

@@ -1,4 +1,4 @@
-"""Tables about the norm and the instrument: what was done and not done, what the tracker can tell."""
+"""Tables about the norm and the instrument: what was and was not done, what the tracker can resolve."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cellapp.estimation.iso9283.records import IsoAbility, IsoLine
 
 
 def abilities_table(abilities: Sequence[IsoAbility]) -> Table:
-    """Each tolerance against what an arm without error would show."""
+    """Show each tolerance beside what an arm without error would show."""
     return table_of(
         "Tolerances against what the tracker can tell",
         abilities,
@@ -23,7 +23,7 @@ def abilities_table(abilities: Sequence[IsoAbility]) -> Table:
 
 
 def coverage_table(lines: Sequence[IsoLine]) -> Table:
-    """What the norm asks for: done, done in part or not done, and how or why not."""
+    """Show what the norm requires: done, done in part or not done, and how or why not."""
     return table_of(
         "What ISO 9283:1998 asks for, done and not done",
         lines,

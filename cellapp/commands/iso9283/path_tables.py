@@ -1,4 +1,4 @@
-"""Tables of what the tracker measured while an arm moved: paths, velocity, corners, how it comes to rest."""
+"""Tables of measurements in motion: paths, velocity, corners, weaving, settling."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.estimation.iso9283.records import Iso9283Result, PathCharacteristic
 
 
 def path_tables(result: Iso9283Result) -> list[Table]:
-    """What was measured along paths and at the end of motions."""
+    """Show measurements along paths and at the end of motions."""
     return [_paths(result), _velocities(result), _corners(result), _weaving(result), _settling(result)]
 
 
@@ -130,7 +130,7 @@ def _settling(result: Iso9283Result) -> Table:
 
 
 def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:
-    """Every path with its arm and commands, at all speeds."""
+    """Yield every path with its arm and commands, at all speeds."""
     for name, kind, tests in tests_of(result):
         for one in tests.path:
             yield name, kind, one

@@ -1,4 +1,4 @@
-"""The file of raw points beside a run, from which another program computes each figure of a test again."""
+"""The file of raw points beside a run, from which other programs can recompute all figures of a test."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _NAME = "iso9283-points"
 
 
 def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
-    """Write all measured points into a new file of the folder; return its name and SHA-256, empty without a point.
+    """Write all measured points into a new file of the folder; return its name and SHA-256, both empty without points.
 
-    Raises ``InputError`` if it cannot be written.
+    Raises ``InputError`` if the file cannot be written.
     """
     tracks = [
         *(runs.tracks for runs in found.paths),
@@ -34,7 +34,7 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
 
 def _unused(folder: Path) -> Path:
-    """A name that no earlier test has: a run keeps the points of each of its tests."""
+    """Return an unused file name, as a run keeps the points of each of its tests."""
     path, number = folder / f"{_NAME}.csv", 1
     while path.exists():
         number += 1

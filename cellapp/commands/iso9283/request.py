@@ -1,4 +1,4 @@
-"""What ``iso9283`` is asked for."""
+"""Request of the verb ``iso9283``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _HELP: Mapping[IsoTest, str] = {
 }
 _FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
 _MOST_KG, _MOST_N = 500.0, 1000.0
-"""What no person hangs on a flange, or pulls with."""
+"""Largest load on a flange and force of pulling: no person handles more."""
 
 
 def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -42,7 +42,7 @@ def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 def _kinds(given: Any) -> Any:
-    """Commands by one word."""
+    """Return the kinds of commands that one word names."""
     return ISO_COMMANDS if given == "both" else (given,) if isinstance(given, str) else given
 
 

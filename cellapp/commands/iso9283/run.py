@@ -1,4 +1,4 @@
-"""The verb ``iso9283``: performance tests by ISO 9283, and between two arms beside it."""
+"""The verb ``iso9283``: performance tests by ISO 9283, and additional ones between two arms."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def run(request: Iso9283Request, work: Work) -> Iso9283Result:
     """Make tests in the run of a folder, or in a new run."""
     profile, folder = None if request.profile is None else load_profile(request.profile), request.folder
     if folder is None:
-        assert profile is not None  # the request has one of the two
+        assert profile is not None  # the request has folder or profile
         folder = default_folder(profile.name)
         work.say(f"stored in {folder}")
     with RunFile.open(folder, write=True) if profile is None else iso9283_folder(profile, folder) as opened:
@@ -67,11 +67,10 @@ def iso9283_run(
     ask: Ask | None = None,
     open_with: Opened | None = None,
 ) -> Iso9283Result:
-    """Make tests of ISO 9283 in a run and store the result; where the job is stopped, what was measured until then.
+    """Make tests of ISO 9283 in a run and store the result; of a stopped job, what was measured until then.
 
-    Without commands in ``request`` they are of both kinds in a calibrated run, else nominal ones, for which base and
-    SMR of each arm are found first. ``ask`` is asked before the first motion of real arms. ``open_with`` opens the
-    cell.
+    By default commands are of both kinds in a calibrated run, else nominal; base and SMR of each arm are then found
+    first. ``ask`` is called before the first motion of real arms. ``open_with`` opens the cell.
 
     Raises
     ------
@@ -104,9 +103,9 @@ def iso9283_run(
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
-    """The run in a folder, to be added to; a new one without a plan if the folder holds none.
+    """Open the run in a folder for writing; make one without a plan if the folder holds none.
 
-    Raises ``InputError`` if the run there is of another cell.
+    Raises ``InputError`` if the run is of another cell.
     """
     if not (folder / "run.sqlite").exists():
         return RunFile.create(folder, profile)
@@ -132,7 +131,7 @@ def _task(
     kinds: tuple[IsoCommands, ...],
     named: tuple[str, ...],
 ) -> IsoTask:
-    """What is driven: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is one."""
+    """Build the task: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is one."""
     used = stages.in_force
     return IsoTask(
         profile=profile_at_station(run, stages),
@@ -164,14 +163,14 @@ def _driven(
     *,
     insist: bool,
 ) -> Iso9283Result:
-    """Drive the tests and store their result; where they are stopped, what was measured until then."""
+    """Drive the tests and store their result; if they are stopped, what was measured until then."""
     findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
     opened = noting_controllers(run, findings.notes, insist=insist)
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
         if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
-            with suppress(InputError):  # the reason of the halt is the one to report
+            with suppress(InputError):  # report the reason of the halt, not this error
                 _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
     return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)
@@ -198,7 +197,7 @@ def _arms(profile: Profile, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[str]:
-    """What a person must know of the conditions."""
+    """Return notes on the conditions of the tests."""
     notes: list[str] = []
     if used is None:
         notes.append(
@@ -254,7 +253,7 @@ def _result(
 
 
 def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result, found: IsoFindings) -> Iso9283Result:
-    """Write the raw points beside the run, then append the result; it is kept where they cannot be written."""
+    """Write the raw points beside the run, then append the result, also if the points cannot be written."""
     try:
         name, digest = write_points(run.folder, found)
         result = result.model_copy(update={"points_file": name, "points_sha256": digest})

@@ -37,7 +37,7 @@ from cellapp.estimation.uncertainty.records import overall
 from cellapp.ground.counting import counted
 
 _UNCERTAIN_SHARE = 0.25
-"""The norm's limit of the uncertainty of measuring, as share of the characteristic (6.5)."""
+"""The norm's limit of the measuring uncertainty, as a share of the characteristic (6.5)."""
 _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
     "pose accuracy AP": lambda tests: [one.accuracy for one in tests.pose],
     "distance accuracy AD": lambda tests: [one.accuracy for one in tests.distance],
@@ -45,19 +45,19 @@ _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
     "path accuracy AT": lambda tests: [one.accuracy for one in tests.path],
     "drift dAP": lambda tests: [] if tests.drift is None else [tests.drift.accuracy],
 }
-"""The first of these that was measured makes the message of an arm."""
+"""Characteristics in order of preference; the first measured one makes the message of an arm."""
 _FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
 
 
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
-    """The characteristics, the outcome, where they are stored, and what did not hold."""
+    """Show the characteristics, the outcome, where they are stored, and what did not hold."""
     stored = [] if request is None or request.folder is None else [f"stored in {request.folder}"]
     parts: tuple[Part, ...] = (*iso9283_tables(result), *iso9283_sentences(result), *stored, *iso9283_charts(result))
     return View(parts, result.complaints())
 
 
 def iso9283_section(result: Iso9283Result, about: str) -> Section:
-    """What decides first: judgements, poses, distances, what was tested; the other tables are folded."""
+    """Show first what decides: judgements, poses, distances, tests; the other tables are folded."""
     tables = _tables(result)
     first, others = ([table for leads, table in tables if leads is asked] for asked in (True, False))
     details = [Section("All other characteristics", others, folded=True)] if others else []
@@ -65,12 +65,12 @@ def iso9283_section(result: Iso9283Result, about: str) -> Section:
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:
-    """Judgements, then the characteristics of each test, then the cubes; only what was measured."""
+    """Show judgements, characteristics of each test, and cubes; only what was measured."""
     return [table for _, table in _tables(result)]
 
 
 def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
-    """Tables with rows, in their order, each with whether it decides."""
+    """Return the non-empty tables in their order, each with whether it decides."""
     tables = [
         (True, _judgements(result)),
         (True, _poses(result)),
@@ -94,7 +94,7 @@ def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
 
 
 def iso9283_sentences(result: Iso9283Result) -> list[str]:
-    """The outcome in one sentence first; then conditions, what is missing, what limits the tests, notes."""
+    """State the outcome; then conditions, what is missing, what limits the tests, notes."""
     return [
         _message(result),
         *([result.stopped] if result.stopped else []),
@@ -117,7 +117,7 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
 
 
 def _message(result: Iso9283Result) -> str:
-    """What the tests found, against the tolerances where there are some."""
+    """State the results of the tests, against the tolerances if there are any."""
     parts = []
     for name, arm in result.arms.items():
         for what, values in _VALUES.items():
@@ -141,7 +141,7 @@ def _message(result: Iso9283Result) -> str:
 
 
 def _largest(values: Mapping[IsoCommands, Sequence[IsoValue]]) -> str:
-    """The largest value with each kind of commands, in words."""
+    """State the largest value with each kind of commands."""
     return ", ".join(
         f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm {_FOUND[kind]}"
         for kind in ISO_COMMANDS
@@ -176,7 +176,7 @@ def _bases(result: Iso9283Result) -> Iterator[str]:
 
 
 def _uncertain(result: Iso9283Result) -> Iterator[str]:
-    """Arms whose repeatability the tracker cannot show by the norm's own rule."""
+    """Yield arms whose repeatability the tracker cannot resolve by the norm's own rule."""
     for name, arm in result.arms.items():
         poses = [pose for tests in arm.tests.values() for pose in tests.pose if _is_uncertain(pose)]
         if poses:
@@ -188,7 +188,7 @@ def _uncertain(result: Iso9283Result) -> Iterator[str]:
 
 
 def _refused(result: Iso9283Result) -> Iterator[str]:
-    """Tests that could not be made, with the reason; each reason once."""
+    """Yield tests that could not be made, with the reason; each reason once."""
     for name, arm in result.arms.items():
         for reason in dict.fromkeys(arm.refused.values()):
             tests = ", ".join(test for test, why in arm.refused.items() if why == reason)
@@ -232,7 +232,7 @@ def _poses(result: Iso9283Result) -> Table:
 
 
 def _orientations(result: Iso9283Result) -> Table:
-    """Angles about the axes of the base, of the poses at which the orientation of a probe was measured."""
+    """Show angles about the base axes at the poses where a probe measured the orientation."""
     columns = (
         Column("arm"),
         Column("commands"),

@@ -1,4 +1,4 @@
-"""What ``locate`` is asked for."""
+"""Request of the verb ``locate``."""
 
 from __future__ import annotations
 

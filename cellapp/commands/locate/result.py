@@ -8,7 +8,7 @@ from typing import Literal
 from cellapp.ground.results import Matrix, Point, Record, Result
 
 LocateVerdict = Literal["located", "base moved", "smr moved", "not explained"]
-"""What explains the points: the tracker's motion alone; besides it a moved base, or an SMR that was remounted; none."""
+"""Explanation of the points: the tracker's motion alone; also a moved base or a remounted SMR; none."""
 
 
 class StationPose(Record):
@@ -99,7 +99,7 @@ class LocateResult(Result, schema="cellapp-locate"):
         return {name: sum(point.arm == name for point in self.points) for name in {p.arm: None for p in self.points}}
 
     def complaints(self) -> list[str]:
-        """Why the tracker could not be located; empty if it was."""
+        """Say why the tracker could not be located; empty if it was."""
         if self.verdict == "located":
             return []
         found = next((one for one in self.other_motions if one.explains), None)

@@ -1,4 +1,4 @@
-"""The verb ``locate``: after the tracker was moved, a few measured points make the calibration of a run hold again."""
+"""The verb ``locate``: after a move of the tracker, restore the calibration of a run from a few measured points."""
 
 from __future__ import annotations
 
@@ -66,21 +66,21 @@ def locate_run(
     ask: Ask | None = None,
     open_with: Opened | None = None,
 ) -> LocateResult:
-    """Measure points of the arms from where the tracker stands now, and store the model in its frame.
+    """Measure points of the arms from the tracker's present station, and store the model in its frame.
 
-    ``points`` are of all arms together. ``tracker_pose`` is where the tracker stands now in the cell frame, roughly; by
-    default where it was located last, or where the profile says. ``simulated_pose`` moves the tracker of a simulated
-    cell there first, for this job and those that follow in this run. ``ask`` is asked before the first motion of real
-    arms, ``open_with`` opens the cell. If the points do not fit, the result says why and holds no model.
+    ``points`` is the number over all arms. ``tracker_pose`` is the rough pose of the tracker in the cell frame, by
+    default the last located one, or that in the profile. ``simulated_pose`` first moves the tracker of a simulated
+    cell, for this and later jobs in this run. ``ask`` is called before the first motion of real arms, ``open_with``
+    opens the cell. If the points do not fit, the result says why and has no model.
 
     Raises
     ------
     InputError
-        If the run has no calibration that can be moved, or an argument does not fit. Nothing has moved.
+        If the run has no calibration that can be transformed, or an argument does not fit. Nothing has moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
-        If a device failed, or the SMRs are not found where the tracker is assumed to stand. Nothing is stored.
+        If a device failed, or the SMRs are not found from the assumed station. Nothing is stored.
     Cancelled
         Nothing is stored.
     """
@@ -105,12 +105,12 @@ def locate_run(
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run.profile, task, found, (*notes, *found.notes))
         model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None
-        _store(run, used, result, model)  # those who watch read the run when they hear of the end
+        _store(run, used, result, model)  # before the end is reported: listeners then read the run
     return result
 
 
 def typed_pose(text: str, what: str) -> Pose:
-    """A pose from ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
+    """Parse a pose ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
     try:
         values = [float(part) for part in text.split(",")]
         x, y, z, roll, pitch, yaw = values
@@ -127,7 +127,7 @@ def typed_pose(text: str, what: str) -> Pose:
 
 
 def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
-    """The stage whose model is in the tracker frame of the readings."""
+    """Return the stage whose model is in the tracker frame of the readings; refuse one that is out of date."""
     used = arms_stage(run, stages, "locate")
     stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
     if stale:
@@ -136,7 +136,7 @@ def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
 
 
 def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -> Array:
-    """A guess of ``T_new_old`` (4, 4): from the given pose, else where the tracker was found last."""
+    """Guess ``T_new_old`` (4, 4) from the given pose, else from the last location of the tracker."""
     pose = run.profile.tracker.pose
     if pose is None:
         raise InputError(f"profile {run.profile.name}: tracker.pose is needed to point the tracker")
@@ -210,7 +210,7 @@ def _verdict(found: LocatedStation) -> LocateVerdict:
 
 
 def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
-    """What a person must know of a station that was found."""
+    """Return notes on a located station for the operator."""
     if not found.explained:
         return []
     notes = [
@@ -229,7 +229,7 @@ def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> l
 
 
 def _model_notes(model: CellModel) -> list[str]:
-    """What the located model cannot promise."""
+    """Return notes on what the located model does not state."""
     notes = [
         f"arm {name}: the calibration states no uncertainty of its own, so the station's is not carried on either; run"
         " 'cellapp discover' for both"
@@ -263,7 +263,7 @@ def _motion(cause: Cause) -> OtherMotion:
 
 
 def _added_mm(found: LocatedStation) -> float:
-    """Standard deviation of a coordinate from the station alone, rms over the points [mm]."""
+    """Return the standard deviation of a coordinate from the station alone, rms over the points [mm]."""
     J = twist_columns(np.array([one.point.p_M for one in found.found]))
     variance = np.einsum("nai,ij,naj->na", J, found.fit.covariance, J)
     return float(np.sqrt(variance.mean())) * 1e3

@@ -1,4 +1,4 @@
-"""Where the tracker of a run stands now, and how far the readings scatter about the model: what several verbs ask."""
+"""Present station of a run's tracker, and the scatter of its readings about the model; used by several verbs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from cellapp.robot.model import CellModel
 
 
 def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None = None) -> Profile:
-    """The profile of a run with the tracker of a simulated cell where it was moved to; for jobs that open the cell.
+    """Return the profile of a run for jobs that open the cell; a simulated tracker is where it was moved to.
 
-    ``simulated_pose`` moves it there. Raises ``InputError`` if one is given and the tracker is not simulated.
+    ``simulated_pose`` moves it. Raises ``InputError`` if one is given and the tracker is not simulated.
     """
     profile = run.profile
     simulated = profile.plant is not None and profile.tracker.driver.needs_plant
@@ -39,13 +39,13 @@ def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | N
 
 
 def last_location(run: RunFile, stages: RunStages) -> LocateResult | None:
-    """Where the tracker was located last; None if it never was."""
+    """Return the last location of the tracker; None if there is none."""
     stored = stages.current.get(LOCATE)
     return None if stored is None else LocateResult.from_json(stored.text, f"{run.path}: {LOCATE}")
 
 
 def refuse_second_station(run: RunFile) -> None:
-    """Raise ``InputError`` where further readings would not belong to the cell in which those of the run were taken."""
+    """Raise ``InputError`` if something was moved since the run's readings: new ones would not fit them."""
     located = read_stages(run).current.get(LOCATE)
     if located is None or (located.model is not None and not tracker_moved(located)):
         return
@@ -58,9 +58,9 @@ def refuse_second_station(run: RunFile) -> None:
 
 
 def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
-    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+    """Return the scatter [m] of a coordinate about the model beyond the tracker's covariance, by arm.
 
-    As the model states it, else from the errors at held-out stops.
+    It is the model's own value; without one it follows from the errors at held-out stops.
     """
     stored = read_calibration(run, read_stages(run))
     found = {}
@@ -76,5 +76,5 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
 
 
 def _variances(stated: Array) -> Array:
-    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    """Return the variance (n,) [m^2] of a coordinate from standard uncertainties (n,) [m] or covariances (n, 3, 3)."""
     return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)

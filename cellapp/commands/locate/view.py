@@ -10,14 +10,14 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 
 def view(result: LocateResult, request: Request | None = None) -> View:
-    """Every point, where the tracker stands, and why it could not be located."""
+    """Show every point, the tracker's station, and why it could not be located."""
     return View(
         (*location_tables(result), *location_sentences(result)), result.complaints(), held="the tracker was located"
     )
 
 
 def location_tables(result: LocateResult) -> list[Table]:
-    """Every measured point with its residual."""
+    """Show every measured point with its residual."""
     rows: list[tuple[Cell, ...]] = [
         (point.arm, point.found_off_mm, *point.residual_mm, math.hypot(*point.residual_mm)) for point in result.points
     ]
@@ -31,7 +31,7 @@ def location_tables(result: LocateResult) -> list[Table]:
 
 
 def location_sentences(result: LocateResult) -> list[str]:
-    """Where the tracker stands, how well that is known, and whether the points fit together."""
+    """State the tracker's station, its uncertainty, and whether the points are consistent."""
     test = (
         f"residuals {result.rms_mm:.3f} mm rms; chi-squared {result.chi_squared:.1f} of {result.degrees_of_freedom}"
         f" degrees of freedom, probability {result.probability:.2g}"
@@ -51,7 +51,7 @@ def location_sentences(result: LocateResult) -> list[str]:
 
 
 def _motion_sentences(result: LocateResult) -> list[str]:
-    """The other motions that were tried."""
+    """State the other motions that were tried."""
     return [
         f"tried: {'base' if one.kind == 'base' else 'SMR'} of arm {one.arm} moved by {one.shift_mm:.3f} mm"
         f"{f' and {one.turn_deg:.4f} deg' if one.kind == 'base' else ''}: chi-squared {one.chi_squared:.1f} of"

@@ -1,4 +1,4 @@
-"""Charts of a plan before it is measured: what its stops tell, which joint ranges they cover, time, correlations."""
+"""Charts of a plan before it is measured: expected errors by stops, covered joint ranges, time, correlations."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
 MOST_CORRELATION = 0.1
-"""Largest correlation of a factor that can be chosen which a plan is meant to have."""
+"""Bound that a plan should keep for the correlations of factors that can be chosen."""
 _MOST_BARS = 10
-"""Correlations that are drawn: the others are smaller."""
+"""Most correlations that are drawn, the largest first."""
 _EQUAL = {"parameters": "parameters", "mean": "mean error", "worst": "worst error"}
 _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
 
 
 def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
-    """What the stops of each arm tell, time, correlations; of a plan that was not designed (None) the time alone."""
+    """Show each arm's expected errors by stops, time, correlations; only the time without a design (None)."""
     if design is None:
         return (time_chart(None, time),)
     told = (information_chart(name, arm) for name, arm in design.arms.items())
@@ -37,7 +37,7 @@ def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> 
 
 
 def information_chart(name: str, arm: ArmDesign) -> Chart:
-    """Expected error of a predicted position after the first n stops, mean and worst point, beside random plans."""
+    """Show the expected position error after the first n stops, mean and worst point, beside random plans."""
     stops = [one.stops for one in arm.by_stops]
     random = arm.random
     drawn = (
@@ -70,7 +70,7 @@ def _errors(quality: PlanQuality) -> str:
 
 
 def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Chart, ...]:
-    """The joint ranges of every arm with the stops in them; none where the profile does not describe the cell."""
+    """Show the joint ranges of every arm and the stops in them; none if the profile does not describe the cell."""
     try:
         cell = cell_bodies(profile)
         allowed = {name: joint_ranges(cell, profile, name) for name in cell.arms}
@@ -83,7 +83,7 @@ def coverage_charts(profile: Profile, stops: Sequence[PlannedStop]) -> tuple[Cha
 
 
 def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
-    """The allowed range (N, 2) [rad] of each joint of one arm, the stops (n, N) [rad] in it, and the largest gap."""
+    """Show each joint's allowed range (N, 2) [rad] of one arm, the stops (n, N) [rad] in it, and the largest gap."""
     axes = Axis("joint position", "deg"), Axis("joint")
     title = f"Arm {name}: joint ranges"
     if not len(q):
@@ -106,7 +106,7 @@ def coverage_chart(name: str, allowed: Array, q: Array) -> Chart:
 
 
 def _largest_gap(values: Array) -> tuple[float, float]:
-    """The two neighbouring values (n,) that are farthest apart."""
+    """Return the two neighbouring values of (n,) with the largest gap between them."""
     ordered = np.sort(values)
     if len(ordered) < 2:
         return float(ordered[0]), float(ordered[0])
@@ -115,7 +115,7 @@ def _largest_gap(values: Array) -> tuple[float, float]:
 
 
 def _segments(ends: Array, height: Array) -> tuple[Array, Array]:
-    """Level lines between ends (m, 2) at heights (m,), with gaps between them."""
+    """Return horizontal lines between ends (m, 2) at heights (m,), with NaN gaps between them."""
     x = np.column_stack([ends, np.full(len(ends), np.nan)])
     return x.ravel(), np.repeat(height, 3)
 
@@ -124,7 +124,7 @@ def _segments(ends: Array, height: Array) -> tuple[Array, Array]:
 
 
 def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
-    """What collecting spends its time on; motions also in a random order. None: not known."""
+    """Show how the time of collecting is spent, and the motions in a random order too. None: not known."""
     bars = {} if time is None else {"motions": time.moving_s}
     if travel is not None:
         bars = {"motions": travel.planned_s, "in random order": travel.random_order_s}
@@ -142,16 +142,16 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
 
 
 def correlation_chart(design: PlanDesignResult) -> Chart:
-    """The largest correlations of planned factors with each other, with posture and with time."""
+    """Show the largest correlations of planned factors with each other, with posture and with time."""
     ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)
-    pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each is listed for both
+    pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each pair is listed twice
     largest = list(reversed(pairs.values()))[:_MOST_BARS]
     bars = {_short(_pair(one)): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in largest}
     return bar_chart("Largest correlations of factors", bars, Axis("correlation"), correlation_sentence(design))
 
 
 def correlation_sentence(design: PlanDesignResult) -> str:
-    """The largest correlation of a factor that can be chosen, against what it is meant to be at most."""
+    """State the largest correlation of a factor that can be chosen, against the bound ``MOST_CORRELATION``."""
     largest = design.largest_correlation
     if largest is None:
         return "No factor of this plan could be chosen."
@@ -161,7 +161,7 @@ def correlation_sentence(design: PlanDesignResult) -> str:
 
 
 def _short(words: str) -> str:
-    """Words for a bar, which has less room than a sentence."""
+    """Shorten words for the label of a bar."""
     for long, short in (("approach side", "side"), ("step size", "size"), ("gravity torque", "torque")):
         words = words.replace(long, short)
     return words

@@ -25,19 +25,19 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 _PLANNED, _MEASURED = "○△□◇", "●▲■◆"
-"""Marks of the arms: hollow where a stop is planned, full where it is measured."""
+"""Marks of the arms: hollow for planned stops, full for measured ones."""
 _AXES: Mapping[View, tuple[Axis, Axis]] = {
     "above": (Axis("x", "m"), Axis("y", "m")),
     "tracker": (Axis("azimuth", "deg"), Axis("elevation", "deg")),
 }
 _TITLES: Mapping[View, str] = {"above": "The cell from above", "tracker": "The cell as the tracker sees it"}
 _OTHER_STYLE = 4
-"""Style of what belongs to no arm."""
+"""Style of series that belong to no arm."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Marks:
-    """Positions (n, 3) in the cell frame C [m] that are drawn alike."""
+    """Positions (n, 3) in the cell frame C [m] drawn with the same mark."""
 
     name: str
     p_C: Array
@@ -52,11 +52,11 @@ class _Marks:
 def cell_map_chart(
     profile: Profile, stops: Sequence[PlannedStop], view: View = "above", current: int | None = None
 ) -> Chart:
-    """Bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
+    """Show bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
 
     From above in the cell frame C [m], with the outermost rays of the tracker to each arm's stops and the directions
     that obstacles block; or as azimuth and elevation [deg] in the tracker frame M. ``current`` is the number of the
-    stop to which the arms move.
+    stop to which the arms are moving.
     """
     pose = profile.tracker.pose
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
@@ -80,7 +80,7 @@ def cell_map_chart(
 
 
 def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[PlannedStop]) -> Array:
-    """Nominal SMR positions of one arm in C [m], shape (n, 3), at all stops."""
+    """Compute the nominal SMR positions (n, 3) of one arm in C [m] at all stops."""
     geometry = nominal_arm(profile.arms[name]).with_T_M_B(T_C_B)
     return smr_positions(geometry, np.array([stop.q[name] for stop in stops]).reshape(-1, geometry.joints))
 
@@ -97,7 +97,7 @@ def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop], current:
 
 
 def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:
-    """The outermost rays from the tracker to the stops of each arm, from above: between them it has to turn."""
+    """Yield the outermost rays from the tracker to each arm's stops, from above: the range that it turns through."""
     tracker, lines = T_C_M[:2, 3], []
     for p_C in smr.values():
         if len(p_C):
@@ -110,7 +110,7 @@ def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:
 
 
 def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array, blocked: Sequence[Blocked]) -> str:
-    """How many stops are measured, how far they are from the tracker, and what stands before them."""
+    """Say how many stops are measured, how far they are from the tracker, and which obstacles block its view."""
     if not stops:
         return f"Bases of {enumerated(smr)} and the tracker; no stops yet: plan first."
     away = np.linalg.norm(np.concatenate(list(smr.values())) - T_C_M[:3, 3], axis=1)

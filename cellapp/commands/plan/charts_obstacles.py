@@ -27,27 +27,27 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 View = Literal["above", "tracker"]
 
 OBSTACLE_STYLE = 5
-"""Style of obstacles: no arm has it in a cell of two."""
+"""Style of obstacles; the arms of a cell of two have other styles."""
 _AROUND = 24
-"""Points around a circle: a chord is 1 % of the radius off."""
+"""Points around a circle: a chord is at most 1 % of the radius off."""
 _ALONG = 5
-"""Points along an edge: straight edges are bent in the view of the tracker."""
+"""Points along an edge: straight edges look curved in azimuth and elevation."""
 _BEHIND = 1.15
-"""How far shadows are drawn, over the distance of the farthest stop."""
+"""Length of drawn shadows, over the distance of the farthest stop."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outlined:
-    """An obstacle with points (n, 3) of its surface in the cell frame C [m]; their hull is its outline."""
+    """An obstacle with points (n, 3) of its surface in the cell frame C [m]; it is drawn as their hull."""
 
     name: str
     p_C: Array
     moves: bool = False
-    """Whether it is fixed to a flange."""
+    """Whether it is mounted on a flange."""
 
 
 def outlined_obstacles(profile: Profile) -> list[Outlined]:
-    """Obstacles whose place is known; those on a flange where the arm stands at home. A mesh is its convex hull."""
+    """Return the obstacles whose pose is known, those on a flange with the arm at home; a mesh as its convex hull."""
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
     flanges = {}
     for name, T_C_B in bases.items():
@@ -61,7 +61,7 @@ def outlined_obstacles(profile: Profile) -> list[Outlined]:
 def placed_obstacles(
     obstacles: Mapping[str, AnyObstacle], bases: Mapping[str, Array], flanges: Mapping[str, Array]
 ) -> list[Outlined]:
-    """Obstacles with the poses ``T_C_B`` and ``T_C_F`` (4, 4) of the arms; those whose arm has none are left out."""
+    """Place obstacles with the arms' poses ``T_C_B`` and ``T_C_F`` (4, 4); leave out those whose arm has no pose."""
     found = []
     for name, one in obstacles.items():
         frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
@@ -73,7 +73,7 @@ def placed_obstacles(
 
 
 def surface_points(obstacle: AnyObstacle) -> Array:
-    """Points (n, 3) [m] in the frame of an obstacle that span its convex hull; none of a mesh that cannot be read."""
+    """Return points (n, 3) [m] in the obstacle's frame that span its convex hull; none if a mesh cannot be read."""
     match obstacle:
         case BoxObstacle():
             edges = (np.linspace(-0.5 * length, 0.5 * length, _ALONG) for length in obstacle.size)
@@ -87,7 +87,7 @@ def surface_points(obstacle: AnyObstacle) -> Array:
         case MeshObstacle():
             try:
                 mesh, centre = load_mesh(obstacle.file, obstacle.scale)
-            except InputError:  # a map without it is better than none; planning says what is wrong
+            except InputError:  # draw the map without it; planning reports the error
                 return np.empty((0, 3))
             return mesh.vertices + centre
 
@@ -98,7 +98,7 @@ def _circle(radius: float) -> Array:
 
 
 def _sphere(radius: float) -> Array:
-    """Circles of latitude."""
+    """Return the points of circles of latitude of a sphere."""
     up = np.pi * (np.arange(_AROUND // 2 + 1) / (_AROUND // 2) - 0.5)
     circles = _circle(radius)[None] * np.cos(up)[:, None, None]
     circles[:, :, 2] = radius * np.sin(up)[:, None]
@@ -106,12 +106,12 @@ def _sphere(radius: float) -> Array:
 
 
 def _along_z(points: Array, at: Array) -> Array:
-    """Points (n, 3) shifted to each height of ``at`` (m,)."""
+    """Return copies of points (n, 3), shifted along z to each height of ``at`` (m,)."""
     return np.asarray((points[None] + at[:, None, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3))
 
 
 def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: View) -> Iterator[Series]:
-    """The outlines of all obstacles as one series, with gaps; ``T_C_M`` is needed for the view of the tracker."""
+    """Yield the outlines of all obstacles as one series with gaps; the view of the tracker needs ``T_C_M``."""
     gap = np.full((1, 2), np.nan)
     lines = [part for one in obstacles for part in (outline(seen_from(one.p_C, T_C_M, view)), gap)]
     if lines:
@@ -120,9 +120,9 @@ def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: Vi
 
 
 def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
-    """Coordinates (n, 2) of points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the tracker.
+    """Project points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the tracker; shape (n, 2).
 
-    Azimuths are counted on from that of the points' centre, so that a body behind the tracker is in one piece.
+    Azimuths continue from that of the points' centre, so that a body behind the tracker stays in one piece.
     """
     if view == "above" or T_C_M is None:
         return p_C[:, :2]
@@ -134,16 +134,16 @@ def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
 
 
 def outline(points: Array) -> Array:
-    """The convex hull of points (n, 2) as a closed line (k, 2)."""
+    """Return the convex hull of points (n, 2) as a closed line (k, 2)."""
     from scipy.spatial import ConvexHull
 
-    vertices = ConvexHull(points, qhull_options="QJ").vertices  # joggled: a flat mesh has a hull, too
+    vertices = ConvexHull(points, qhull_options="QJ").vertices  # QJ joggles the points: a flat mesh has a hull, too
     return np.asarray(points[[*vertices, vertices[0]]])
 
 
 @dataclass(frozen=True)
 class Blocked:
-    """What an obstacle hides from the tracker: azimuths [deg], from its distance [m] on."""
+    """The directions that an obstacle hides from the tracker: azimuths [deg], beyond its distance [m]."""
 
     name: str
     azimuth_deg: tuple[float, float]
@@ -151,9 +151,9 @@ class Blocked:
 
 
 def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) -> list[Blocked]:
-    """Obstacles that stand between the tracker and some of the points (n, 3), or would at their elevations.
+    """Find the obstacles that stand between the tracker and points (n, 3), or would at the points' elevations.
 
-    A table below all beams blocks none. Obstacles farther than every point, and those that move, are left out.
+    A table below all beams blocks nothing. Obstacles that move or are farther than every point are left out.
     """
     if not len(p_C):
         return []
@@ -168,7 +168,7 @@ def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) 
 
 
 def shadow_series(blocked: Iterable[Blocked], T_C_M: Array, p_C: Array) -> Iterator[Series]:
-    """The edges of each shadow from above, from the obstacle to behind the farthest of the points (n, 3)."""
+    """Yield the edges of each shadow from above, from the obstacle to beyond the farthest of the points (n, 3)."""
     lines = []
     reach = _BEHIND * np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max() if len(p_C) else 0.0
     for one in blocked:

@@ -1,4 +1,4 @@
-"""Where bases, tracker and obstacles stand while their poses are being written: those that are known so far."""
+"""Map of bases, tracker and obstacles while their poses are being entered: those known so far."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cellapp.robot.model.nominal import pose_matrix
 _AXIS_M = 0.4
 """Length of the line along a frame's x axis: visible in a map of some metres."""
 _OTHER_STYLE = 4
-"""Style of what belongs to no arm; as in ``charts_map``."""
+"""Style of series that belong to no arm; as in ``charts_map``."""
 
 
 def placement_chart(
     bases: Mapping[str, Pose | None], tracker: Pose | None, obstacles: Mapping[str, AnyObstacle] | None = None
 ) -> Chart:
-    """Bases and tracker from above in the cell frame C [m]; a line from each along its x axis. None: not known yet.
+    """Show bases and tracker from above in the cell frame C [m], each with its x axis; None: pose not known yet.
 
     Obstacles on a flange are left out: they move with the arm.
     """

@@ -1,4 +1,4 @@
-"""Maps of what the tracker sees of each arm's workspace, from above and from the tracker, with shares as shades."""
+"""Maps of the share of each arm's workspace that the tracker sees, from above and from the tracker, as shades."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cellapp.robot.model.nominal import pose_matrix
 SeenFrom = Literal["above", "tracker"]
 
 SHADES = "·░▒▓█"
-"""Marks of the shares: none, then each quarter of the largest share."""
+"""Marks of the shares: zero, then each quarter of the largest share."""
 _OTHER_STYLE = 4
-"""Style of what belongs to no arm; as in ``charts_map``."""
+"""Style of series that belong to no arm; as in ``charts_map``."""
 _AXES: Mapping[SeenFrom, tuple[Axis, Axis]] = {
     "above": (Axis("x", "m"), Axis("y", "m")),
     "tracker": (Axis("azimuth", "deg"), Axis("elevation", "deg")),
@@ -28,15 +28,15 @@ _TITLES: Mapping[SeenFrom, str] = {"above": "seen from above", "tracker": "as th
 
 
 def view_charts(profile: Profile, view: ViewResult) -> tuple[Chart, ...]:
-    """Both maps of every arm."""
+    """Show both maps of every arm."""
     return tuple(view_chart(profile, view, name, seen_from) for name in view.arms for seen_from in _AXES)
 
 
 def view_chart(profile: Profile, view: ViewResult, name: str, seen_from: SeenFrom = "above") -> Chart:
-    """Shares of the configurations of one arm that the tracker can measure.
+    """Show the shares of one arm's configurations that the tracker can measure.
 
-    From above each point is a column of cubes in the cell frame C [m]; from the tracker it is a square of directions,
-    azimuth and elevation [deg], of the size of a cube at the arm's base. Its mark is one of ``SHADES``.
+    From above each mark is a column of cubes in the cell frame C [m]; from the tracker it is a square of directions,
+    azimuth and elevation [deg], as large as a cube at the arm's base. The marks are ``SHADES``.
     """
     arm, style = view.arms[name], list(view.arms).index(name)
     title, axes = f"Arm {name}: what the tracker sees, {_TITLES[seen_from]}", _AXES[seen_from]
@@ -64,13 +64,13 @@ def _points(name: str, points: Array, style: int, mark: str) -> Series:
 
 
 def _directions(p_C: Array, T_C_M: Array) -> Array:
-    """Azimuth and elevation (n, 2) [deg] of points (n, 3) of the cell frame C [m] from the tracker."""
+    """Compute azimuth and elevation (n, 2) [deg], seen from the tracker, of points (n, 3) in the cell frame C [m]."""
     x, y, z = apply(invert(T_C_M), p_C).T
     return np.asarray(np.degrees(np.stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=1)))
 
 
 def _gathered(flat: Array, arm: ArmView, size: float) -> tuple[Array, Array]:
-    """Centres (k, 2) of squares of ``size``, and the share of configurations with the SMR in each that are seen."""
+    """Return centres (k, 2) of squares of ``size``, and the share of the configurations in each that are seen."""
     squares, which = np.unique(np.floor(flat / size), axis=0, return_inverse=True)
     reachable = np.bincount(which.ravel(), [cube.reachable for cube in arm.cells])
     seen = np.bincount(which.ravel(), [cube.seen for cube in arm.cells])
@@ -78,7 +78,7 @@ def _gathered(flat: Array, arm: ArmView, size: float) -> tuple[Array, Array]:
 
 
 def _shaded(points: Array, share: Array, style: int) -> Iterator[Series]:
-    """The points of each shade that occurs."""
+    """Yield one series for each shade that occurs."""
     quarters = len(SHADES) - 1
     largest = max(float(share.max()), 1e-12)
     level = np.ceil(quarters * share / largest - 1e-9).astype(np.intp)

@@ -1,4 +1,4 @@
-"""A plan before it is measured: its check and its forecast as tables and sentences."""
+"""Check and forecast of a plan before it is measured, as tables and sentences."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ TIME_RESTS_ON = (
     "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
 _MOST_SIZES = 6
-"""Parameters of one effect whose smallest sizes are named: those of the first joints."""
+"""Most parameters of one effect whose smallest sizes are named: those of the first joints."""
 
 
 def check_sentences(check: PlanCheckResult) -> list[str]:
-    """The verdict first, then every refusal."""
+    """Return the verdict, then every refusal."""
     refusals = [
         refusal_sentence(one) if check.file is None else file_refusal_sentence(check, one) for one in check.refused
     ]
@@ -43,7 +43,7 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
 
 
 def refusal_sentence(one: PlanRefusal) -> str:
-    """One refusal: where, why, what follows."""
+    """State one refusal: where, why, and what to do."""
     stop = "home" if one.configuration is None else f"stop {one.configuration + 1}"
     if one.what != "way":
         return f"{stop}: {one.reason}; plan again, or change base, limits or clearance in the profile"
@@ -55,7 +55,7 @@ def refusal_sentence(one: PlanRefusal) -> str:
 
 
 def stop_words(stops: PlannedStops, stop: int) -> str:
-    """How a stop is reached and what it is for: way, last motion, rest, repetition."""
+    """Say how a stop is reached and what it is for: path, last motion, rest, repetition."""
     words = []
     if (source := int(stops.repeat_of[stop])) >= 0:
         words.append(f"repeats stop {source + 1}")
@@ -71,7 +71,7 @@ def stop_words(stops: PlannedStops, stop: int) -> str:
 
 
 def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
-    """One refusal of a hand-edited plan, by line and configuration."""
+    """State one refusal of a hand-edited plan, by line and configuration."""
     where = f"{check.file}:{one.line}: configuration {one.configuration}"
     if one.configuration is None:
         where = f"{check.file}:{one.line}: home after configuration {one.before}"
@@ -80,7 +80,7 @@ def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
 
 
 def forecast_tables(forecast: PlanForecastResult) -> list[Table]:
-    """Joint ranges, expected standard errors, effects and parameters, for each arm."""
+    """Show joint ranges, expected standard errors, effects and parameters, for each arm."""
     tables = []
     for name, arm in forecast.arms.items():
         tables += [coverage_table(name, arm), accuracy_table(name, arm), effects_table(name, arm)]
@@ -88,7 +88,7 @@ def forecast_tables(forecast: PlanForecastResult) -> list[Table]:
 
 
 def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
-    """Time and what it rests on, what the effects' sizes rest on, notes."""
+    """State the time and its assumptions, the assumptions of the effects' sizes, and notes."""
     noise = ", ".join(f"arm {name} {arm.noise_rms_mm:.3f} mm" for name, arm in forecast.arms.items())
     return [
         f"{time_sentence(forecast.time)} It rests on {TIME_RESTS_ON}.",
@@ -98,7 +98,7 @@ def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
 
 
 def time_sentence(time: PlannedTime) -> str:
-    """How long collecting takes, and on what it is spent; the estimate rests on ``TIME_RESTS_ON``."""
+    """Say how long collecting takes, and on what it is spent; the estimate rests on ``TIME_RESTS_ON``."""
     parts = (
         ("motions", time.moving_s),
         ("rests", time.resting_s),
@@ -111,7 +111,7 @@ def time_sentence(time: PlannedTime) -> str:
 
 
 def duration_words(seconds: float) -> str:
-    """A duration as "1 h 05 min", "12 min" or "40 s"."""
+    """Return a duration as "1 h 05 min", "12 min" or "40 s"."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
@@ -119,7 +119,7 @@ def duration_words(seconds: float) -> str:
 
 
 def coverage_table(name: str, arm: ArmForecast) -> Table:
-    """Allowed and used range and the largest gap of each joint."""
+    """Show the allowed and used range and the largest gap of each joint."""
     return table_of(
         f"Arm {name}: joint ranges of {counted(arm.stops, 'stop')}",
         arm.coverage,
@@ -134,7 +134,7 @@ def coverage_table(name: str, arm: ArmForecast) -> Table:
 
 
 def accuracy_table(name: str, arm: ArmForecast) -> Table:
-    """Expected standard errors of predicted positions and of parameters: a column for each scatter."""
+    """Show expected standard errors of predicted positions and of parameters, one column for each scatter."""
     headings = ["tracker alone" if one.scatter_mm == 0.0 else f"{one.scatter_mm:g} mm scatter" for one in arm.accuracy]
     columns = (Column("standard error of"), *(number_column(title, ".4f") for title in headings), Column("unit"))
     rows: list[tuple[Cell, ...]] = [
@@ -153,7 +153,7 @@ def accuracy_table(name: str, arm: ArmForecast) -> Table:
 
 
 def effects_table(name: str, arm: ArmForecast) -> Table:
-    """For each effect whether the plan can show it, and from which displacement of the SMR on."""
+    """Show whether the plan can show each effect, and from which displacement of the SMR on."""
     return table_of(
         f"Arm {name}: effects that the plan can show",
         arm.effects,
@@ -166,7 +166,7 @@ def effects_table(name: str, arm: ArmForecast) -> Table:
 
 
 def coverage_bar(one: JointCoverage, width: int) -> str:
-    """The allowed range as a bar of ``width`` cells, full where the plan uses it."""
+    """Draw the allowed range as a bar of ``width`` cells, filled where the plan uses it."""
     low, high = one.allowed
     scale = width / max(high - low, 1e-12)
     first, last = (min(max(round((value - low) * scale), 0), width) for value in one.used)
@@ -174,12 +174,12 @@ def coverage_bar(one: JointCoverage, width: int) -> str:
 
 
 def effect_title(one: PlannedEffect) -> str:
-    """Name of an effect in reports; its slug where this version does not know it."""
+    """Return the title of an effect; its slug if this version does not know it."""
     return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
 
 
 def effect_sentence(one: PlannedEffect) -> str:
-    """Whether and from which size on an effect would be seen, or why not."""
+    """Say from which size on an effect would be seen, or why it cannot be seen."""
     title = effect_title(one)
     if not one.visible:
         return f"{title} cannot be seen: {short_reason(one.reason)}."

@@ -1,4 +1,4 @@
-"""A plan that was just made, and what is known of its design, as tables and sentences."""
+"""A new plan and the quality of its design, as tables and sentences."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column, tabl
 from cellapp.ground.counting import counted
 
 _SINGULAR = 1e-9
-"""Least condition number (O2) of stops that determine all parameters; it is 1e-3 for some tens of stops."""
+"""Smallest condition number (O2) of stops that determine all parameters; some tens of stops reach 1e-3."""
 
 
 def plan_result_tables(result: PlanResult) -> list[Table]:
-    """Tables of a plan that was made; none for random stops."""
+    """Build the tables of a new plan; none for random stops."""
     return [] if result.design is None else design_tables(result.design)
 
 
 def plan_lines(result: PlanResult) -> list[str]:
-    """Stops of each arm, what is known of their design, how long collecting takes, notes."""
+    """State the stops of each arm, the quality of their design, the time of collecting, and notes."""
     more = f" and {result.reserves} in reserve" if result.reserves else ""
     lines = [f"arm {name}: {counted(count, 'stop')} planned{more}" for name, count in result.stops.items()]
     lines += [] if result.design is None else design_sentences(result.design)
@@ -30,7 +30,7 @@ def plan_lines(result: PlanResult) -> list[str]:
 
 
 def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
-    """With which load each part of a plan is measured, and what a person does between; none of a plan with one."""
+    """Say with which load each part of a plan is measured, and what a person does between; none for a single load."""
     if not loads:
         return []
     parts = [
@@ -41,13 +41,13 @@ def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
 
 
 def design_tables(design: PlanDesignResult) -> list[Table]:
-    """Candidates, expected errors against random stops and largest gaps of each arm; errors by number of stops."""
+    """Show candidates, errors beside random stops, observability, largest gaps; errors by number of stops."""
     tables = [candidates_table(design), quality_table(design), indices_table(design), gaps_table(design)]
     return [*tables, *(by_stops_table(name, arm) for name, arm in design.arms.items() if arm.by_stops)]
 
 
 def design_sentences(design: PlanDesignResult) -> list[str]:
-    """Balance of the factors, travel time, detours, blocks and repeats, notes."""
+    """State the balance of the factors, travel time, detours, blocks, repeats, and notes."""
     travel = design.travel
     sentences = [
         f"Travel takes {duration_words(travel.planned_s)}, in random order {duration_words(travel.random_order_s)}:"
@@ -63,12 +63,12 @@ def design_sentences(design: PlanDesignResult) -> list[str]:
 
 
 def correlation_words(one: FactorCorrelation) -> str:
-    """A correlation as "0.04 (approach side of joint 2 of left with time)"."""
+    """Return a correlation as "0.04 (approach side of joint 2 of left with time)"."""
     return f"{abs(one.correlation):.2f} ({one.factor} with {one.other})"
 
 
 def candidates_table(design: PlanDesignResult) -> Table:
-    """How many configurations were drawn for each arm, what excluded them, how many candidates are left."""
+    """Show how many configurations were drawn for each arm, why some were rejected, and how many are left."""
     found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
     reasons = list(dict.fromkeys(found))
     columns = (Column("configurations"), *(number_column(f"arm {name}", "d") for name in design.arms))
@@ -82,7 +82,7 @@ def candidates_table(design: PlanDesignResult) -> Table:
 
 
 def quality_table(design: PlanDesignResult) -> Table:
-    """Expected errors of the designed stops and of random ones; how many random ones equal them."""
+    """Show expected errors of the designed and of random stops; how many random stops do as well."""
     columns = (
         Column("arm"),
         Column("plan"),
@@ -102,7 +102,7 @@ def quality_table(design: PlanDesignResult) -> Table:
 
 
 def indices_table(design: PlanDesignResult) -> Table:
-    """Observability indices of the designed stops and of random ones."""
+    """Show observability indices of the designed stops and of random ones."""
     columns = (Column("arm"), Column("plan"), *(number_column(f"O{index}", ".3g") for index in range(1, 6)))
     rows: list[tuple[Cell, ...]] = [
         (name, word, *_indices(index))
@@ -113,14 +113,14 @@ def indices_table(design: PlanDesignResult) -> Table:
 
 
 def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:
-    """The five indices; none where the stops are too few to determine all parameters."""
+    """Return the five indices; None each if the stops are too few to determine all parameters."""
     if index.o2 < _SINGULAR:
         return (None,) * 5
     return index.o1, index.o2, index.o3, index.o4, index.o5
 
 
 def gaps_table(design: PlanDesignResult) -> Table:
-    """Largest part of each joint's travelled range without a stop [deg]."""
+    """Show the largest gap between stops in each joint's travelled range [deg]."""
     joints = max((len(arm.largest_gap) for arm in design.arms.values()), default=0)
     columns = (Column("arm"), *(number_column(f"q{joint + 1}", ".1f", "deg") for joint in range(joints)))
     rows: list[tuple[Cell, ...]] = [
@@ -131,7 +131,7 @@ def gaps_table(design: PlanDesignResult) -> Table:
 
 
 def by_stops_table(name: str, arm: ArmDesign) -> Table:
-    """Expected errors after the first n stops."""
+    """Show expected errors after the first n stops."""
     return table_of(
         f"Arm {name}: errors after the first stops",
         arm.by_stops,

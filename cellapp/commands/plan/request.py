@@ -1,4 +1,4 @@
-"""What ``plan`` is asked for: a new plan, a plan from a file, a file to check, a plan to extend or to redo."""
+"""Request of the verb ``plan``: a new plan, a plan from a file, a file to check, a plan to extend or to redo."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The verb ``plan``: make a new run with its plan, check and edit plans.
 
-A plan is edited by hand as a CSV file (``cell.planning.plan_csv``). A plan in a run is extended, or what is left of it
-is designed again; measured stops never change.
+A plan is edited by hand as a CSV file (``cell.planning.plan_csv``). The plan of a run can be extended, or its
+unmeasured stops designed again; measured stops never change.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
-"""Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
+"""Prefix of the log line for each change of a plan; the number of such lines varies the seed of the next change."""
 _SEED = 0xADD
-"""Beside the profile's seed: other candidates than those of which some could not be reached."""
+"""Mixed with the profile's seed to draw other candidates than those that could partly not be reached."""
 
 
 def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | ViewResult:
-    """Make, change or check a plan, or look at what can be planned, as is asked for."""
+    """Make, change or check a plan, or show what the tracker can see, as requested."""
     if request.profile is None:
         assert request.folder is not None, "the request says so"
         return _changed(request, request.folder, work)
@@ -84,7 +84,7 @@ def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
 
 
 def default_folder(profile_name: str) -> Path:
-    """A new folder below ``logs`` in the working directory, named after the profile and the time."""
+    """Return a new folder below ``logs`` in the working directory, named after profile and time."""
     return Path("logs") / f"{profile_name}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
@@ -96,9 +96,9 @@ def new_planned_run(
     *,
     sweeps: int | None = None,
 ) -> RunFile:
-    """A new run with its plan. Nothing is left behind where there is no plan, or on request.
+    """Make a new run with its plan; leave nothing behind if there is no plan or the job is cancelled.
 
-    With ``sweeps`` the plan has this many stops, and at each a sweep of every arm.
+    ``sweeps`` is the number of stops of a plan with a sweep of every arm at each stop.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def plan_new_run(
 
 
 def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
-    """What ``plan`` says of the plan of a run. Raises ``InputError`` if the run has none."""
+    """Return the result of ``plan`` for the plan of a run. Raises ``InputError`` if the run has none."""
     required_plan(run)
     stops = read_planned_stops(run)
     reserves = run.profile.plan.reserves(len(stops))
@@ -159,14 +159,14 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
 
 
 def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> list[str]:
-    """What the tracker sees of several SMRs on a flange at stops, arm -> (n, N) [rad]."""
+    """Say what the tracker sees of several SMRs on a flange at the stops, arm -> (n, N) [rad]."""
     if not any(arm.smr.nests for arm in profile.arms.values()):
         return []
     return Nests.of(profile, cell_bodies(profile)).notes(stops)
 
 
 def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, ...] | None:
-    """The loads of a plan one after the other; None where there is only one."""
+    """Return the loads of a plan in their order; None if there is only one."""
     if profile.loads == 1:
         return None
     found = []
@@ -178,7 +178,7 @@ def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, .
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
-    """Number and duration of the planned sweeps of each arm, and what they will tell; None without any."""
+    """Return the number, duration and forecast of the planned sweeps of each arm; None if there are none."""
     planned = read_planned_sweeps(run)
     sweeps = planned.sweeps
     by_arm = {name: [one for one in sweeps if one.arm == name] for name in run.profile.arms}
@@ -196,7 +196,7 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
 
 
 def planned_stops(run: RunFile) -> StopsResult:
-    """Every planned stop, whether it was measured, and the sweeps about them."""
+    """Return every planned stop with whether it is measured, and the sweeps about them."""
     stops, done = read_planned_stops(run), run.stops_done()
     plan = stops.q
     count = max((len(q) for q in plan.values()), default=0)
@@ -216,7 +216,7 @@ def planned_stops(run: RunFile) -> StopsResult:
 
 
 def stored_plan(run: RunFile) -> StopsResult:
-    """Every planned stop of a run, and what is known of their design. Raises ``InputError`` if that is damaged."""
+    """Return every planned stop of a run and its stored design. Raises ``InputError`` if that is damaged."""
     return planned_stops(run).model_copy(update={"design": read_plan_design(run)})
 
 
@@ -248,8 +248,7 @@ def plan_from_file(
 ) -> PlanResult:
     """Make a run with a hand-edited plan exactly as it is written.
 
-    Where the number of its stops is another one than the profile asks for, the profile in the run asks for this one,
-    without reserves.
+    If the number of stops in the file differs from the profile, the run's profile is changed to it, without reserves.
 
     Raises
     ------
@@ -280,7 +279,7 @@ def plan_from_file(
 def plan_around_file(
     profile: Profile, path: Path, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> PlanResult:
-    """Make a run in which the stops of a file are frozen and the rest, up to ``plan.stops``, is designed around them.
+    """Make a run with the stops of a file frozen, and design further ones around them, ``plan.stops`` in all.
 
     Raises
     ------
@@ -307,7 +306,7 @@ def plan_around_file(
 
 
 def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
-    """Append ``count`` stops to the plan of a run, designed around those that it has; measured ones are information.
+    """Append ``count`` stops to the plan of a run, designed around its stops; measured ones count as information.
 
     Raises
     ------
@@ -328,10 +327,10 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
 
 
 def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
-    """Design the stops of a run that are not measured again, around those that are measured.
+    """Design the unmeasured stops of a run again, around the measured ones.
 
-    Stops that could not be reached or measured are replaced. Stops stay that are measured, that discovery proposed, or
-    that a person chose, as far as they could be reached.
+    Stops that could not be reached or measured are replaced. Measured stops stay; so do those that discovery proposed
+    or a person froze, unless they could not be reached.
 
     Raises
     ------
@@ -364,7 +363,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
 
 
 def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | None = None) -> PlanResult:
-    """Let later designs of a run's plan leave the ``chosen`` stops (from 0), and no others.
+    """Freeze the ``chosen`` stops (from 0) and no others: later designs of the run's plan keep them.
 
     Raises
     ------
@@ -383,10 +382,10 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
 
 @dataclass(frozen=True)
 class _Parts:
-    """The rows of a plan by what a new design does with them; ``fixed`` and ``open`` together are all of them.
+    """Rows of a plan, sorted by what a new design does with them; ``fixed`` and ``open`` together are all rows.
 
-    ``fixed`` stay in their places; ``open`` are filled anew, reserves last, with the ``frozen`` of them among the new
-    stops. ``more`` are appended for stops that could not be reached and whose rows are fixed all the same.
+    Rows ``fixed`` stay in their places; rows ``open`` are filled anew, reserves last, and the new stops include those
+    of ``frozen``. ``more`` stops are appended in place of fixed rows that could not be reached.
     """
 
     fixed: tuple[int, ...]
@@ -396,9 +395,9 @@ class _Parts:
     more: int
 
     def places(self, total: int) -> list[int]:
-        """For each row of the new plan the number of its stop, where those of ``fixed`` come first.
+        """Return for each row of the new plan the index of its stop; new stops are numbered after those of ``fixed``.
 
-        Raises ``InputError`` if the new plan is so short that a fixed row would be outside it.
+        Raises ``InputError`` if the new plan is too short for a fixed row.
         """
         if self.fixed and max(self.fixed) >= total:
             raise InputError(
@@ -414,7 +413,7 @@ def _parts(run: RunFile, stops: PlannedStops, proposed: Collection[int]) -> _Par
     done, outcomes = run.stops_done(), run.outcomes()
     unreached = {one.stop for one in outcomes} - done
     fixed = done | {stop for stop in proposed if stop not in unreached}
-    if run.references():  # they are measured at the first stop that was not left out: it stays where it is
+    if run.references():  # measured at the first stop that was not left out: keep that in place
         left_out = {one.stop for one in outcomes if one.kind == "left out"}
         first = next((stop for stop in range(len(stops)) if stop not in left_out), 0)
         fixed |= {*range(first + 1)}
@@ -431,7 +430,7 @@ def _parts(run: RunFile, stops: PlannedStops, proposed: Collection[int]) -> _Par
 
 
 def _other_seed(run: RunFile) -> Profile:
-    """The run's profile with a seed of its own for each change of the plan."""
+    """Return the run's profile with a new seed for each change of the plan."""
     changes = sum(event.text.startswith(_CHANGED) for event in run.events())
     seed = int(np.random.SeedSequence([run.profile.seed, _SEED, changes]).generate_state(1)[0])
     return run.profile.model_copy(update={"seed": seed})
@@ -445,7 +444,7 @@ def _checked(profile: Profile, file: PlanFile, listener: Listener, cancel: Cance
 
 
 def _of_file(file: PlanFile, ways: int, refused: Sequence[PlanRefusal]) -> PlanCheckResult:
-    """The check of a file, with its configurations and lines in place of the numbers of its stops."""
+    """Build the check of a file; it names the file's configurations and lines instead of stop numbers."""
 
     def number(stop: int | None) -> int | None:
         return None if stop is None else file.configurations[stop]

@@ -1,4 +1,4 @@
-"""A plan as a section: where its stops are, what they tell, time, factors."""
+"""A plan as a section of the report: positions of the stops, expected errors, time, factors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cellapp.ground.profile import Profile
 
 
 def plan_section(run: RunFile) -> Section | None:
-    """The section of a run with a plan; None for imported readings."""
+    """Build the section of a run with a plan; None for imported readings."""
     planned, design = planned_stops(run), read_plan_design(run)
     stops, sweeps = planned.stops, planned.sweeps
     if not stops:
@@ -64,7 +64,7 @@ def plan_section(run: RunFile) -> Section | None:
 def plan_charts(
     profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
 ) -> Iterator[Chart]:
-    """The cell from above and from the tracker, joint ranges, and what is known of the design."""
+    """Yield the cell from above and from the tracker, the design's charts, and joint ranges."""
     yield cell_map_chart(profile, stops)
     yield cell_map_chart(profile, stops, "tracker")
     yield from design_charts_of(profile, stops, ways, design)
@@ -73,18 +73,18 @@ def plan_charts(
 def design_charts_of(
     profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
 ) -> tuple[Chart, ...]:
-    """What is known of the design, the expected time, joint ranges."""
+    """Show what is known of the design, the expected time and the joint ranges."""
     asked = ways.take([row for row in range(len(ways)) if row not in profile.plan.reserves(len(ways))])
     return (*design_charts(design, _time(profile, asked)), *coverage_charts(profile, stops))
 
 
 def design_tables_of(design: PlanDesignResult | None) -> tuple[Table, ...]:
-    """Expected errors against random stops, observability and largest gaps; none of a plan that was not designed."""
+    """Show errors beside random stops, observability and largest gaps; none if the plan was not designed."""
     return () if design is None else (quality_table(design), indices_table(design), gaps_table(design))
 
 
 def _time(profile: Profile, ways: PlannedStops) -> PlannedTime | None:
-    """Expected time of collecting; None for arms without a home position, which are not driven."""
+    """Estimate the time of collecting; None if an arm has no home position and is thus not driven."""
     if not len(ways) or any(profile.arms[name].home is None for name in ways.q):
         return None
     return planned_time(profile, ways)

@@ -1,4 +1,4 @@
-"""Planned sweeps as tables and sentences: how many, what they will tell beside the stops."""
+"""Planned sweeps as tables and sentences: how many, and their forecast beside that of the stops."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RESTS_ON = (
 
 
 def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
-    """How many sweeps each arm makes, how long they last, and what their forecast rests on."""
+    """Say how many sweeps each arm makes, how long they last, and what their forecast rests on."""
     if not sweeps:
         return []
     told = [
@@ -31,13 +31,13 @@ def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
 
 
 def sweep_tables(sweeps: Mapping[str, SweepCount] | None) -> list[Table]:
-    """Expected standard errors and smallest sizes of effects of each arm, by stops, sweeps and both."""
+    """Show each arm's expected standard errors and smallest visible effects, by stops, sweeps and both."""
     foreseen = {name: its.forecast for name, its in (sweeps or {}).items() if its.forecast is not None}
     return [table for name, one in foreseen.items() for table in (_errors_table(name, one), _laws_table(name, one))]
 
 
 def _errors_table(name: str, forecast: SweepForecast) -> Table:
-    """Standard errors of predicted positions and of parameters."""
+    """Show standard errors of predicted positions and of parameters."""
     found = [forecast.accuracy[source] for source in _SOURCES]
     rows: list[tuple[Cell, ...]] = [
         ("predicted position, rms", *(one.standard_error_mm for one in found), "mm"),
@@ -53,7 +53,7 @@ def _errors_table(name: str, forecast: SweepForecast) -> Table:
 
 
 def _laws_table(name: str, forecast: SweepForecast) -> Table:
-    """From which size on each effect is seen: in the joint where it shows best, and in every joint."""
+    """Show from which size on each effect is seen: in the joint that shows it best, and in every joint."""
     columns = (
         Column("effect"),
         *(number_column(f"{source}, {which}", ".3g") for source in _SOURCES for which in ("best joint", "every joint")),

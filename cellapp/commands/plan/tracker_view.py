@@ -1,4 +1,4 @@
-"""What the tracker sees of each arm's workspace, as tables and sentences."""
+"""Share of each arm's workspace that the tracker sees, as tables and sentences."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.counting import counted
 
 _WORTH_A_CHANGE = 1.1
-"""Gain in configurations from which on a change is advised: less is within the scatter of the draws."""
+"""Least gain in configurations for which a change is advised: less is within the scatter of the draws."""
 _NATURAL = 0.5
-"""Share of the directions that face the tracker at random from which on the SMR's direction is not to blame."""
+"""Share of what random directions would give, from which on the SMR's direction does not count as the problem."""
 AS_IT_IS = "as it is"
-"""The name of no change among the changes of a view."""
+"""Name of the unchanged cell in the list of changes."""
 
 
 def view_tables(view: ViewResult) -> list[Table]:
-    """For each arm its constraints and its workspace by height."""
+    """Show the constraints and the workspace by height of each arm."""
     return [
         table for name, arm in view.arms.items() for table in (constraint_table(name, arm), height_table(name, arm))
     ]
 
 
 def view_sentences(view: ViewResult) -> list[str]:
-    """For each arm how much the tracker sees, the worst constraint and by how much, what would help."""
+    """Say for each arm how much the tracker sees, which constraint costs most, and what would help."""
     return [sentence for name, arm in view.arms.items() for sentence in arm_sentences(name, arm)]
 
 
 def constraint_table(name: str, arm: ArmView) -> Table:
-    """Each constraint in the order of their application: share it loses, excludes alone, share without it."""
+    """Show each constraint in the order applied: share lost to it, share it excludes alone, share without it."""
     columns = (
         Column("constraint"),
         number_column("lost to it", ".2f", "%"),
@@ -48,9 +48,9 @@ def constraint_table(name: str, arm: ArmView) -> Table:
 
 
 def height_table(name: str, arm: ArmView) -> Table:
-    """The workspace in layers of cubes, the highest first: cubes that the SMR reaches, those in which it is seen.
+    """Show the workspace in layers of cubes, highest first: cubes that the SMR reaches, and cubes where it is seen.
 
-    ``share`` is that of the configurations with the SMR in the layer that can be measured.
+    ``share`` is the share of the configurations with the SMR in the layer that can be measured.
     """
     columns = (
         number_column("z", ".2f", "m"),
@@ -74,7 +74,7 @@ def height_table(name: str, arm: ArmView) -> Table:
 
 
 def arm_sentences(name: str, arm: ArmView) -> list[str]:
-    """How much of an arm's workspace is seen, what excludes most of the rest, what would help."""
+    """Say how much of an arm's workspace is seen, what excludes most of the rest, what would help."""
     seen = sum(cube.seen > 0 for cube in arm.cells)
     straight = 100.0 * arm.small_incidence / max(arm.seen, 1)
     return [
@@ -87,7 +87,7 @@ def arm_sentences(name: str, arm: ArmView) -> list[str]:
 
 
 def worst_constraint(arm: ArmView) -> ConstraintShare | None:
-    """The constraint that excludes most configurations alone; the spread of directions does not count as one."""
+    """Return the constraint that costs most configurations; facing counts only if worse than random directions."""
     blamed = [
         one for one in arm.constraints if one.without > arm.share and not (one.constraint == FACING and _faces(arm))
     ]
@@ -95,7 +95,7 @@ def worst_constraint(arm: ArmView) -> ConstraintShare | None:
 
 
 def _faces(arm: ArmView) -> bool:
-    """Whether the SMR faces the tracker about as often as directions at random."""
+    """Return whether the SMR faces the tracker about as often as random directions would."""
     facing = next((one for one in arm.constraints if one.constraint == FACING), None)
     return facing is not None and 1.0 - facing.alone >= _NATURAL * arm.facing_at_random
 

@@ -28,7 +28,7 @@ _DEG = ".2f"
 def view(
     result: PlanResult | PlanCheckResult | PlanForecastResult | ViewResult | StopsResult, request: Request | None = None
 ) -> View:
-    """What was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
+    """Show what was planned, refused, predicted or seen; a check fails if the gate refuses something."""
     match result:
         case PlanResult():
             tables = (*plan_result_tables(result), *sweep_tables(result.sweeps))
@@ -49,7 +49,7 @@ def view(
 
 
 def plan_tables(stops: StopsResult) -> list[Table]:
-    """Joint angles [deg] of every planned stop, one table for each arm."""
+    """Show joint angles [deg] of every planned stop, one table for each arm."""
     tables = []
     for name in stops.stops[0].q if stops.stops else ():
         joints = len(stops.stops[0].q[name])

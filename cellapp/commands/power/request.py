@@ -1,4 +1,4 @@
-"""What ``power`` is asked for."""
+"""Request of the verb ``power``."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from cellapp.commands.fields import RunFolder
 from cellapp.commands.record import Asked, Request, Verb
 
 FEWEST_TRIALS, TRIALS = 8, 16
-"""Trials of each effect and arm: at least, and usually."""
+"""Least and usual number of trials for each effect and arm."""
 
 
 MINUTES = 10.0
-"""Time that the trials may take, usually."""
+"""Usual time limit of the trials [min]."""
 
 
 class PowerRequest(Request):

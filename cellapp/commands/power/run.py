@@ -1,4 +1,4 @@
-"""The verb ``power``: blind trials of the planned stops of a run. The run keeps the result."""
+"""The verb ``power``: make blind trials of a run's planned stops and store the result in the run."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cellapp.ground.scale.executor import Resources
 from cellapp.ground.time_limit import TimeLimit
 
 POWER_RESULT = "plan-power"
-"""Name of the document in which a run keeps the result."""
+"""Name of the document in the run with the result."""
 
 
 def run(request: PowerRequest, work: Work) -> PowerResult:
-    """Try the plan of a run on all cores, and keep the result in the run."""
+    """Try the plan of a run on all cores; store the result in the run."""
     limit = TimeLimit.from_now(request.minutes)
     with RunFile.open(request.folder, write=True) as opened:
         required_plan(opened)
@@ -31,6 +31,6 @@ def run(request: PowerRequest, work: Work) -> PowerResult:
 
 
 def stored_power(run: RunFile) -> PowerResult | None:
-    """What the plan of a run can name, if it was tried."""
+    """Return the stored result of a run; None if its plan was not tried."""
     text = run.read_result(POWER_RESULT)
     return None if text is None else PowerResult.from_json(text, str(run.folder))

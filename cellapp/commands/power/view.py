@@ -1,4 +1,4 @@
-"""How the sizes from which effects are named are shown."""
+"""Sizes from which effects are named, as sentence, table and chart."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from cellapp.commands.trials.power.tables import power_parts
 
 
 def view(result: PowerResult, request: Request | None = None) -> View:
-    """A sentence, and a chart and a table for each arm."""
+    """Build a sentence, and a chart and a table for each arm."""
     return View(power_parts(result))

@@ -1,4 +1,4 @@
-"""What ``push`` is asked for."""
+"""Request of the verb ``push``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cellapp.commands.fields import OutOfDate, RunFolder, TargetsPath
 from cellapp.commands.record import Asked, Request, Stored, Verb
 
 MOST_ROUNDS = 20
-"""Corrections of one target: each more than halves what remains, so that more only follow the noise."""
+"""Most corrections of one target: each more than halves the remaining error, so further ones only follow the noise."""
 
 
 def _few(rounds: int | None) -> int | None:

@@ -1,4 +1,4 @@
-"""The verb ``push``: refuse what does not fit the run, send commands, store what was measured even if it is stopped."""
+"""The verb ``push``: check the run, send commands, store the measurements even if the job is stopped."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def push_run(
 ) -> VerifyResult:
     """Compensate and push targets; with ``verify`` measure them before and after compensation.
 
-    ``iterate`` is how often at most what remains at a target is corrected by measuring. ``out_of_date`` uses the model
-    in force even where it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
-    ``ask`` is asked before the first motion of real arms. A job that is stopped stores what it has measured.
+    ``iterate`` is the most corrections by measuring of what remains at a target. ``out_of_date`` uses the model in
+    force even if it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
+    ``ask`` is called before the first motion of real arms. A stopped job stores what it has measured.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def push_run(
     """
     control = control or JobControl()
     asked = {"folder": run.folder, "targets": tuple(targets), "verify": verify, "iterate": iterate}
-    VERB.asked(asked)  # refuses a number of corrections that makes no sense
+    VERB.asked(asked)  # refuses an invalid number of corrections
     with running_job(run, control, "verify" if verify else "push", listener) as listener:
         return push_targets(
             run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date
@@ -98,12 +98,12 @@ def push_targets(
     iterate: int | None = None,
     out_of_date: bool = False,
 ) -> VerifyResult:
-    """As ``push_run``, within a job that has the folder already."""
+    """Push as ``push_run`` does, within a job that has locked the folder already."""
     stages = read_stages(run)
     if not out_of_date:
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
-    # the tracker of a simulated cell where it stands now
+    # simulated cell: the tracker where it stands now
     profile = carrying(profile_at_station(run, stages), ((one.arm, one.payload_kg) for one in commands))
     used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
 
@@ -137,14 +137,14 @@ def push_targets(
     except (CellappError, Cancelled) as error:
         if visited.targets:
             asked, done = len({one.target.name for one in commands}), len({one.name for one in visited.targets})
-            with suppress(InputError):  # the reason of the halt is the one to report
+            with suppress(InputError):  # report the reason of the halt, not this error
                 store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
         raise
     return store(pushed)
 
 
 def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify: bool) -> VerifyResult:
-    """With what was noted of the job and of its targets, and the rule by which they are judged."""
+    """Return the result with notes on the job and its targets, and with the decision rule of its tolerances."""
     said = (f"target {target.name}: {target.note}" for target in pushed.targets if target.note)
     judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
     not_given = judge.not_given(judged) if verify else ()
@@ -152,14 +152,14 @@ def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify:
 
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
-    """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
+    """Return the judge of a run's tolerances, with the uncertainty from its results and readings."""
     results = read_stage_results(run)
     measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
-    """Standard deviation of a coordinate over repeated stops of each arm [m], tracker included; only where known."""
+    """Return each arm's standard deviation of a coordinate over repeated stops [m], tracker included, if known."""
     calibrated = read_stage_results(run).calibrate
     if calibrated is None:
         return {}

@@ -14,7 +14,7 @@ _HELD = "the verification held"
 
 
 def view(result: VerifyResult, request: Request | None = None) -> View:
-    """What was reached and measured; of a stored verification every target, as charts too.
+    """Show what was reached and measured; of a stored verification every target, with charts.
 
     Only a push that measures can fail.
     """

@@ -1,4 +1,4 @@
-"""What ``recalibrate`` is asked for."""
+"""Request of the verb ``recalibrate``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The verb ``recalibrate``: every run of a fleet whose calibration or discovery is out of date is computed again.
+"""The verb ``recalibrate``: recompute every run of a fleet whose calibration or discovery is out of date.
 
 Each run is one task. Its worker appends the results to the run itself, as ``calibrate`` and ``discover`` do: workers of
-a cluster must see the folders under the same path, on a file system that honours the locks of SQLite.
+a cluster must see the folders under the same path, on a file system that supports the locks of SQLite.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class FolderOfRun(Record):
 
 
 def run(request: RecalibrateRequest, work: Work) -> RecalibrateResult:
-    """Compute again what is out of date."""
+    """Recompute what is out of date."""
     resources = Resources(request.jobs, request.scheduler)
     check_resources(resources)
     return recalibrate(
@@ -66,17 +66,17 @@ def recalibrate(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> RecalibrateResult:
-    """Calibrate and search again every run of some folders and below that is out of date or was not yet.
+    """Calibrate and search every run in or below some folders that is out of date or was not calibrated or searched
+    yet.
 
-    A run that fails is named and does not stop the others; runs keep their results, so that the same command continues
-    where it was stopped.
+    A run that fails is listed and does not stop the others. Runs keep their results, so that the same command resumes.
 
     Raises
     ------
     InputError
         If no folder is given, or one is missing or holds no run.
     ComputingLost
-        If the scheduler or all its workers are gone.
+        If the scheduler or all its workers are lost.
     Cancelled
         On request.
     """
@@ -89,18 +89,18 @@ def recalibrate(
         raise InputError(f"recalibrate: no runs below {', '.join(map(str, folders))}")
     tasks = [FolderOfRun(folder=str(run)) for run in runs]
     batch = Batch(RUNS, WhatToMake(force=force, search=search), tasks, [str(run) for run in runs.values()])
-    where = Resources(resources.jobs, resources.scheduler)  # runs keep their results themselves
+    where = Resources(resources.jobs, resources.scheduler)  # no store: runs keep their results
     gathered = gather(batch, "recalibrate", where, listener, cancel, all_may_fail=True)
     return RecalibrateResult(runs=gathered.found, failed=dict(gathered.failures), workers=gathered.workers)
 
 
 def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
-    """Calibrate and search one run again where that is needed.
+    """Calibrate and search one run again if needed.
 
     Raises
     ------
     InputError
-        If the folder is not seen here, another job runs in it, or as the two verbs do.
+        If the folder is not visible here, another job runs in it, or as the two verbs do.
     """
     folder, began = Path(its.folder), time.perf_counter()
     if not folder.is_dir():
@@ -144,7 +144,7 @@ RUNS = TaskKind(
 
 
 def _reasons(run: RunFile, asked: WhatToMake) -> Mapping[str, str]:
-    """Stage -> why it has to be made; empty if all of them hold."""
+    """Return stage -> why it must be recomputed; empty if all hold."""
     stages, reasons = read_stages(run), dict[str, str]()
     for name in (CALIBRATE, DISCOVER) if asked.search else (CALIBRATE,):
         if name not in stages.current:
@@ -157,7 +157,7 @@ def _reasons(run: RunFile, asked: WhatToMake) -> Mapping[str, str]:
 
 
 def _prior(run: RunFile) -> Path | None:
-    """The earlier run that the calibration rests on. Raises ``InputError`` if there are several."""
+    """Return the earlier run that is the calibration's prior, if any. Raises ``InputError`` if there are several."""
     priors = sorted({record.run for record in recorded_priors(run).values()})
     if len(priors) > 1:
         raise InputError(f"{run.folder} rests on several earlier runs ({', '.join(priors)}); calibrate it by hand")
@@ -165,5 +165,5 @@ def _prior(run: RunFile) -> Path | None:
 
 
 def _calibrated_mm(result: CalibrateResult) -> dict[str, float]:
-    """Arm -> mean held-out error of its best model [mm]."""
+    """Return the mean held-out error [mm] of each arm's best model."""
     return {name: arm.validate_[arm.best_stage].position_mm.mean for name, arm in result.arms.items()}

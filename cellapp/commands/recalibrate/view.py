@@ -9,14 +9,14 @@ from cellapp.ground.counting import counted
 
 
 def view(result: RecalibrateResult, request: Request | None = None) -> View:
-    """What was computed again, and which runs failed."""
+    """Show what was recomputed, and which runs failed."""
     tables = [recalibration_table(result)] if result.made else []
     failed = f"{len(result.failed)} of {counted(len(result.failed) + len(result.runs), 'run')} failed"
     return View((*tables, *recalibration_sentences(result)), (failed,) if result.failed else ())
 
 
 def recalibration_table(result: RecalibrateResult) -> Table:
-    """Runs of which something was made again."""
+    """Show the recomputed runs."""
     return table_of(
         "Runs calibrated again",
         result.made,
@@ -29,7 +29,7 @@ def recalibration_table(result: RecalibrateResult) -> Table:
 
 
 def recalibration_sentences(result: RecalibrateResult) -> list[str]:
-    """How many runs were computed, were up to date and failed; and which failed, why."""
+    """State how many runs were recomputed, up to date and failed; which runs failed and why."""
     held = len(result.runs) - len(result.made)
     counts = f"{counted(len(result.made), 'run')} computed again, {held} up to date, {len(result.failed)} failed"
     return [f"{counts}; {result.workers} at the same time", *(f"{run}: {why}" for run, why in result.failed.items())]

@@ -1,4 +1,4 @@
-"""The record of a profile's rehearsals: a file beside the profile, which a run finds again."""
+"""The record of a profile's rehearsals: a file beside the profile, which runs read."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
 
 _STORED = "rehearsals"
-"""Name of the stored result."""
+"""Name of the stored copy in a run."""
 
 
 def arms_hash(profile: Profile) -> str:
-    """The hash of what a rehearsal is of: arms, their bases and obstacles."""
+    """Return the hash of what a rehearsal depends on: arms, their bases and obstacles."""
     text = profile.model_dump_json(by_alias=True, include={"arms", "obstacles"})
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_log(path: Path, profile: Profile) -> RehearsalLog:
-    """The rungs on record for these arms; none without a file, or of other arms. Raises ``InputError``."""
+    """Return the recorded rungs of these arms; none without a file or if it is of other arms. Raises ``InputError``."""
     new = RehearsalLog(arms=arms_hash(profile), rungs={})
     file = rehearsals_path(path)
     if not file.is_file():
@@ -42,14 +42,14 @@ def write_log(path: Path, log: RehearsalLog) -> None:
 
 
 def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
-    """The rungs that were not passed yet, in their order."""
+    """Return the rungs that were not passed yet, in their order."""
     return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
 
 
 def keep_log(run: RunFile) -> str:
-    """Store in a run which rungs are on record as it is collected: the file beside the profile changes later.
+    """Copy the record of rungs into a run when it is collected: the file beside the profile changes later.
 
-    Returns which rungs a run of real arms lacks, as a sentence; empty where none is missing, and for other runs.
+    Returns a sentence on the rungs that a run of real arms lacks; empty if none is missing, and for other runs.
     """
     path = noted_profile(run)
     try:
@@ -65,6 +65,6 @@ def keep_log(run: RunFile) -> str:
 
 
 def kept_log(run: RunFile) -> RehearsalLog | None:
-    """The rungs that were on record when the run was collected; None without one."""
+    """Return the record of rungs from when the run was collected; None without one."""
     text = run.read_result(_STORED)
     return None if text is None else RehearsalLog.from_json(text, "the run's rehearsals")

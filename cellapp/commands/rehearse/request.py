@@ -1,4 +1,4 @@
-"""What ``rehearse`` is asked for."""
+"""Request of the verb ``rehearse``."""
 
 from __future__ import annotations
 

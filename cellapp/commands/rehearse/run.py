@@ -1,4 +1,4 @@
-"""The verb: drive one rung of the rehearsal of a profile, and record it beside the profile."""
+"""The verb ``rehearse``: drive one rung of a profile's rehearsal, and record it beside the profile."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cellapp.ground.profile import Profile
 
 
 def run(request: RehearseRequest, work: Work) -> RehearseResult:
-    """Drive the rung that is asked for, or the first missing one."""
+    """Drive the requested rung, or the first missing one."""
     path, profile = request.profile, load_profile(request.profile)
     _require_controllers(profile)
     log = read_log(path, profile)
@@ -49,7 +49,7 @@ def run(request: RehearseRequest, work: Work) -> RehearseResult:
 
 
 def _require_controllers(profile: Profile) -> None:
-    """Raise ``InputError`` unless every arm has a controller to rehearse with."""
+    """Raise ``InputError`` unless every arm has a controller for the rehearsal."""
     without = [name for name, arm in profile.arms.items() if not arm.driver.has_device or arm.driver.needs_plant]
     if without:
         raise InputError(
@@ -69,7 +69,7 @@ def _arms(profile: Profile, name: RungName, asked: str | None) -> tuple[str, ...
 
 
 def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
-    """The run whose plan is driven. Raises ``InputError`` if it is of another cell."""
+    """Open or make the run whose plan is driven. Raises ``InputError`` if it is of another cell."""
     if not (folder / "run.sqlite").exists():
         return new_planned_run(profile, folder, work.listener, work.control)
     found = RunFile.open(folder, write=True)
@@ -83,7 +83,7 @@ def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
 
 
 def _confirmation(profile: Profile, ask: Ask | None, name: RungName) -> Confirm | None:
-    """What is asked before the first motion of controllers that are not on this computer."""
+    """Return what asks a person before the first motion of controllers on other computers; None if nobody is asked."""
     require_permission(profile, ask)
     if ask is None or not profile.moves_hardware:
         return None

@@ -10,11 +10,11 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.counting import counted
 
 _SLOW = 1.5
-"""A motion that takes this many times as long, and a second more, is named."""
+"""A motion is listed as slow if it takes this factor longer, and a second more."""
 
 
 def view(result: RehearseResult, request: Request | None = None) -> View:
-    """Times and deviations of each arm, refusals, slow motions, what is next."""
+    """Show times and deviations of each arm, refusals, slow motions, and the next rung."""
     columns = (Column("arm"), *(number_column(what, ".4f") for what in ("mean off [mrad]", "most off [mrad]")))
     offs = {arm: [one.off_mrad[arm] for one in result.motions if arm in one.off_mrad] for arm in result.arms}
     rows: list[tuple[Cell, ...]] = [(arm, sum(off) / len(off), max(off)) for arm, off in offs.items() if off]
@@ -43,7 +43,7 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
 
 
 def log_section(log: RehearsalLog) -> Section:
-    """What was on record of each rung when a run was collected, for the report."""
+    """Show the record of each rung from when the run was collected, for the report."""
     columns = (
         *(Column(title) for title in ("rung", "when", "arms")),
         *(number_column(title, form) for title, form in (("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f"))),

@@ -1,4 +1,4 @@
-"""What ``replay`` is asked for."""
+"""Request of the verb ``replay``."""
 
 from __future__ import annotations
 

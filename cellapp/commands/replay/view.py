@@ -8,7 +8,7 @@ from cellapp.ground.counting import counted
 
 
 def view(result: ReplayResult, request: Request | None = None) -> View:
-    """What was played back, and how fast."""
+    """Show what was played back, and how fast."""
     counts = ", ".join(f"{name} {count}" for name, count in result.readings.items())
     pace = "recorded in" if result.timed else "without times, at a fixed pace"
     return View(

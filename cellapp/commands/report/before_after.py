@@ -1,4 +1,4 @@
-"""The page's first figure: errors before and after on one logarithmic axis, as data for its template."""
+"""First figure of the page: errors before and after on one logarithmic axis, as data for its template."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _ROOM = 1.25
 """Factor by which the axis reaches beyond the smallest and the largest value."""
 
 _FEW_DECADES = 4
-"""Decades of an axis up to which a tick at three times each power of ten has room on a phone."""
+"""Most decades of an axis with ticks at three times each power of ten: more have no room on a phone."""
 
 
 @dataclass(frozen=True)
 class ComparedErrors:
-    """Mean errors [mm] of one arm or of the pair before and after, the largest one after, and the tolerance if any.
+    """Mean errors [mm] of one arm or of the pair before and after, the largest error after, and the tolerance if any.
 
     ``source`` says where they were measured.
     """
@@ -36,7 +36,7 @@ class ComparedErrors:
 
     @property
     def words(self) -> str:
-        """Both errors, as in ``4.04 mm -> 0.026 mm``."""
+        """Both errors, as ``4.04 mm -> 0.026 mm``."""
         return f"{mm(self.before_mm)} \N{RIGHTWARDS ARROW} {mm(self.after_mm)}"
 
 
@@ -50,13 +50,13 @@ class BeforeAfterFigure:
     message: str
 
     def percent(self, value_mm: float) -> str:
-        """Place of a value on the axis, as a percentage of its length for SVG."""
+        """Return the place of a value on the axis, as a percentage of its length for SVG."""
         share = math.log(max(value_mm, self.low_mm) / self.low_mm) / math.log(self.high_mm / self.low_mm)
         return f"{100.0 * share:.2f}%"
 
     @property
     def ticks(self) -> tuple[float, ...]:
-        """Powers of ten on the axis [mm], and three times them where there is room."""
+        """Powers of ten on the axis [mm], and three times them if there is room."""
         first, last = math.floor(math.log10(self.low_mm)), math.ceil(math.log10(self.high_mm))
         steps = (1.0, 3.0) if last - first <= _FEW_DECADES else (1.0,)
         ticks = [step * 10.0**exponent for exponent in range(first, last + 1) for step in steps]
@@ -64,9 +64,9 @@ class BeforeAfterFigure:
 
 
 def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
-    """Every arm and the pair with the nominal and the best model; None if nothing is known with both.
+    """Compare the nominal and the best model of every arm and of the pair; None if no errors of both are known.
 
-    Errors are those measured at verified targets; where there are none, those at held-out configurations.
+    Errors are those measured at verified targets; without these, those at held-out configurations.
     """
     rows = [row for name in data.calibrate.arms if (row := _arm_row(data, name)) is not None]
     pair = _pair_row(data)
@@ -108,7 +108,7 @@ def _pair_row(data: ReportData) -> ComparedErrors | None:
 
 
 def best_method(calibrate: CalibrateResult) -> Method | None:
-    """The best model of the pair that was computed; None without a pair."""
+    """Return the best model of the pair that was computed; None without a pair."""
     return next((method for method in BEST_METHODS if method in calibrate.pair), None)
 
 

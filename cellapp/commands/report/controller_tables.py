@@ -1,4 +1,4 @@
-"""Whose D-H rows predict the SMR how well: the published ones, the controller's own, or the identified ones."""
+"""Errors at the SMR with the published, the controller's own, and the identified D-H rows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ABOUT = (
 
 
 def controllers_section(run: RunFile, data: ReportData) -> Section | None:
-    """Errors at the SMR by published, factory and identified rows; None without a controller that has its own."""
+    """Show errors at the SMR by published, factory and identified rows; None if no controller has its own."""
     recorded, rows = recorded_controllers(run), list[tuple[Cell, ...]]()
     said = []
     for name, held_out in data.held_out.items():
@@ -62,7 +62,8 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
 
 
 def _computed(arm: Arm, rows: Array, q: Array, p_M: Array, at: Array) -> Array:
-    """SMR positions (m, 3) [m] at ``at`` (m, N) by plain rows (N, 4), base and SMR registered to readings (n, 3)."""
+    """Compute SMR positions (m, 3) [m] at ``at`` (m, N) by plain rows (N, 4); base and SMR are registered to the
+    readings ``q`` and ``p_M`` (n, 3)."""
     published = published_rows(arm)
     chain = replace(nominal_geometry(published, np.zeros(3)), rows=hayati_rows(rows, published))
     return smr_positions(start_from_nominal(chain, q, p_M, tool_unknown=True), at)

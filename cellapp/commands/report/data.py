@@ -1,4 +1,4 @@
-"""Everything that one page shows, read from a run once."""
+"""All data of one page, read from a run once."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class ReportData:
     Attributes
     ----------
     calibrated : CellModel
-        The model that ``calibrate`` stored: geometry, and a residual network where one was used.
+        The model that ``calibrate`` stored: geometry, and a residual network if one is used.
     discovered : CellModel or None
-        The model that ``discover`` stored, while the discovery holds.
+        The model that ``discover`` stored; None if the discovery no longer holds.
     in_order : mapping
         What an import derived from the order of the readings, by arm.
     model_in_force : str
-        The stored model (JSON) that compensation uses; ``calibration.json`` has the same text.
+        The stored model (JSON) that compensation uses; the same text as in ``calibration.json``.
     next_step : str
         The command that makes or repeats the first step that is missing or out of date; empty if there is none.
     """
@@ -63,17 +63,17 @@ class ReportData:
 
     @property
     def out_of_date(self) -> Mapping[StageName, str]:
-        """Results that no longer hold, with the reason."""
+        """Results that no longer hold, with the reasons."""
         return self.results.out_of_date
 
     @property
     def discover(self) -> DiscoverResult | None:
-        """The discovery, while it holds."""
+        """The discovery; None if it no longer holds."""
         return None if DISCOVER in self.out_of_date else self.results.discover
 
     @property
     def verify(self) -> VerifyResult | None:
-        """The verification, while it holds; None if no target was measured with both commands."""
+        """The verification; None if it no longer holds or measured no target with both commands."""
         verify = self.results.verify
         return None if verify is None or VERIFY in self.out_of_date or not verify.arms else verify
 
@@ -153,7 +153,7 @@ def read_report_data(run: RunFile) -> ReportData:
 
 
 def _placed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Readings]:
-    """The readings, a ball in sockets with its points where the model finds them."""
+    """Return the readings, with those of a ball in sockets at the points that the model finds for them."""
     if not any(in_sockets(its) for its in readings.values()):
         return dict(readings)
     conditions = conditions_of_arms(model.arms, readings)

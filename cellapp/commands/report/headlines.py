@@ -1,4 +1,4 @@
-"""The page's first words: headlines, warnings, results that are out of date, results that are missing."""
+"""First words of the page: headlines, warnings, results that are out of date, results that are missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, VERIFY, Method, StageName
 
 _NO_PAIR = "pair: skipped"
-"""How the note of a calibration begins that explains why there is no pair."""
+"""Prefix of the calibration's note on why there is no pair."""
 STAGE_TITLES: dict[StageName, str] = {
     "calibrate": "Calibration",
     "discover": "Missing effects",
@@ -29,7 +29,7 @@ STAGE_TITLES: dict[StageName, str] = {
 
 
 def headlines(data: ReportData) -> list[tuple[str, str]]:
-    """Subject and accuracy of each arm and of the pair at held-out configurations; only results that hold."""
+    """State the accuracy of each arm and of the pair at held-out configurations; only results that hold."""
     lines = []
     suffix = " (out of date)" if CALIBRATE in data.out_of_date else ""
     for name, arm in data.calibrate.arms.items():
@@ -43,7 +43,7 @@ def headlines(data: ReportData) -> list[tuple[str, str]]:
 
 
 def verified_headlines(data: ReportData) -> list[tuple[str, str]]:
-    """Subject and the measured errors of each arm at targets, without and with compensation."""
+    """State the measured errors of each arm at targets, without and with compensation."""
     lines = []
     for name, verified in ({} if data.verify is None else data.verify.arms).items():
         before, after = verified.nominal_mm.mean, verified.compensated_mm.mean
@@ -59,7 +59,7 @@ def verified_headlines(data: ReportData) -> list[tuple[str, str]]:
 
 
 def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
-    """Arms whose calibration must not be used, with the reason."""
+    """Return the arms whose calibration must not be used, with the reason."""
     return [
         (f"Arm {name}", f"the calibration did not converge ({arm.message}): do not use it")
         for name, arm in data.calibrate.arms.items()
@@ -91,14 +91,14 @@ def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodRe
 
 
 def warnings(data: ReportData) -> list[str]:
-    """Notes of the calibration, and why targets were not measured."""
+    """Return the calibration's notes, and why targets were not measured."""
     notes = [note for note in data.calibrate.notes if not note.startswith(_NO_PAIR)]
     targets = () if data.verify is None else data.verify.targets
     return notes + [f"target {target.name}: {target.note}" for target in targets if target.note]
 
 
 def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
-    """Title and reason of each result that no longer holds, and what a check found."""
+    """Return the title and reason of each result that no longer holds, and what a check found."""
     lines = [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
     checked = data.results.held_check
     if checked is not None and checked.found_change:
@@ -107,7 +107,7 @@ def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
 
 
 def missing_results(data: ReportData) -> list[tuple[str, str]]:
-    """Title of each result that the run does not have, and the command that makes it."""
+    """Return the title of each result that the run does not have, and the command that makes it."""
     missing = []
     if not data.calibrate.pair:
         title = "Pair (inter-base transform and cooperative errors)"

@@ -1,4 +1,4 @@
-"""Errors against their tolerances as the first screen shows them."""
+"""Errors against their tolerances, as shown on the page's first screen."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.estimation.uncertainty.records import Judgement
 
 @dataclass
 class JudgedRow:
-    """One characteristic: judgements by arm, or one of several arms together, which has no column of its own."""
+    """One characteristic: judgements by arm, or one of several arms together without a column of its own."""
 
     label: str
     tolerance: float
@@ -28,7 +28,7 @@ class JudgedMatrix:
 
 
 def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> JudgedMatrix:
-    """Judgements of one characteristic by one tolerance beside each other."""
+    """Arrange judgements in a matrix: those of one characteristic by one tolerance form a row."""
     rows: list[JudgedRow] = []
     for one in judgements:
         label = CHARACTERISTIC_WORDS[one.characteristic]

@@ -1,4 +1,4 @@
-"""Where the numbers of a page come from: programs, seeds, settings, readings, hashes."""
+"""Provenance of a page's numbers: programs, seeds, settings, readings, hashes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HASH = "SHA-256"
 
 
 def provenance_facts(data: ReportData) -> Facts:
-    """Programs, seeds, settings, counts of readings, hashes."""
+    """Show programs, seeds, settings, counts of readings, hashes."""
     origin = data.calibrate.provenance
     plant = data.profile.plant
     lines = [

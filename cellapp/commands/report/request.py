@@ -1,4 +1,4 @@
-"""What ``report`` is asked for."""
+"""Request of the verb ``report``."""
 
 from __future__ import annotations
 

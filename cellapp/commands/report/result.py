@@ -29,10 +29,10 @@ R = TypeVar("R", bound=RunResults)
 
 
 def shown_by(kind: type[R], stored: RunResults, **more: object) -> R:
-    """The stored results as the result of a verb that shows them."""
+    """Return the stored results as the result of a verb that shows them."""
     return kind.model_validate({**{name: getattr(stored, name) for name in stored.model_fields_set}, **more})
 
 
 def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
-    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
+    """Return the current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
     return results_as(RunResults, run, stages or read_stages(run), {**RESULTS, CERTIFICATE: CertificateResult})

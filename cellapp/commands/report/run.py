@@ -17,7 +17,7 @@ PageWriter = Callable[[RunFile], Path]
 
 
 def run(request: ReportRequest, work: Work) -> ReportResult:
-    """Write the page; an own PDF is written as other files are, the usual one is renewed."""
+    """Write the page; replace the usual PDF, treat one with its own path like any other output file."""
     printed_to = (request.out or request.folder / PDF_FILE) if request.pdf else None
     with RunFile.open(request.folder) as opened:
         return report_run(opened, work.write_page, printed_to, RENEWED if request.out is None else work.outputs)
@@ -28,7 +28,7 @@ def report_run(
 ) -> ReportResult:
     """Write the page of a run and, with ``pdf``, print it to that file.
 
-    ``outputs`` says what the PDF may replace: left out, an earlier print.
+    ``outputs`` says what the PDF may replace; by default an earlier print.
 
     Raises
     ------

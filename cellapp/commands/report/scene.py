@@ -1,4 +1,4 @@
-"""The cell in space, and along two axes, as the run left it: its scene and its maps."""
+"""The calibrated cell of a run: its scene in space and its maps."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from cellapp.robot.kinematics.transforms import Array, apply, invert
 from cellapp.robot.model.nominal import pose_matrix
 
 _MOST_POINTS = 400
-"""Measured positions drawn of each arm: more add kilobytes and no shape."""
+"""Most measured positions drawn of each arm: more add kilobytes and no shape."""
 _MOST_VECTORS = 150
-"""Error vectors drawn of each arm: more overlap."""
+"""Most error vectors drawn of each arm: more overlap."""
 _LONG = 0.12
-"""Drawn length of the larger errors, as a share of the measured positions' range."""
+"""Drawn length of the larger errors, as a share of the range of the measured positions."""
 _OTHER_STYLE = 4
-"""Style of what belongs to no arm."""
+"""Style of series that belong to no arm."""
 
 
 def cell_scene(data: ReportData) -> CellScene:
-    """The scene of a calibrated run, with the newest model that holds."""
+    """Build the scene of a calibrated run, with the newest model that holds."""
     level = levelling_rotation(next(iter(data.model.arms.values())).up_M)
     stops = typical_stops(data.readings)
     arms = tuple(_scene_arm(data, name, stops[name], level) for name in data.model.arms)
@@ -38,8 +38,8 @@ def cell_scene(data: ReportData) -> CellScene:
 
 
 def cell_maps(scene: CellScene) -> list[Chart]:
-    """The cell from above and from the side, in the tracker frame with its z axis up."""
-    # the side view shows the line from the tracker to the arms at full length
+    """Show the cell from above and from the side, in the tracker frame with its z axis up."""
+    # seen from the side, the line from the tracker to the arms has its full length
     across = int(np.argmax(np.abs(np.mean([arm.base for arm in scene.arms], axis=0))[:2]))
     return [
         plane_chart(scene, "The cell from above", 0, 1),
@@ -48,7 +48,7 @@ def cell_maps(scene: CellScene) -> list[Chart]:
 
 
 def plane_chart(scene: CellScene, title: str, across: int, up: int) -> Chart:
-    """Measured positions, bases and tracker along one axis: ``across`` to the right, ``up`` upwards, as 0, 1, 2."""
+    """Show measured positions, bases and tracker in a plane: axis ``across`` to the right, ``up`` upwards (0, 1, 2)."""
     drawn: list[Series] = []
     for style, arm in enumerate(scene.arms):
         hints = [f"stop {stop}" for stop in arm.stops.tolist()]
@@ -87,7 +87,7 @@ def _scene_arm(data: ReportData, name: str, stop: int, level: Array) -> SceneArm
 
 
 def _bodies(arm: Arm, rotations: Array, origins: Array) -> Capsules:
-    """The capsules of an arm's type on its frames: rotations (N + 1, 3, 3), origins (N + 1, 3) [m]."""
+    """Place the capsules of an arm's type on its frames: rotations (N + 1, 3, 3), origins (N + 1, 3) [m]."""
     capsules = [one for one in arm.type.capsules if one.frame < len(origins)]
     frames = np.array([one.frame for one in capsules], dtype=np.int64)
     ends = [np.array([getattr(one, end) for one in capsules]).reshape(-1, 3) for end in ("start", "end")]
@@ -96,7 +96,7 @@ def _bodies(arm: Arm, rotations: Array, origins: Array) -> Capsules:
 
 
 def _errors(held_out: HeldOutArm, level: Array) -> tuple[ErrorVectors, ...]:
-    """Errors of the first and of the last stage."""
+    """Return the error vectors of the first and of the last stage."""
     readings, computed = held_out.readings, held_out.computed_M
     rows = evenly_spread(len(readings), _MOST_VECTORS)
     stages = list(computed)
@@ -109,7 +109,7 @@ def _errors(held_out: HeldOutArm, level: Array) -> tuple[ErrorVectors, ...]:
 
 
 def _obstacles(data: ReportData, level: Array) -> dict[str, Array]:
-    """Obstacles that stand still and whose place in the tracker frame is known."""
+    """Return the fixed obstacles whose pose in the tracker frame is known."""
     pose = data.profile.tracker.pose
     if pose is None:
         return {}
@@ -120,7 +120,7 @@ def _obstacles(data: ReportData, level: Array) -> dict[str, Array]:
 
 
 def _enlargement(arms: tuple[SceneArm, ...]) -> float:
-    """A round factor that makes the larger errors before calibration long enough to be seen."""
+    """Return a round factor that makes the larger errors before calibration visible."""
     first = [arm.errors[0].steps for arm in arms if arm.errors]
     if not first:
         return 1.0
@@ -130,7 +130,7 @@ def _enlargement(arms: tuple[SceneArm, ...]) -> float:
 
 
 def typical_stops(readings: Mapping[str, Readings]) -> dict[str, int]:
-    """A row of each arm with joints near their medians; rows of one common stop if the arms share any."""
+    """Return a row of each arm with joints near their medians; rows of one common stop if the arms share a stop."""
     off = {name: np.linalg.norm(arm.q - np.median(arm.q, axis=0), axis=1) for name, arm in readings.items()}
     common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
     if not common:

@@ -1,4 +1,4 @@
-"""The sections of a report: what each shows of a run, in their order, and whether its results still hold."""
+"""Sections of a report: what each shows of a run, their order, and whether their results still hold."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE
 from cellapp.ground.times import day_of
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
-"""Names of the lengths of a chain: a1, d1 and so on."""
+"""Pattern of the names of a chain's lengths: a1, d1 and so on."""
 _MOST_EVENTS = 100
-"""Newest events of the run's log in the report; the run file has all of them."""
+"""Newest events of the run's log that the report shows; the run file has all of them."""
 _MOST_CURVES = 3
-"""Joints of an arm that have a chart of what all effects turn them by, the most turned ones first."""
+"""Most joints of an arm with a chart of all its effects, the most turned ones first."""
 SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "judgements": ("Errors against their tolerances", (CALIBRATE,)),
     "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
@@ -89,14 +89,13 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "notes": ("Warnings, notes, what is not in this report", ()),
     "provenance": ("Provenance", ()),
 }
-"""Sections in their order in the report: anchor, title, stages whose results they show even where those are out of
-date."""
+"""Sections in the order of the report: anchor, title, and the stages whose results they show even if out of date."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
-"""Sections that are open at first: what was reached and found. The others hold how, and what it rests on."""
+"""Sections open at first: what was reached and found. The others say how, and on what basis."""
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
-    """The sections that have something to show, in their order."""
+    """Build the sections that have contents, in their order."""
     made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
     made["plan"] = plan_section(run)
     made["power"] = power_section(run)
@@ -108,7 +107,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
-    """Sections by their anchors in the order of the report, with their titles and why they no longer hold."""
+    """Put sections in the order of the report, with their titles and why they no longer hold."""
     found = []
     for key, (title, stages) in SECTIONS.items():
         section = made.get(key)
@@ -120,7 +119,7 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
 
 
 def power_section(run: RunFile) -> Section | None:
-    """From which size on the plan would have effects named, if that was tried."""
+    """Show from which size on the plan would find effects; None if that was not tried."""
     result = stored_power(run)
     if result is None:
         return None
@@ -165,7 +164,7 @@ def _accuracy(data: ReportData) -> Section:
 
 
 def accuracy_charts(data: ReportData) -> Iterator[Chart]:
-    """Errors by configuration and as a histogram, of each arm and of the pair where those of each stop are stored."""
+    """Yield errors by configuration and as a histogram, of each arm, and of the pair if stored by stop."""
     for name, held_out in data.held_out.items():
         floor = data.calibrate.arms[name].tracker_mm
         yield stop_error_chart(name, held_out, floor)
@@ -176,7 +175,7 @@ def accuracy_charts(data: ReportData) -> Iterator[Chart]:
 
 
 def _absent_stages(data: ReportData) -> Iterator[str]:
-    """Why a stage is not drawn."""
+    """Say why a stage is not drawn."""
     for name, held_out in data.held_out.items():
         if "geometry" not in held_out.errors_mm:
             yield (
@@ -217,7 +216,7 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
 
 
 def _tracker_words(calibrate: CalibrateResult) -> str:
-    """The error that the tracker's stated uncertainty alone would cause, by arm and for the pair."""
+    """State the error that the tracker's uncertainty alone would cause, by arm and for the pair."""
     words = [
         f"arm {name}: position {arm.tracker_mm:.4f} mm, distance {distance_mm(arm.tracker_mm, arm.tracker_mm):.4f} mm"
         for name, arm in calibrate.arms.items()
@@ -230,7 +229,7 @@ def _tracker_words(calibrate: CalibrateResult) -> str:
 
 
 def _accuracy_message(data: ReportData) -> str:
-    """Mean held-out errors of each arm and of the pair with the nominal and the best model."""
+    """State the mean held-out errors of each arm and of the pair, with the nominal and the best model."""
     parts = []
     for name, arm in data.calibrate.arms.items():
         if not arm.converged:
@@ -251,7 +250,7 @@ def _accuracy_message(data: ReportData) -> str:
 
 
 def _targets(data: ReportData) -> Section | None:
-    """Targets that were compensated or measured, while that holds."""
+    """Show targets that were compensated or measured, if that holds."""
     compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
     if compensate is None and data.verify is None:
         return None
@@ -261,7 +260,7 @@ def _targets(data: ReportData) -> Section | None:
 
 
 def _iso9283(data: ReportData) -> Section | None:
-    """Also of tests that do not hold any more, which the section then says."""
+    """Show the tests by ISO 9283; the section says if they no longer hold."""
     result = data.results.iso9283
     about = (
         "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; 'cellapp docs iso9283' has"
@@ -271,7 +270,7 @@ def _iso9283(data: ReportData) -> Section | None:
 
 
 def _check(data: ReportData) -> Section | None:
-    """Only of a check that holds: one of another model says nothing."""
+    """Show a check if it holds: a check of another model says nothing."""
     result = data.results.held_check
     about = (
         "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
@@ -281,14 +280,14 @@ def _check(data: ReportData) -> Section | None:
 
 
 def _discovery(data: ReportData) -> Section | None:
-    """The discovery, with how sure the model is at held-out configurations and what its effects turn each joint by."""
+    """Show the discovery, the model's uncertainty at held-out configurations, and its effects by joint."""
     return (
         None if data.discover is None else discovery_section(data.discover, data.profile.discovery, _model_charts(data))
     )
 
 
 def _model_charts(data: ReportData) -> dict[str, tuple[list[Chart], list[Chart]]]:
-    """Of each arm how sure its model is where it predicts that, and the joints that its effects turn most."""
+    """Return for each arm the charts of its model's uncertainty, if known, and of the joints that effects turn most."""
     stops = typical_stops(data.readings)
     charts = {}
     for name, arm in data.model.arms.items():
@@ -324,7 +323,7 @@ def _station(data: ReportData) -> Section | None:
 
 
 def _residuals(data: ReportData) -> Section:
-    """Residuals of the newest model over the run, those of the identified geometry as vectors, and how it went."""
+    """Show residuals of the newest model over the run, those of the identified geometry as vectors, and the drift."""
     left = {
         name: arm.validate_["geometry"].position_mm.rms
         for name, arm in data.calibrate.arms.items()
@@ -362,7 +361,7 @@ def _pair(data: ReportData) -> Section | None:
 
 
 def _pair_message(calibrate: CalibrateResult) -> str:
-    """The distance of the two bases and how well both ways of identifying it agree; empty without a pair."""
+    """State the distance of the bases and how well both methods agree; empty without a pair."""
     method = best_method(calibrate)
     if method is None:
         return ""
@@ -408,7 +407,7 @@ def _parameters(data: ReportData, lost: list[str]) -> Section:
 
 
 def _parameters_message(data: ReportData) -> str:
-    """How many parameters of each arm were identified, and the length of its chain that differs most from nominal."""
+    """State how many parameters of each arm were identified, and the chain length that differs most from nominal."""
     parts = []
     for name, arm in data.calibrate.arms.items():
         nominal = data.calibrated.arms[name].nominal
@@ -464,4 +463,4 @@ _OF_RESULTS: Mapping[str, Callable[[ReportData], Section | None]] = {
     "notes": _notes,
     "provenance": _provenance,
 }
-"""What makes the sections that show results; the others read the run itself."""
+"""Functions that build the sections of results; the other sections read the run itself."""

@@ -1,4 +1,4 @@
-"""The page's first screen: verdict, before and after, what was found, what to do next."""
+"""First screen of the page: verdict, before and after, findings, next steps."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "cooperative"
 """Characteristics that a verification at targets measures; the others are of ISO 9283."""
 _VERIFY = "cellapp push DIR TARGETS --verify"
 _PROPOSED_STOPS = 30
-"""Stops that are proposed where discovery could not decide: about a quarter of an hour of measuring."""
+"""Stops to propose if discovery could not decide: about a quarter of an hour of measuring."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """One finding: an effect and where, what it is in plain words; ``anchor`` leads to the details."""
+    """One finding: an effect and its place, its meaning in plain words; ``anchor`` links to the details."""
 
     heading: str
     text: str
@@ -37,7 +37,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do next, with its command if cellapp does it."""
+    """One thing to do next, with the command if cellapp does it."""
 
     text: str
     command: str = ""
@@ -45,7 +45,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Summary:
-    """The first screen; ``figure`` is None where no error is known before and after."""
+    """The first screen; ``figure`` is None if no error before and after is known."""
 
     verdict: Verdict
     judged: JudgedMatrix
@@ -55,7 +55,7 @@ class Summary:
 
 
 def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> Summary:
-    """The first screen of a run with the judgements on its results; ``today`` tells which instruments are due."""
+    """Build the first screen of a run with the judgements on its results; instruments are due as of ``today``."""
     return Summary(
         verdict=verdict(data, judgements),
         judged=judged_matrix(judgements, list(data.profile.arms)),
@@ -66,7 +66,7 @@ def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> S
 
 
 def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
-    """All judgements in a title and a sentence, or how to give tolerances."""
+    """Summarize all judgements in a title and a sentence, or say how to give tolerances."""
     if CALIBRATE in data.out_of_date:
         return Verdict(
             "cannot say", VERDICT_TITLES["cannot say"], "The calibration is out of date: nothing is judged on it."
@@ -81,7 +81,7 @@ def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
 
 
 def header_facts(data: ReportData) -> list[str]:
-    """What was calibrated, with what, and when."""
+    """Say what was calibrated, with what, and when."""
     traced = data.profile.traceability
     facts = []
     for name, arm in data.profile.arms.items():
@@ -96,7 +96,7 @@ def header_facts(data: ReportData) -> list[str]:
 
 
 def nothing_found(data: ReportData) -> str:
-    """Why no effect is named where there is no discovery that holds."""
+    """Say why no effect is named if there is no discovery that holds."""
     if DISCOVER in data.out_of_date:
         return "The search for missing effects is out of date."
     return "Missing effects were not searched for yet."
@@ -122,7 +122,7 @@ def _effect_words(effect: AcceptedEffect) -> str:
 
 def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
     if data.next_step:
-        command = data.next_step.replace(data.results.run, "DIR")  # the page may go to people without that folder
+        command = data.next_step.replace(data.results.run, "DIR")  # the page's readers may not have that folder
         yield Step(_next_words(data), command)
     yield from _accuracy_steps(data, judgements)
     for name, arm in ({} if data.discover is None else data.discover.arms).items():
@@ -168,7 +168,7 @@ def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
 
 
 def _first_sentence(text: str) -> str:
-    """A text up to its first full stop that ends a sentence."""
+    """Return a text up to the end of its first sentence."""
     first, stop, _ = text.partition(". ")
     return first + stop.rstrip()
 

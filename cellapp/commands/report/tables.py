@@ -1,4 +1,4 @@
-"""What the results of a run are shown as in a terminal: tables, and what is out of date."""
+"""Results of a run for a terminal: tables, and what is out of date."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.commands.view.table import Table
 
 
 def all_tables(results: RunResults) -> list[Table]:
-    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
+    """Show the calibration, and a discovery, location and verification that are not out of date."""
     tables: list[Table] = []
     if results.calibrate is not None:
         tables += calibration_tables(results.calibrate)
@@ -25,5 +25,5 @@ def all_tables(results: RunResults) -> list[Table]:
 
 
 def out_of_date_sentences(results: RunResults) -> list[str]:
-    """One sentence for each result that no longer holds, with the reason."""
+    """Return one sentence for each result that no longer holds, with the reason."""
     return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]

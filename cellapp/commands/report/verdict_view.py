@@ -18,10 +18,7 @@ from cellapp.ground.errors import InputError
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """The judgements on a run with a title and a sentence, and what to do next.
-
-    ``state`` is None where nothing is judged.
-    """
+    """The judgements on a run with a title and a sentence, and next steps; ``state`` is None if nothing is judged."""
 
     state: Conformity | None
     title: str
@@ -31,7 +28,7 @@ class RunVerdict:
 
 
 def read_verdict(run: RunFile, today: date) -> RunVerdict:
-    """Judge a run as it is now; ``today`` tells which instruments are due."""
+    """Judge a run as it is now; instruments are due as of ``today``."""
     results = read_results(run)
     data = _report_data(run)
     if data is None:
@@ -47,12 +44,12 @@ def read_verdict(run: RunFile, today: date) -> RunVerdict:
 
 
 def verdict_tables(verdict: RunVerdict) -> list[Table]:
-    """Every judgement: error, expanded uncertainty, tolerance, decision, what measured it."""
+    """Show every judgement: error, expanded uncertainty, tolerance, decision, and source of the error."""
     return [judgement_table(verdict.judgements)] if verdict.judgements else []
 
 
 def verdict_sentences(verdict: RunVerdict) -> list[str]:
-    """The rule of the decisions, and what comes next."""
+    """State the decision rules, and what comes next."""
     rules = dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements)
     return [*rules, *(f"next: {step}" for step in verdict.steps)]
 

@@ -12,7 +12,7 @@ from cellapp.commands.report.tables import all_tables, out_of_date_sentences
 
 
 def view(result: ReportResult, request: Request | None = None) -> View:
-    """The results that the page shows, what is out of date, and where the page was written."""
+    """Show the results that the page shows, what is out of date, and where the page was written."""
     printed = () if result.pdf is None else (f"printed: {result.pdf}",)
     parts = (*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}", *printed)
     strict = isinstance(request, ReportRequest) and request.strict

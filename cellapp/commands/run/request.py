@@ -1,4 +1,4 @@
-"""What ``run`` is asked for."""
+"""Request of the verb ``run``."""
 
 from __future__ import annotations
 

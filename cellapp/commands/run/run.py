@@ -1,4 +1,4 @@
-"""The verb ``run``: the other verbs one after the other, each as it is on its own."""
+"""The verb ``run``: run the other verbs one after the other, each as on its own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cellapp.ground.progress import Listener, ignore
 
 
 def run(request: RunRequest, work: Work) -> WholeRunResult:
-    """Do everything."""
+    """Run everything."""
     ask = work.ask(load_profile(request.profile).name)
     return run_whole(
         request.profile,
@@ -51,24 +51,24 @@ def run_whole(
     sweeps: int | None = None,
     hung: Hung | None = None,
 ) -> WholeRunResult:
-    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
+    """Run everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
 
-    ``ask`` is asked before the first motion of real arms, once, and after another load was hung; ``hung`` is asked
-    whether it was. ``sweeps`` is as of ``new_planned_run``.
+    ``ask`` is called once before the first motion of real arms, and again after a change of load; ``hung`` asks whether
+    the load was changed. ``sweeps`` is as in ``new_planned_run``.
 
     Raises
     ------
     CellappError
         Bad input, or a device that refused.
     Cancelled
-        On request; the run file keeps all that was committed and can be resumed.
+        On request; the run file keeps everything that was committed and can be resumed.
     """
     control = control or JobControl()
     profile = load_profile(profile_path)
     require_permission(profile, ask)
     with_loads, ask = ask, None if ask is None else asked_once(ask)
     targets: tuple[Target, ...] = ()
-    if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
+    if profile.targets is not None:  # read now: report errors before hours of measuring
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
     with (
@@ -76,7 +76,7 @@ def run_whole(
         running_job(run, control, "run", listener) as listener,
     ):
         note_profile(run, profile_path)
-        give_back()  # candidates of the plan
+        give_back()  # memory of the plan's candidates
         collected = collect_planned(run, listener, control, ask if profile.loads == 1 else with_loads, hung=hung)
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes

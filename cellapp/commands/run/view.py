@@ -14,7 +14,7 @@ from cellapp.commands.view.parts import Part
 
 
 def view(result: WholeRunResult, request: Request | None = None) -> View:
-    """What each step found, notes, and where run and page are; the first step that did not hold fails."""
+    """Show the results of each step, notes, the paths of run and page; and the failures of the first failed step."""
     parts: list[Part] = []
     if result.collect is not None:
         parts += collect_lines(result.collect)

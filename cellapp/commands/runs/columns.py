@@ -1,4 +1,4 @@
-"""Columns of a list of runs that a person sorts and filters."""
+"""Columns of a list of runs that can be sorted and filtered."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.times import minute_of
 
 @dataclass(frozen=True)
 class RunColumn:
-    """A column: its text for a run that can be read, and what it is sorted by."""
+    """A column: its text for a readable run, and its sort key."""
 
     title: str
     words: Callable[[RunSummary], str]
@@ -21,7 +21,7 @@ class RunColumn:
 
 
 def run_columns(folder: str) -> tuple[RunColumn, ...]:
-    """The columns of a list of the runs below ``folder``, the name first."""
+    """Return the columns of a list of the runs below ``folder``, the name first."""
     return (
         RunColumn("run", lambda run: short_name(run, folder), lambda run: run.run),
         RunColumn("began (UTC)", lambda run: minute_of(run.began), lambda run: run.began or run.changed, True),
@@ -35,20 +35,20 @@ def run_columns(folder: str) -> tuple[RunColumn, ...]:
 
 
 def run_cells(run: RunSummary, columns: tuple[RunColumn, ...]) -> tuple[str, ...]:
-    """The texts of one row; a run that cannot be read has its name and why."""
+    """Return the texts of one row; for a run that cannot be read, its name and the reason."""
     if run.problem:
         return (columns[0].words(run), "", "unreadable", *("" for _ in columns[3:]))
     return tuple(column.words(run) for column in columns)
 
 
 def contains(run: RunSummary, columns: tuple[RunColumn, ...], text: str) -> bool:
-    """Whether every word of ``text`` occurs in the row or in the run's problem; upper and lower case are the same."""
+    """Return whether every word of ``text`` occurs in the row or in the run's problem, ignoring case."""
     row = " ".join([*run_cells(run, columns), run.problem]).lower()
     return all(word in row for word in text.lower().split())
 
 
 def _errors_words(run: RunSummary) -> str:
-    """The mean held-out error of each arm with its best model."""
+    """State the mean held-out error of each arm with its best model."""
     return ", ".join(f"{arm.heldout_mm.after:.3f}" for arm in run.figures.values() if arm.heldout_mm)
 
 

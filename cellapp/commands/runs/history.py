@@ -1,4 +1,4 @@
-"""The runs below a folder, read quickly and never changed: a run that cannot be read gets a row that says why."""
+"""List the runs below a folder, quickly and read-only; a run that cannot be read gets a row with the reason."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 
 DEFAULT_FOLDER = Path("logs")
-"""Where new runs are made, in the working directory."""
+"""Default folder of new runs, in the working directory."""
 
 LEVELS = 3
-"""Folders between a listed folder and a run; trials and campaigns make two."""
+"""Most folder levels between a listed folder and a run; trials and campaigns have two."""
 _DONE: tuple[LastSession, ...] = get_args(End)
 
 
 def list_runs(folder: Path | None = None) -> RunsResult:
-    """Every run in ``folder`` and below, newest first; links are not followed. None is ``logs``, which may be missing.
+    """List every run in ``folder`` and below, newest first, without following links. None is ``logs``, which may be
+    missing.
 
     Raises
     ------
@@ -48,19 +49,19 @@ def list_runs(folder: Path | None = None) -> RunsResult:
 
 
 def resumable(folder: Path | None = None) -> RunSummary | None:
-    """The newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
+    """Return the newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
     return next((run for run in list_runs(folder).runs if run.resumable), None)
 
 
 def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
-    """The newest run in which a job of this computer works now, else ``resumable``. Raises as ``list_runs``."""
+    """Return the newest run with a job running on this computer, else ``resumable``. Raises as ``list_runs``."""
     runs = list_runs(folder).runs
     used = (run for run in runs if run.in_use == RUNS_NOW)
     return next(used, None) or next((run for run in runs if run.resumable), None)
 
 
 def summarise(folder: Path) -> RunSummary:
-    """The state of one run; it states the problem where the run cannot be read."""
+    """Summarize the state of one run; if it cannot be read, the summary states the problem."""
     changed, size = _on_disk(folder)
     known = RunSummary(run=str(folder), changed=changed, size_bytes=size, in_use=who_uses(folder))
     try:
@@ -68,7 +69,7 @@ def summarise(folder: Path) -> RunSummary:
             return _summary(run, known)
     except CellappError as error:
         problem = str(error)
-    except (OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
+    except (OSError, ValueError, TypeError) as error:  # a damaged or foreign file may contain anything
         problem = f"{folder / FILE_NAME} holds values that this cellapp cannot read ({_first_words(error)})"
         problem += "; open it with the cellapp that wrote it, or restore it from a copy"
     return known.model_copy(update={"problem": problem})
@@ -87,7 +88,7 @@ def check_folder(folder: Path) -> None:
 
 
 def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
-    """Folders of runs in ``folder`` and below; links are not followed, what cannot be read is passed over."""
+    """Yield folders of runs in ``folder`` and below; do not follow links, skip what cannot be read."""
     if os.path.lexists(folder / FILE_NAME):
         yield folder
         return
@@ -110,7 +111,7 @@ def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
 
 
 def _on_disk(folder: Path) -> tuple[str, int]:
-    """When the run file last changed (ISO 8601, UTC), and the size of all files of the folder."""
+    """Return when the run file last changed (ISO 8601, UTC), and the total size of the folder's files."""
     changed_s, size = 0.0, 0
     try:
         with os.scandir(folder) as entries:
@@ -120,7 +121,7 @@ def _on_disk(folder: Path) -> tuple[str, int]:
                     size += stat.st_size
                     if entry.name in (FILE_NAME, f"{FILE_NAME}-wal"):
                         changed_s = max(changed_s, stat.st_mtime)
-    except OSError:  # removed meanwhile, or not ours to read: opening it says so
+    except OSError:  # removed meanwhile, or not readable: opening it reports that
         pass
     changed = datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="milliseconds") if changed_s else ""
     return changed, size
@@ -174,6 +175,6 @@ def _due(profile: Profile) -> str:
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:
-    """How the last session ended that collected what was left; None if there is none."""
+    """Return how the last session that collected unmeasured stops ended; None if there is none."""
     last = next((one for one in reversed(sessions) if not one.again), None)
     return None if last is None else last.outcome or "no end"

@@ -1,6 +1,6 @@
-"""The few figures of stored results that a list of runs shows, read without the rest of each result.
+"""The few figures of stored results for a list of runs, read without the rest of each result.
 
-A result has curves, pictures and errors of every stop; reading all of them for a hundred runs takes seconds.
+Results have curves, pictures and errors of every stop; reading all of that for a hundred runs takes seconds.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class _Verified(_Part):
 
 
 def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageName, str]]:
-    """The figures of each arm, and the stages that cannot be read with the reason."""
+    """Return the figures of each arm, and the unreadable stages with the reason."""
     unreadable: dict[StageName, str] = {}
 
     def read(name: StageName, kind: type[P]) -> P | None:
@@ -90,7 +90,7 @@ def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageNam
         reached = verified.arms.get(name) if verified else None
         errors: dict[Stage, _Errors] = {} if arm is None else {**arm.errors}
         if arm is None or arm.prior is None:
-            errors.pop("effects", None)  # older versions wrote it into the calibration
+            errors.pop("effects", None)  # older versions stored it in the calibration
         if found is not None and DISCOVER not in stages.out_of_date:
             errors |= found.errors
         best = next((stage for stage in reversed(STAGES) if stage in errors), None)

@@ -1,4 +1,4 @@
-"""What ``runs`` is asked for."""
+"""Request of the verb ``runs``."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from cellapp.ground.profile import CellKind
 from cellapp.ground.results import Method, Record, Result, Stage, StageName, Verdict
 
 LastSession = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "no end"]
-"""How the last session of collecting ended; "no end": the program died in it, or it still runs."""
+"""End of the last session of collecting; "no end": the program died during it, or it is still running."""
 
 
 class ArmFigures(Record):
@@ -139,7 +139,7 @@ class ValueComparison(Record):
 
 
 MOST_Z = 3.0
-"""Combined standard uncertainties beyond which a difference counts: 0.3 % of normal differences are larger."""
+"""Difference in combined standard uncertainties from which it counts: 0.3 % of normal differences are larger."""
 
 
 class ErrorComparison(Record):

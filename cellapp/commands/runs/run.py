@@ -1,4 +1,4 @@
-"""The verb ``runs``: what a folder of runs holds. It only reads."""
+"""The verb ``runs``: list a folder of runs. It only reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What waits today, over a folder of runs: open runs, and for each arm how old its calibration and its check are."""
+"""What is due today in a folder of runs: open runs, and the age of each arm's calibration and check."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from cellapp.ground.results import CALIBRATE, CHECK, StageName
 from cellapp.ground.times import day_of
 
 _MOST_OPEN = 12
-"""Open runs that are listed: who has more looks at the list of all."""
+"""Most open runs that are listed; for more there is the list of all."""
 
 
 def today_tables(result: RunsResult, now: datetime) -> list[Table]:
-    """Open runs with what each waits for; each arm with the ages of its calibration and check, and what is due."""
+    """Show open runs with what each waits for; each arm with the ages of its calibration and check, and what is due."""
     return with_rows(_open_runs(result), _arms(result, now))
 
 
 def today_sentences(result: RunsResult, now: datetime) -> list[str]:
-    """What cannot wait: instruments that are overdue, runs that another job uses, what cannot be read."""
+    """State what is urgent: overdue instruments, runs in use by another job, what cannot be read."""
     overdue = {run.profile: run.tracker_due for run in reversed(result.runs) if run.tracker_due}
     late = [
         f"the tracker of {profile} was due for calibration on {due}"
@@ -48,7 +48,7 @@ def _open_runs(result: RunsResult) -> Table:
 
 
 def _arms(result: RunsResult, now: datetime) -> Table:
-    """A row for each arm of each cell."""
+    """Build a row for each arm of each cell."""
     columns = (
         Column("cell"),
         Column("arm"),
@@ -73,13 +73,13 @@ def _arm_rows(result: RunsResult, now: datetime) -> Iterator[tuple[Cell, ...]]:
 
 
 def _error_mm(run: RunSummary, arm: str) -> float | None:
-    """Mean held-out error of an arm with the best model of a run [mm]."""
+    """Return the mean held-out error [mm] of an arm with the run's best model; None if unknown."""
     figures = run.figures.get(arm)
     return None if figures is None or figures.heldout_mm is None else figures.heldout_mm.after
 
 
 def _days_since(runs: list[RunSummary], name: StageName, now: datetime) -> int | None:
-    """Days since the newest stage of a name that holds; None without one."""
+    """Return the days since the newest stage of a name that holds; None without one."""
     written = [stage.written for run in runs for stage in run.stages if stage.name == name and not stage.out_of_date]
     if not written:
         return None

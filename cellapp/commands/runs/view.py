@@ -21,7 +21,7 @@ _MM = ".3f"
 
 
 def view(result: RunsResult, request: Request | None = None) -> View:
-    """Every run below the folder; or what waits today."""
+    """Show every run below the folder, or what is due today."""
     if isinstance(request, RunsRequest) and request.today:
         now = datetime.now(UTC)
         return View((*today_tables(result, now), *today_sentences(result, now)))
@@ -29,7 +29,7 @@ def view(result: RunsResult, request: Request | None = None) -> View:
 
 
 def runs_tables(result: RunsResult) -> list[Table]:
-    """State of every run that can be read, errors of every calibrated arm, what discovery named in it."""
+    """Show the state of every readable run, errors of every calibrated arm, and the effects that discovery named."""
     named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
     state = Table(
         f"Runs below {result.folder}, newest first",
@@ -65,7 +65,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
 
 
 def runs_sentences(result: RunsResult) -> list[str]:
-    """What cannot be read and why, what is in use, what can be resumed, and what comes next in the newest run."""
+    """State what cannot be read and why, what is in use, what can be resumed, and the next step of the newest run."""
     if not result.runs:
         return [f"no runs below {result.folder}; 'cellapp run PROFILE' makes one"]
     sentences = [run.problem for run in result.runs if run.problem]
@@ -78,7 +78,7 @@ def runs_sentences(result: RunsResult) -> list[str]:
 
 
 def run_lines(run: RunSummary) -> list[str]:
-    """One run in a few lines: where it stands, its results, the figures of each arm, what comes next."""
+    """Describe one run in a few lines: state, results, figures of each arm, next step."""
     used = [f"in use by {run.in_use}"] if run.in_use else []
     if run.problem:
         return [run.problem, *used]
@@ -96,7 +96,7 @@ def run_lines(run: RunSummary) -> list[str]:
 
 
 def figures_words(figures: ArmFigures) -> str:
-    """Errors, effects and verification of one arm in one line."""
+    """State errors, effects and verification of one arm in one line."""
     parts = []
     if figures.heldout_mm is not None:
         best = f"{figures.heldout_mm.after:{_MM}} mm with {figures.best_stage}"
@@ -118,7 +118,7 @@ def resume_sentence(run: RunSummary) -> str:
 
 
 def stages_words(run: RunSummary) -> str:
-    """Which results hold, and which are out of date and why."""
+    """State which results hold, and which are out of date and why."""
     held = [stage.name for stage in run.stages if not stage.out_of_date]
     reasons = grouped((stage.out_of_date, stage.name) for stage in run.stages if stage.out_of_date)
     parts = [f"results: {', '.join(held)}"] if held else []

@@ -1,4 +1,4 @@
-"""A run of a list in words: its name, its stops, what comes next. Lists, tables and screens share them."""
+"""A run of a list in words: name, stops, next step. Lists, tables and screens share them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ CELL_WORDS: dict[CellKind, str] = {
 
 
 def short_name(run: RunSummary, folder: str) -> str:
-    """The run's folder as seen from the listed one."""
+    """Return the run's folder relative to the listed one."""
     path = Path(run.run)
     return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
 
 
 def stops_words(run: RunSummary) -> str:
-    """``120/400 stopped``; the number alone for imported readings."""
+    """State the measured stops as ``120/400 stopped``; only their number for imported readings."""
     if not run.stops_planned:
         return str(run.stops_measured)
     words = session_words(run)
@@ -31,18 +31,18 @@ def stops_words(run: RunSummary) -> str:
 
 
 def session_words(run: RunSummary) -> str:
-    """How the last session of collecting ended, or that it still runs."""
+    """Say how the last session of collecting ended, or that it is still running."""
     if run.in_use and run.last_session == "no end":
         return "running"
     return run.last_session or ("" if run.stops_measured else "not begun")
 
 
 def next_words(run: RunSummary) -> str:
-    """The verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
+    """Return the next verb, and whether a result is out of date; ``done`` if nothing is left to do."""
     outdated = any(stage.out_of_date for stage in run.stages)
     return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
 
 
 def effects_words(effects: Sequence[str]) -> str:
-    """Names of effects as words."""
+    """Return the names of effects in words."""
     return ", ".join(slug.replace("_", " ") for slug in effects)

@@ -1,4 +1,4 @@
-"""What ``schema`` is asked for."""
+"""Request of the verb ``schema``."""
 
 from __future__ import annotations
 

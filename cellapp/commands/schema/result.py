@@ -12,5 +12,5 @@ class SchemaResult(Result, schema="cellapp-schema"):
     text: str
 
     def to_json(self, *, indent: int | None = None) -> str:
-        """The schemas themselves."""
+        """Return the schemas themselves."""
         return self.text

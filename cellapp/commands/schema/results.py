@@ -24,22 +24,22 @@ WITHOUT_VERB: tuple[type[Result], ...] = (
     RequestResult,
     ErrorResult,
 )
-"""Results that no verb declares as its own: parts that ``show`` prints, requests to a running job, failures."""
+"""Results that no verb declares: parts that ``show`` prints, requests to a running job, failures."""
 
 
 def written_results(verbs: Iterable[Verb]) -> tuple[type[Result], ...]:
-    """Every result that ``--json`` writes, each once: those of the verbs in their order, then the others."""
+    """Return every result that ``--json`` writes, each once: those of the verbs in their order, then the others."""
     own = (one for verb in verbs for one in verb.results if one.has_own_schema)
     return tuple(dict.fromkeys((*own, *WITHOUT_VERB)))
 
 
 def results_by_name(results: Iterable[type[Result]]) -> dict[str, type[Result]]:
-    """Results by the name that their JSON objects carry under ``schema``."""
+    """Return results by the name in their JSON objects under ``schema``."""
     return {str(result.model_fields["schema_"].default): result for result in results}
 
 
 def json_schema(result: type[Result]) -> dict[str, Any]:
-    """JSON Schema (2020-12) of a result. As ``--json`` writes NaN and infinity as null, every number may be null."""
+    """Return the JSON Schema (2020-12) of a result. Every number may be null: ``--json`` writes NaN and infinity so."""
     schema: dict[str, Any] = _nullable_numbers(result.model_json_schema())
     return schema
 

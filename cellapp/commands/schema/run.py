@@ -13,7 +13,7 @@ from cellapp.ground.errors import InputError
 
 
 def run(request: SchemaRequest, work: Work) -> SchemaResult:
-    """All of them, or that of one result."""
+    """Return the schemas of all results, or of one."""
     results = results_by_name((*written_results(work.verbs), *TRIAL_RESULTS))
     if request.name is None:
         return SchemaResult(text=json.dumps({name: json_schema(result) for name, result in results.items()}, indent=1))

@@ -7,5 +7,5 @@ from cellapp.commands.schema.result import SchemaResult
 
 
 def view(result: SchemaResult, request: Request | None = None) -> View:
-    """The schemas."""
+    """Show the schemas."""
     return View((result.text,), is_json=True)

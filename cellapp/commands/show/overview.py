@@ -1,4 +1,4 @@
-"""The state of a run as results of ``show``; everything here only reads."""
+"""The state of a run as results of ``show``. Everything here only reads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.ground.counting import counted
 
 
 def run_overview(run: RunFile) -> OverviewResult:
-    """Profile, arms, current stages, and the command that comes next."""
+    """Return profile, arms, current stages, and the next command."""
     stages, arms = read_stages(run), arm_states(run)
     verb, command = next_step(run, stages, arms)
     return OverviewResult(
@@ -34,13 +34,13 @@ def run_overview(run: RunFile) -> OverviewResult:
 
 
 def run_history(run: RunFile) -> HistoryResult:
-    """Every stage that was ever stored, oldest first."""
+    """Return every stage that was ever stored, oldest first."""
     stages = read_stages(run)
     return HistoryResult(run=str(run.folder), stages=tuple(_state(stage, stages) for stage in read_history(run)))
 
 
 def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:
-    """Lines of the log, oldest first; only those of one ``level``, only the ``last`` ones."""
+    """Return lines of the log, oldest first; only those of one ``level`` and only the ``last`` ones, if given."""
     lines = [LogLine.like(event) for event in run.events() if level is None or event.level == level]
     return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
 
@@ -57,7 +57,7 @@ def _state(stage: StoredStage, stages: RunStages) -> StageState:
 
 
 def _rests_on(stage: StoredStage) -> tuple[str, ...]:
-    """The basis in words; hashes are cut to twelve digits."""
+    """Return the basis in words, with hashes cut to twelve digits."""
     if stage.basis is None:
         return ("not recorded",)
     basis = stage.basis

@@ -1,4 +1,4 @@
-"""What ``show`` is asked for; which parts there are comes from the verbs that store something."""
+"""Request of the verb ``show``; which parts there are comes from the verbs that store something."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.commands.record import Asked, Request, Verb
 from cellapp.commands.storing import STORING
 
 OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
-"""What a run holds beside the results of verbs."""
+"""Parts of a run beside the results of verbs."""
 
 
 class ShowRequest(Request):
@@ -39,9 +39,9 @@ class ShowRequest(Request):
 
 
 def show_verb(verbs: Sequence[Verb]) -> Verb:
-    """The record of ``show``, for verbs of which some store results."""
+    """Build the record of ``show`` for these verbs; the parts are the results that they store."""
     first, *others = OWN_PARTS
-    literal: Any = Literal  # typed as any: the words are known as late as here
+    literal: Any = Literal  # typed as Any: its values are known only at run time
     annotated: Any = Annotated
     parts = literal[(first, *(one.part for verb in verbs for one in verb.stored), *others)]
     asked = next(words for name, words in ShowRequest.asked() if name == "part")

@@ -115,5 +115,5 @@ class Shown(Result, schema="cellapp-shown"):
     complaints: tuple[str, ...] = ()
 
     def to_json(self, *, indent: int | None = None) -> str:
-        """The JSON of the part."""
+        """Return the JSON of the part."""
         return self.text if self.result is None else self.result.to_json(indent=indent)

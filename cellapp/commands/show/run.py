@@ -1,4 +1,4 @@
-"""The verb ``show``: find what is stored. It only reads: the run is opened read-only."""
+"""The verb ``show``: read what is stored; the run is opened read-only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cellapp.ground.results import Result
 
 
 def run(request: ShowRequest, work: Work) -> Shown:
-    """Find the part, or compute what is asked for of a plan."""
+    """Read the requested part, or compute what was requested of a plan."""
     with RunFile.open(request.folder) as opened:
         found = _found(opened, request, work)
         return found.model_copy(update={"complaints": tuple(complaints_of(opened))}) if request.strict else found
@@ -67,7 +67,7 @@ def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
 
 
 def _target(run: RunFile, name: str) -> Shown:
-    """All that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
+    """Return the last results on one target; the JSON is the result of ``compensate`` with only this target."""
     results = read_results(run)
     state = stored_state(results, name)
     if state is None or results.compensate is None:
@@ -79,7 +79,7 @@ def _target(run: RunFile, name: str) -> Shown:
 
 
 def _stored(run: RunFile, request: ShowRequest) -> Shown:
-    """The stored result of one verb, and whether it still holds."""
+    """Return the stored result of one verb, and whether it still holds."""
     results = read_results(run)
     verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])

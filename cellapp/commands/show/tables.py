@@ -13,7 +13,7 @@ from cellapp.ground.times import second_of
 
 
 def overview_tables(state: OverviewResult) -> list[Table]:
-    """Stops of each arm, and every current stage with whether it holds."""
+    """Show the stops of each arm, and every current stage with whether it holds."""
     return [
         table_of(
             f"Run {state.run}, profile {state.profile}",
@@ -38,7 +38,7 @@ def overview_tables(state: OverviewResult) -> list[Table]:
 
 
 def overview_sentences(state: OverviewResult) -> list[str]:
-    """What was derived from the order of the readings, what is out of date, the model in force, the next command."""
+    """State what follows from the order of the readings, what is out of date, the model in force, the next command."""
     sentences = [
         *(unseen_sentence(name, arm, state.run) for name, arm in state.not_seen_at_rest.items()),
         *order_sentences(state.in_order),
@@ -53,7 +53,7 @@ def overview_sentences(state: OverviewResult) -> list[str]:
 
 
 def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
-    """What a person must know of an arm that was not seen at rest, and how it is settled."""
+    """State the danger of an arm that was not seen at rest, and how to settle it."""
     return (
         f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
         f" A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest {run} {name}'"
@@ -61,7 +61,7 @@ def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
 
 
 def history_lines(history: HistoryResult) -> list[str]:
-    """Every stored stage, oldest first, each with what it rests on."""
+    """Return every stored stage, oldest first, each with its basis."""
     lines = []
     for stage in history.stages:
         number = str(stage.number) if stage.number else "-"
@@ -72,12 +72,12 @@ def history_lines(history: HistoryResult) -> list[str]:
 
 
 def log_lines(log: LogResult) -> list[str]:
-    """The log, one line each."""
+    """Return the log, one line each."""
     return [f"{line.written}  {line.level:8} {line.text}" for line in log.lines]
 
 
 def profile_text(profile: Profile) -> str:
-    """The profile as indented JSON."""
+    """Return the profile as indented JSON."""
     return json.dumps(json.loads(profile_to_json(profile)), indent=1)
 
 

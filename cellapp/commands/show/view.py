@@ -1,4 +1,4 @@
-"""What ``show`` found, as the view of the verb that made it."""
+"""View of what ``show`` found, by the verb that made it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.commands.view.recordings import recording_tables
 
 
 def view(found: Shown, request: Request | None = None) -> View:
-    """The part, and whether it still holds."""
+    """Show the part, and whether it still holds."""
     shown = _view_of(found, request)
     old = (f"out of date: {found.out_of_date}; repeat it with '{found.made_by}'",) if found.out_of_date else ()
     if shown.failed and found.part == "plan":

@@ -1,4 +1,4 @@
-"""Keys of certificates, read from their files: Ed25519 in a PEM file that only its owner can read."""
+"""Keys of certificates: Ed25519 in a PEM file that only its owner can read."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from cellapp.ground.errors import InputError
 
 _ENCRYPTED = b"ENCRYPTED PRIVATE KEY"
 _MOST_BYTES = 100_000
-"""Key files have some hundred bytes."""
+"""Most bytes of a key file; real ones have some hundred bytes."""
 
 
 def is_encrypted(path: Path) -> bool:
-    """Whether a private key needs a passphrase. Raises ``InputError`` if the file cannot be read."""
+    """Return whether a private key needs a passphrase. Raises ``InputError`` if the file cannot be read."""
     return _ENCRYPTED in _content(path)
 
 
@@ -47,7 +47,7 @@ def load_sign_key(path: Path, passphrase: str = "") -> Ed25519PrivateKey:
 
 
 def load_public_key(given: str) -> PublicKey:
-    """A public key from its file, or from its line in base64 itself. Raises ``InputError`` if it is none."""
+    """Read a public key from its file, or parse its line in base64. Raises ``InputError`` if it is none."""
     try:
         return PublicKey.parse(given)
     except FormatError:

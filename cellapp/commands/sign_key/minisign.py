@@ -7,8 +7,8 @@ Format: https://jedisct1.github.io/minisign/, sections "Signature format" and "P
     trusted comment: <text>
     base64(Ed25519 of signature || trusted comment (64))
 
-and a public key is ``base64("Ed" || key id (8) || key (32))`` below an untrusted comment. minisign draws a key's id;
-here it follows from the public key, so that the private key alone (PEM) is enough. No I/O here.
+and a public key is ``base64("Ed" || key id (8) || key (32))`` below an untrusted comment. minisign draws a key's id at
+random; here it is derived from the public key, so that the private key (PEM) is enough. No I/O here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _UNTRUSTED, _TRUSTED = "untrusted comment: ", "trusted comment: "
 
 
 class FormatError(ValueError):
-    """A text is no key or signature of this format; the message says why."""
+    """Error: a text is no key or signature of this format; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class PublicKey:
 
     @classmethod
     def of(cls, private: Ed25519PrivateKey) -> PublicKey:
-        """The public key of a private one; its id is a hash of it."""
+        """Derive the public key of a private one; its id is a hash of the public key."""
         key = private.public_key().public_bytes_raw()
         return cls(hashlib.blake2b(key, digest_size=_ID_BYTES).digest(), key)
 
     @classmethod
     def parse(cls, text: str) -> PublicKey:
-        """Read a public key file, or its second line alone. Raises ``FormatError``."""
+        """Parse a public key file, or its second line. Raises ``FormatError``."""
         lines = [line for line in text.strip().splitlines() if not line.startswith(_UNTRUSTED)]
         if len(lines) != 1:
             raise FormatError("expected a comment and one line with the key")
@@ -67,7 +67,7 @@ class PublicKey:
         return base64.b64encode(_KEY_ALGORITHM + self.key_id + self.key).decode()
 
     def text(self) -> str:
-        """The content of a public key file."""
+        """Return the content of a public key file."""
         return f"{_UNTRUSTED}minisign public key {self.id_text}\n{self.line}\n"
 
 
@@ -82,7 +82,7 @@ class Signature:
 
     @classmethod
     def parse(cls, text: str) -> Signature:
-        """Read a signature file. Raises ``FormatError``."""
+        """Parse a signature file. Raises ``FormatError``."""
         lines = text.rstrip("\r\n").splitlines()
         if len(lines) != 4 or not lines[0].startswith(_UNTRUSTED) or not lines[2].startswith(_TRUSTED):
             raise FormatError("expected four lines: untrusted comment, signature, trusted comment, global signature")
@@ -93,11 +93,11 @@ class Signature:
 
     @property
     def id_text(self) -> str:
-        """Id of the key that signed, as minisign prints it."""
+        """Id of the signing key, as minisign prints it."""
         return id_text(self.key_id)
 
     def text(self) -> str:
-        """The content of a signature file."""
+        """Return the content of a signature file."""
         signed = base64.b64encode(_HASHED + self.key_id + self.signature).decode()
         whole = base64.b64encode(self.global_signature).decode()
         return (
@@ -106,11 +106,11 @@ class Signature:
         )
 
     def is_by(self, key: PublicKey) -> bool:
-        """Whether it states the id of ``key``."""
+        """Return whether the signature states the id of ``key``."""
         return hmac.compare_digest(self.key_id, key.key_id)
 
     def holds(self, content: bytes, key: PublicKey) -> bool:
-        """Whether ``key`` signed both the file's content and the trusted comment."""
+        """Return whether ``key`` signed both the file's content and the trusted comment."""
         public = Ed25519PublicKey.from_public_bytes(key.key)
         try:
             public.verify(self.signature, _hash(content))
@@ -121,7 +121,7 @@ class Signature:
 
 
 def sign(content: bytes, private: Ed25519PrivateKey, trusted_comment: str) -> Signature:
-    """Sign a file's content and a comment of one line. Raises ``FormatError`` if the comment has more lines."""
+    """Sign a file's content and a one-line comment. Raises ``FormatError`` if the comment has more lines."""
     if len(trusted_comment.splitlines()) > 1:
         raise FormatError("a trusted comment has one line")
     signature = private.sign(_hash(content))
@@ -130,7 +130,7 @@ def sign(content: bytes, private: Ed25519PrivateKey, trusted_comment: str) -> Si
 
 
 def id_text(key_id: bytes) -> str:
-    """An id as minisign prints it."""
+    """Return a key id as minisign prints it: hexadecimal, last byte first."""
     return key_id[::-1].hex().upper()
 
 
@@ -139,7 +139,7 @@ def _hash(content: bytes) -> bytes:
 
 
 def _split(line: str, size: int) -> tuple[bytes, bytes, bytes]:
-    """Algorithm, key id and the ``size`` bytes behind them."""
+    """Decode a line into algorithm, key id and the following ``size`` bytes."""
     raw = _decoded(line, len(_HASHED) + _ID_BYTES + size)
     return raw[:2], raw[2 : 2 + _ID_BYTES], raw[2 + _ID_BYTES :]
 

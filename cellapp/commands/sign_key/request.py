@@ -1,4 +1,4 @@
-"""What ``sign-key`` is asked for."""
+"""Request of the verb ``sign-key``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb ``sign-key``: a key pair whose private key only its owner can read."""
+"""The verb ``sign-key``: make a key pair whose private key only its owner can read."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def new_sign_key(path: Path, passphrase: str = "") -> SignKeyResult:
     Raises
     ------
     InputError
-        If one of the files exists already, or cannot be written; then neither is left behind.
+        If one of the files exists already, or cannot be written; no file is left behind then.
     """
     public_path = path.with_suffix(".pub")
     if public_path == path:
@@ -61,7 +61,7 @@ def new_sign_key(path: Path, passphrase: str = "") -> SignKeyResult:
 
 
 def _write_new(path: Path, content: bytes, mode: int) -> None:
-    """Write a file that does not exist yet, with its mode from the first moment on."""
+    """Write a new file, with its mode set from the beginning."""
     try:
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode)
     except OSError as error:

@@ -7,7 +7,7 @@ from cellapp.commands.sign_key.result import SignKeyResult
 
 
 def view(result: SignKeyResult, request: Request | None = None) -> View:
-    """Where the keys are, and what to do with each."""
+    """Show where the keys are, and what to do with each."""
     protected = "encrypted with your passphrase" if result.encrypted else "NOT encrypted: whoever reads it can sign"
     return View(
         [

@@ -1,4 +1,4 @@
-"""Touches of sockets that the other arm carries: both arms are led, and both arms' joints are recorded."""
+"""Touches of sockets that the other arm carries: both arms are led by hand, and both arms' joints are recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class FlangeHand:
-    """Two arms that are led, ``arm`` with the ball; where their touches go, and those that were recorded."""
+    """Two arms led by hand, ``arm`` with the ball; the run and the touches recorded in it."""
 
     folder: Path
     profile: Profile
@@ -41,13 +41,13 @@ class FlangeHand:
         return next(name for name in self.profile.arms if name != self.arm)
 
     def touch(self, socket: str) -> FlangeTouch:
-        """Read both arms, which rest in a socket."""
+        """Read both arms at rest in a socket."""
         with RunFile.open(self.folder) as run:
             touches = _all(run)
         return FlangeTouch(self.arm, socket, *self.read(socket, len(self._places(touches, socket))))
 
     def doubt(self, touch: FlangeTouch) -> str:
-        """Why the name of a touch is doubted, by the published arms; empty where it is not."""
+        """Say why a touch may have the wrong socket name, by the published arms; empty if it looks right."""
         with RunFile.open(self.folder) as run:
             off = float(self._off_m(run, [*_all(run), touch])[-1])
         if not off > OFF_M:
@@ -55,7 +55,7 @@ class FlangeHand:
         return f"this touch lies {off * 1e3:.0f} mm from the others of '{touch.socket}' by the published arms"
 
     def store(self, touch: FlangeTouch) -> str:
-        """Store a touch, and say how many its socket has."""
+        """Store a touch; say how many its socket has."""
         with RunFile.open(self.folder, write=True) as run:
             touches = [*_all(run), touch]
             _write(run, touches, f"arm {self.arm}: touched '{touch.socket}' on arm {self.other}")
@@ -64,7 +64,7 @@ class FlangeHand:
         return f"recorded: {counted(number, 'touch', 'touches')} of '{touch.socket}' on arm {self.other}"
 
     def undo(self) -> str:
-        """Take the last touch back. Raises ``InputError`` if there is none."""
+        """Remove the last touch. Raises ``InputError`` if there is none."""
         with RunFile.open(self.folder, write=True) as run:
             touches = _all(run)
             own = [k for k, one in enumerate(touches) if one.arm == self.arm]
@@ -76,7 +76,7 @@ class FlangeHand:
         return f"the touch of '{last.socket}' on arm {self.other} was taken back"
 
     def points(self) -> tuple[TouchedPoint, ...]:
-        """The sockets with their touches."""
+        """Return the sockets with their touches."""
         with RunFile.open(self.folder) as run:
             touches = _all(run)
             off = self._off_m(run, touches)
@@ -95,7 +95,7 @@ class FlangeHand:
         return tuple(found)
 
     def _places(self, touches: list[FlangeTouch], socket: str) -> list[int]:
-        """Places of the touches of a socket with this arm's ball."""
+        """Return the indices of the touches of a socket with this arm's ball."""
         return [k for k, one in enumerate(touches) if (one.arm, one.socket) == (self.arm, socket)]
 
     def _off_m(self, run: RunFile, touches: list[FlangeTouch]) -> Array:
@@ -103,7 +103,7 @@ class FlangeHand:
 
 
 def require_both_in_sockets(folder: Path, profile: Profile) -> None:
-    """Raise ``InputError`` unless a run holds touches of sockets that stand still by both arms."""
+    """Raise ``InputError`` unless the run has touches of fixed sockets by both arms."""
     with RunFile.open(folder) as run:
         missing = [name for name in profile.arms if name not in run.arms() or not in_sockets(run.rows(name))]
     if missing:

@@ -1,4 +1,4 @@
-"""What ``touch`` is asked for."""
+"""Request of the verb ``touch``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from cellapp.commands.fields import ProfilePath
 from cellapp.commands.record import Asked, Request, Verb
 
 WORDS = ("undo", "end")
-"""What is typed in place of a socket's name."""
+"""Words typed instead of a socket's name."""
 LONGEST = 60
-"""Characters of a socket's name."""
+"""Most characters of a socket's name."""
 
 
 class TouchRequest(Request):
@@ -70,7 +70,7 @@ class TouchRequest(Request):
 
 
 def socket_name(text: str) -> str:
-    """A checked name of a socket. Raises ``ValueError`` with what is wrong."""
+    """Check a socket's name. Raises ``ValueError`` with what is wrong."""
     name = text.strip()
     if not name:
         raise ValueError("the name of the socket is empty; expected a name as front_0")

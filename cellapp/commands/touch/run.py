@@ -1,4 +1,4 @@
-"""The verb ``touch``: record an arm that a person leads by hand with a ball in sockets. Nothing is moved."""
+"""The verb ``touch``: record an arm that a person leads by hand with a ball into sockets. It moves nothing."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 
 FAR_MM = 20.0
-"""A touch that lies farther from the others of its socket is doubted: a published arm places a ball better."""
+"""Distance from the other touches of a socket from which a touch is doubted: a published arm is more accurate."""
 _NEARER = 0.5
-"""Another socket is named where the touch lies at it within this share of that distance."""
+"""Another socket is proposed if the touch is nearer to it than this share of that distance."""
 _SAME_RAD = 0.02
-"""Touches among which no joint turned farther than this are one posture [rad]."""
+"""Touches between which no joint turned by more than this share one posture [rad]."""
 _ASKED = "socket, 'undo' or 'end'"
 _T = TypeVar("_T")
 
 
 def run(request: TouchRequest, work: Work) -> TouchResult:
-    """Record touches: one, or what is typed line by line."""
+    """Record touches: one, or those typed line by line."""
     profile = load_profile(request.profile)
     arm = _arm_of(profile, request.arm)
-    touches_before(request.folder, profile, arm)  # what does not fit is said before anything is read
+    touches_before(request.folder, profile, arm)  # report errors before reading the arm
     notes: list[str] = []
     if request.on_flange:
         return _on_flange(request, profile, arm, work)
@@ -65,7 +65,7 @@ def _on_flange(request: TouchRequest, profile: Profile, arm: str, work: Work) ->
 
 
 class _Recorder(Protocol[_T]):
-    """Reads, doubts and stores touches of one kind."""
+    """Reads, doubts, stores and removes touches of one kind."""
 
     @property
     def recorded(self) -> list[RecordedTouch]: ...
@@ -81,7 +81,7 @@ class _Recorder(Protocol[_T]):
 
 @dataclass(frozen=True, eq=False)
 class _Hand:
-    """An arm that is led, where its touches go, and those that were recorded."""
+    """An arm led by hand, the run, and the touches recorded in it."""
 
     folder: Path
     profile: Profile
@@ -90,12 +90,12 @@ class _Hand:
     recorded: list[RecordedTouch] = field(default_factory=list)
 
     def touch(self, point: str) -> Reading:
-        """Read the arm, which rests in a socket."""
+        """Read the arm at rest in a socket."""
         before = touches_before(self.folder, self.profile, self.arm)
         return self.read(point, 0 if before is None else (before.point or ()).count(point))
 
     def doubt(self, touch: Reading) -> str:
-        """Why the name of a touch is doubted, by the published arm; empty where it is not."""
+        """Say why a touch may have the wrong socket name, by the published arm; empty if it looks right."""
         before = touches_before(self.folder, self.profile, self.arm)
         if before is None:
             return ""
@@ -110,7 +110,7 @@ class _Hand:
         return f"this touch lies {off_mm:.0f} mm from the others of '{touch.point}' by the published arm{other}"
 
     def store(self, touch: Reading) -> str:
-        """Store a touch, and say how it agrees with the others of its socket."""
+        """Store a touch; say how it agrees with the others of its socket."""
         number = store_touch(self.folder, self.profile, self.arm, touch)
         point = str(touch.point)
         self.recorded.append(RecordedTouch(configuration=number, point=point))
@@ -121,19 +121,19 @@ class _Hand:
         return f"recorded: {counted(len(found.rows), 'touch', 'touches')} of '{point}'{worst}{same}"
 
     def undo(self) -> str:
-        """Take the last touch back."""
+        """Remove the last touch."""
         said = _undone(self.folder, self.profile, self.arm)
         del self.recorded[-1:]
         return said
 
 
 def _recorded(hand: _Recorder[_T], request: TouchRequest, work: Work) -> str:
-    """Record one touch or what is typed; why not, if it was refused."""
+    """Record one touch or the typed ones; return the reason if it was refused."""
     return _once(hand, request) if request.point is not None else _by_lines(hand, work)
 
 
 def _once(hand: _Recorder[_T], request: TouchRequest) -> str:
-    """Record one touch; why not, if it was refused."""
+    """Record one touch; return the reason if it was refused."""
     try:
         touch = hand.touch(str(request.point))
     except Moving as error:
@@ -146,9 +146,9 @@ def _once(hand: _Recorder[_T], request: TouchRequest) -> str:
 
 
 def _by_lines(hand: _Recorder[_T], work: Work) -> str:
-    """Record what is typed; why nothing was recorded, if something was refused and nothing recorded.
+    """Record typed touches; return a reason if one was refused and none recorded.
 
-    Raises ``HardwareError`` if that was a device.
+    Raises ``HardwareError`` if that was caused by a device.
     """
     last = ""
     failure: Exception | None = None

@@ -9,14 +9,14 @@ from cellapp.ground.counting import counted
 
 
 def view(result: TouchResult, request: Request | None = None) -> View:
-    """The touches of each socket, and what was noticed."""
+    """Show the touches of each socket, and notes."""
     words = f"{counted(len(result.recorded), 'touch', 'touches')} recorded" if result.recorded else ""
     sentences = tuple(filter(None, (words, *result.notes)))
     return View((*([touches_table(result)] if result.points else []), *sentences), refused=result.refused, held=words)
 
 
 def touches_table(result: TouchResult) -> Table:
-    """A row for each socket: number of touches, how well they agree, how far the joints were turned."""
+    """Build a row for each socket: number of touches, their agreement, and the range of the joints."""
     columns = (
         Column("socket"),
         number_column("touches", "d"),

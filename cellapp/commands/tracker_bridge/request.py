@@ -1,4 +1,4 @@
-"""What ``tracker-bridge`` is asked for."""
+"""Request of the verb ``tracker-bridge``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb: serve the tracker that a profile names to a cell PC, over TCP or a serial port."""
+"""The verb ``tracker-bridge``: serve a profile's tracker to a cell PC, over TCP or a serial port."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from drivers.trackers.registry import TRACKERS
 
 DEFAULT_PORT = LOOPBACK_PORT
 _STEP_S = 0.2
-"""Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
+"""Longest time until a cancel, such as Ctrl-C, is noticed."""
 
 
 def run(request: TrackerBridgeRequest, work: Work) -> TrackerBridgeResult:
-    """Serve the tracker until the work is stopped; where it is served is announced when it is."""
+    """Serve the tracker until the work is stopped; announce the address when it listens."""
     served: list[TrackerBridgeResult] = []
 
     def announce(result: TrackerBridgeResult) -> None:
@@ -58,24 +58,24 @@ def serve_tracker(
     token_file: Path | None = None,
     token_env: str | None = None,
 ) -> None:
-    """Serve the profile's tracker until ``cancel``; all ports are free again when this returns.
+    """Serve the profile's tracker until ``cancel``; all ports are free on return.
 
-    ``announce`` is called once, when the service listens. The tracker is connected when a client first needs it.
+    ``announce`` is called once, when the service listens. The tracker connects when a client first needs it.
 
     Parameters
     ----------
     host, port
-        Where to listen: this machine alone by default; any other ``host`` needs a token. Port 0 takes a free one, None
+        Where to listen: by default only this machine; any other ``host`` needs a token. Port 0 takes a free one, None
         does not listen.
     serial, baud
-        A serial port to serve as well, by any name or URL that pyserial accepts.
+        Also serve on a serial port, by any name or URL that pyserial accepts.
     token_file, token_env
         Source of the shared token: a file that no other user may read, or an environment variable.
 
     Raises
     ------
     InputError
-        If the profile names no tracker that can be served, or the token is missing where one is needed.
+        If the profile has no tracker that can be served, or a needed token is missing.
     HardwareError
         If the address is in use or not available.
     """

@@ -7,7 +7,7 @@ from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 
 
 def view(result: TrackerBridgeResult, request: Request | None = None) -> View:
-    """Where the tracker is served, for the person who started it."""
+    """Show where the tracker is served."""
     places = [f"{result.host} port {result.port}"] if result.port is not None else []
     places += [result.serial] if result.serial is not None else []
     guard = "with a token" if result.guarded else "without a token, for this machine alone"

@@ -1,4 +1,4 @@
-"""Readings of the simulated cell for blind trials: random order, and varied factors that distinguish effects."""
+"""Simulated readings for blind trials: random order, and factors varied so that effects can be told apart."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from drivers.plant import Plant
 from drivers.plant.conditions import Conditions
 
 _DWELLS_S = (1.0, 8.0)
-"""Range of the rest before a measurement, drawn log-uniformly."""
+"""Range of the rest before a measurement [s], drawn log-uniformly."""
 _HEAVY_SHARE = 0.8
 """Heavy payload as a share of the rated one."""
 _RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
 """Rated payloads, from the makers' data sheets."""
 _JOINT_RISE_K = (6.0, 16.0)
-"""Range of the joints' final temperature above the air."""
+"""Range of the joints' final temperature above the air [K]."""
 _WARM_UP_S = 3000.0
-"""Time constant of a joint's warming."""
+"""Time constant of a joint's warming [s]."""
 _AIR_PERIODS_S = (4.0e3, 1.5e4, 4.0e4)
-"""Periods of the air temperature: ventilation, sun, day."""
+"""Periods of the air temperature [s]: ventilation, sun, day."""
 _AIR_AMPLITUDE_K = 1.5
 
 
@@ -49,7 +49,7 @@ class Noise:
 
 
 def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
-    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by ``seed``."""
+    """Return the profile with other hidden effects (arm -> effect -> parameters) and a true cell drawn by ``seed``."""
     assert profile.plant is not None
     plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
     settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
@@ -58,10 +58,10 @@ def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str
 
 @dataclass(frozen=True)
 class Session:
-    """How a run is measured: by default in five hours, as 400 stops of the real cell take.
+    """How a run is measured; by default in five hours, the time of 400 stops of the real cell.
 
-    ``payload_blocks`` is the number of its parts with the profile's and with the heavy payload in turn: the payload is
-    changed by hand, so it changes seldom.
+    ``payload_blocks`` is the number of parts, in turn with the profile's and the heavy payload. The payload is changed
+    by hand, so it changes seldom.
     """
 
     duration_s: float = 18000.0
@@ -70,19 +70,19 @@ class Session:
 
 USUAL_SESSION = Session()
 SHORT_SESSION = Session(1800.0, 1)
-"""Half an hour with one payload, as recordings of motion and stops beside them take."""
+"""Half an hour with one payload: the time of recordings of motion with stops beside them."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Visits:
-    """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad]."""
+    """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad] each."""
 
     q: Mapping[str, Array]
     step: Mapping[str, Array]
 
 
 def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]) -> _Visits:
-    """Visits of a designed plan as planned; of other stops in the given order, straight from stop to stop."""
+    """Return the visits of a designed plan as planned; of other stops in ``order``, straight from stop to stop."""
     homes = home_positions(profile)
     q = dict(plan.q) if isinstance(plan, PlannedStops) else {name: rows[order] for name, rows in plan.items()}
     step = {name: np.diff(np.vstack([homes[name], rows]), axis=0) for name, rows in q.items()}
@@ -101,11 +101,11 @@ def blind_readings(
     noise: Noise | None = None,
     session: Session = USUAL_SESSION,
 ) -> dict[str, Readings]:
-    """Readings of all arms at the stops of ``plan``.
+    """Simulate the readings of all arms at the stops of ``plan``.
 
-    Stops without a plan of their own (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from
-    stop to stop; a designed plan in its order and with its approaches. The rest before a measurement varies from 1 to
-    8 s, the payload alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
+    Plain stops (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from stop to stop; a designed
+    plan in its own order and with its approaches. The rest before a measurement varies from 1 to 8 s, the payload
+    alternates in blocks between the profile's and 80 % of the rated one, and joints warm up.
     """
     noise = noise or Noise()
     rng = np.random.default_rng([seed, 0xB11D])
@@ -159,7 +159,7 @@ def blind_readings(
 def _measured_orientation(
     profile: Profile, plant: Plant, name: str, q: Array, conditions: Conditions, seed: Sequence[int]
 ) -> dict[str, Any]:
-    """Measured orientations of a 6-D probe, and their uncertainty; nothing for an arm without one."""
+    """Simulate the orientations of a 6-D probe and their uncertainty; empty for an arm without one."""
     probe = profile.arms[name].smr.probe
     if probe is None:
         return {}
@@ -173,7 +173,7 @@ def _measured_orientation(
 def _drawn_conditions(
     profile: Profile, n: int, duration_s: float, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
+    """Draw times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
     time_s = np.sort(rng.uniform(0.0, duration_s, n))
     dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
     phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
@@ -183,7 +183,7 @@ def _drawn_conditions(
 
 
 def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
-    """Payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
+    """Return the payloads (n,) [kg] of every arm: alternating blocks of the profile's and the heavy one."""
     heavy = (np.arange(n) * blocks // n) % 2 == 1
     return {
         name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
@@ -191,7 +191,7 @@ def _loads_kg(profile: Profile, n: int, blocks: int) -> dict[str, Array]:
 
 
 def _heavy_tailed(exact: Array, covariance: Array, draw: np.random.Generator) -> Array:
-    """Points (n, 3) [m] with noise of the stated covariance (n, 3, 3) [m^2] drawn from Student's t."""
+    """Add noise of the given covariance (n, 3, 3) [m^2], drawn from Student's t, to points (n, 3) [m]."""
     t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
     return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
 

@@ -1,6 +1,6 @@
-"""Sealed trials under many conditions: every cell of a matrix of conditions and kinds is sealed and judged in turn.
+"""Sealed trials under many conditions: each cell of a matrix of conditions and kinds is sealed and judged in turn.
 
-A matrix is a folder with one folder of sealed trials for each cell, so that it continues where it was stopped.
+A matrix is a folder with one folder of sealed trials for each cell, so that it can be resumed.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ CONDITIONS: Mapping[str, Setup] = {
     "narrow-150-unstated": Setup(laws="other", ranges="narrow", stops=150, stated=False),
     "masses-10": Setup(laws="other", mass_error=0.1),
 }
-"""Conditions by name. ``same`` has laws of the library's shape; from ``other`` on each has one or two changes more."""
+"""Conditions by name. ``same`` has laws of the library's shape; each from ``other`` on changes one or two things."""
 
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """One cell: its name, and conditions and kind of its trials."""
+    """One cell: its name, and the conditions and kind of its trials."""
 
     name: str
     setup: Setup
@@ -77,7 +77,7 @@ class MatrixResult(Result, schema="cellapp-trials-blind-matrix"):
 
 
 def matrix_cells(pattern: str = "*") -> tuple[MatrixCell, ...]:
-    """All cells whose name (``conditions.kind``) matches a shell pattern. Raises ``InputError`` if there is none."""
+    """Return the cells whose name (``conditions.kind``) matches a shell pattern. Raises ``InputError`` if none does."""
     every = [
         MatrixCell(f"{name}.{kind}", setup.model_copy(update={"kind": kind}))
         for name, setup in CONDITIONS.items()
@@ -99,9 +99,9 @@ def blind_matrix(
     *,
     seed: int | None = None,
 ) -> MatrixResult:
-    """Seal ``n`` runs for each cell that has none yet, judge all that were not judged yet, and score them together.
+    """Seal ``n`` runs in each cell without any, judge all runs not judged yet, and score them together.
 
-    Without ``seed`` each cell draws its own, which only its truth states.
+    Without ``seed`` each cell draws its own; only its truth file states it.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def blind_matrix(
         here = folder / cell.name
         _seal(profile, here, n, cell.setup, None if seed is None else seed + place, work.cancel)
         results[cell.name] = judge_trials(here, Work(work.resources, cancel=work.cancel))
-        sealed = results[cell.name].sealed  # only the opened truth states the conditions
+        sealed = results[cell.name].sealed  # only the opened truth states its conditions
         if (sealed.profile, sealed.setup) != (profile.name, cell.setup):
             raise InputError(f"{here} was sealed from another profile or under other conditions; give another --out")
     work.listener(Progress("matrix", len(cells), len(cells), "done"))
@@ -127,7 +127,7 @@ def blind_matrix(
 
 
 def _seal(profile: Profile, folder: Path, n: int, setup: Setup, seed: int | None, cancel: CancelToken) -> None:
-    """Seal the runs of a cell, unless as many are there."""
+    """Seal the runs of a cell, unless it has them."""
     if not (folder / TRUTH_FILE).is_file():
         seal_trials(profile, folder, n, setup, seed=seed, cancel=cancel)
         return
@@ -137,7 +137,7 @@ def _seal(profile: Profile, folder: Path, n: int, setup: Setup, seed: int | None
 
 
 def _together(results: Mapping[str, JudgeResult]) -> MatrixResult:
-    """Scores over all cells and of each."""
+    """Return the scores over all cells and of each cell."""
     runs: list[ScoredRun] = [run for result in results.values() for run in result.trials]
     whole = scores(runs)
     last = list(results.values())[-1]

@@ -1,4 +1,4 @@
-"""Changes of a simulated cell between its calibration and a check, made in the plant alone."""
+"""Changes of a simulated cell between calibration and check, made in the plant only."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from drivers.plant import Plant
 from drivers.plant.changes import lengthened, link_moved, zero_shifted
 
 _LINK_TWISTS = {"a": 0, "alpha": 3, "beta": 4}
-"""Component of the twist in a link's D-H frame by parameter."""
+"""Component of the twist in a link's D-H frame, by parameter."""
 _RADIUS_M = 0.025
-"""Of an encoder's disc."""
+"""Radius of an encoder's disc."""
 _MOST = {"joint_compliance": 5e-5, "backlash": 1e-3, "encoder_eccentricity": 5e-4}
 """Largest plausible change: compliance [rad/Nm], full play [rad], amplitude [rad]."""
 Moved = Callable[[Plant], Array]
-"""Positions of the SMRs of all arms at the stops, one after the other (m, 3) [m]."""
+"""Plant -> positions of the SMRs of all arms at the stops, arm after arm, (m, 3) [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlantChange:
-    """A change: the group it belongs to, what it is called by the check, and the plant that has it.
+    """A change: its group, its name in the check, and the plant that has it.
 
-    ``motion`` (4, 4) is that of the tracker's readings or of a base in the tracker frame, where one moved.
+    ``motion`` (4, 4) is the motion of the tracker's readings, or of a base in the tracker frame, if one moved.
     """
 
     group: Group
@@ -45,7 +45,7 @@ class PlantChange:
 
 
 def parameter_plant(profile: Profile, arm: str, name: str, change: float) -> Plant:
-    """The cell after one D-H parameter of an arm changed, by [m] or [rad]."""
+    """Build the cell with one D-H parameter of an arm changed, by [m] or [rad]."""
     plant = build_plant(profile)
     word = name.rstrip("0123456789")
     joint = int(name.removeprefix(word)) - 1
@@ -61,7 +61,7 @@ def parameter_plant(profile: Profile, arm: str, name: str, change: float) -> Pla
 
 
 def remounted_smr(profile: Profile, arm: str, shift_F: Array) -> Profile:
-    """The profile whose SMR was mounted elsewhere on the flange, by (3,) [m]."""
+    """Return the profile with the SMR shifted on the flange, by (3,) [m]."""
     smr = profile.arms[arm].smr
     assert not isinstance(smr.offset, str)
     offset = tuple((np.array(smr.offset) + shift_F).tolist())
@@ -70,7 +70,7 @@ def remounted_smr(profile: Profile, arm: str, shift_F: Array) -> Profile:
 
 
 def moved_base(profile: Profile, arm: str, motion_C: Array) -> Profile:
-    """The profile whose arm stands elsewhere, by a motion (4, 4) in the cell's frame."""
+    """Return the profile with an arm's base moved, by a motion (4, 4) in the cell's frame."""
     base = profile.arms[arm].base
     assert base is not None
     changed = profile.arms[arm].model_copy(update={"base": _pose_after(base, motion_C)})
@@ -78,7 +78,7 @@ def moved_base(profile: Profile, arm: str, motion_C: Array) -> Profile:
 
 
 def moved_tracker(profile: Profile, motion_C: Array) -> Profile:
-    """The profile whose tracker stands elsewhere, by a motion (4, 4) in the cell's frame."""
+    """Return the profile with the tracker moved, by a motion (4, 4) in the cell's frame."""
     assert profile.plant is not None
     assert profile.tracker.pose is not None
     pose = _pose_after(profile.plant.tracker_pose or profile.tracker.pose, motion_C)
@@ -86,14 +86,15 @@ def moved_tracker(profile: Profile, motion_C: Array) -> Profile:
 
 
 def small_motion(rng: np.random.Generator, size: float, about: Array) -> Array:
-    """A motion (4, 4) by ``size`` [m] in a random direction, and by as many rad about a random axis through a point."""
+    """Draw a motion (4, 4): ``size`` [m] in a random direction, ``size`` [rad] about a random axis through
+    ``about``."""
     shift, turn = rng.standard_normal((2, 3))
     rotation = rotation_from_vector(size * turn / np.linalg.norm(turn))
     return transform(rotation, about - rotation @ about + size * shift / np.linalg.norm(shift))
 
 
 def rigid_changes(profile: Profile, sizes: tuple[float, ...], rng: np.random.Generator) -> Iterator[PlantChange]:
-    """Tracker, every base and every SMR moved by each of the sizes [m, rad]."""
+    """Yield the cell with the tracker, each base and each SMR moved by each of the sizes [m, rad]."""
     plant = build_plant(profile)
     first = next(iter(profile.arms))
     T_M_C = plant.true_T_M_B(first) @ invert(plant.true_T_C_B(first))
@@ -114,9 +115,10 @@ def rigid_changes(profile: Profile, sizes: tuple[float, ...], rng: np.random.Gen
 
 
 def effect_changes(profile: Profile, moved_m: float, at_stops: Moved) -> Iterator[PlantChange]:
-    """Stiffness, play and eccentricity of every joint, changed so that the SMR moves by ``moved_m`` rms at the stops.
+    """Yield stiffness, play and eccentricity of every joint, changed so that the SMR moves by ``moved_m`` rms at the
+    stops.
 
-    Left out is what no plausible change moves so far.
+    Left out are joints that no plausible change moves so far.
     """
     before = at_stops(build_plant(profile))
     count = len(before) / len(profile.arms)
@@ -133,7 +135,7 @@ def effect_changes(profile: Profile, moved_m: float, at_stops: Moved) -> Iterato
 
 
 def with_effect(profile: Profile, arm: str, effect: str, joint: int, size: float) -> Profile:
-    """The profile with more compliance [rad/Nm], play [rad] or eccentricity [rad] of one joint (from 0)."""
+    """Return the profile with more compliance [rad/Nm], play [rad] or eccentricity [rad] of one joint (from 0)."""
     assert profile.plant is not None
     count = len(profile.arms[arm].type.joints)
     hidden: dict[str, dict[str, Any]] = {name: dict(own) for name, own in profile.plant.effects.get(arm, {}).items()}
@@ -166,7 +168,7 @@ def _more_eccentric(own: Mapping[str, Any] | None, joint: int, size: float) -> d
 
 
 def _pose_after(pose: Pose, motion: Array) -> Pose:
-    """A pose of the profile after a motion in the frame it is given in."""
+    """Return a pose of the profile after a motion in its own frame of reference."""
     T = motion @ pose_matrix(pose)
     rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
     return pose.model_copy(update={"position": tuple(T[:3, 3].tolist()), "rpy": tuple(rpy)})

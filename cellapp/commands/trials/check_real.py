@@ -1,8 +1,8 @@
-"""How often the check finds a change of real robots while there is none: on rows that their calibration did not see.
+"""False alarms of the check on real robots: rows that their calibration did not see.
 
-Rows of a series are drawn: some to calibrate from, a quarter of them held out as a calibration does it, the others for
-checks. The choice is random, so that the robot's drift over the series is in both. Each check chooses its stops among
-some of the other rows. What is not white in the errors of a real arm would show as a change.
+Rows of a series are drawn: some for the calibration, a quarter of them held out as usual, the others for checks. The
+draw is random, so that the robot's drift over the series is in both. Each check chooses its stops among some of the
+other rows. Correlated errors of a real arm would appear as a change.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from cellapp.ground.scale.task import TaskKind
 from cellapp.robot.model import CellModel
 
 _AMONG = 4
-"""Rows among which a check chooses each of its stops: the choice takes the more extreme ones."""
+"""Candidate rows per stop of a check: the choice prefers the more extreme ones."""
 _HELD_OUT_EVERY = 4
 
 
@@ -57,7 +57,7 @@ def real_check_trials(
     planned: int,
     checks: int,
 ) -> CheckTrialResult:
-    """Checks of measured series, in which nothing changed but what drifts. Raises as ``Work.gather`` does."""
+    """Run checks on measured series, in which nothing changed but by drift. Raises as ``Work.gather`` does."""
     tasks = [
         RealCheckTask(series=name, seed=seed, rows=rows, planned=planned, checks=checks)
         for name in texts.series
@@ -76,7 +76,7 @@ def real_check_trials(
 
 
 def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChecks:
-    """All checks of one draw of rows."""
+    """Run all checks on one draw of rows."""
     entrant = entrants[task.series]
     readings = entrant.readings
     rng = np.random.default_rng([task.seed, 0xC4EC])

@@ -1,4 +1,4 @@
-"""Results of ``trials check``: single checks, shares with their intervals, and the bars."""
+"""Results of ``trials check``: single checks, shares with their intervals, and bars."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.ground.results import Record, Result
 
 MOST_FALSE = 0.01
 LEAST_FOUND = 0.95
-"""Bars: share of false alarms at most, and of visible changes that are detected at least."""
+"""Bars: largest share of false alarms, and least share of visible changes that are detected."""
 Group = Literal["unchanged", "parameter", "effect", "tracker", "base", "smr"]
 
 
@@ -47,7 +47,7 @@ class CheckedChange(Record):
 
 
 def exact_interval(k: int, n: int) -> tuple[float, float]:
-    """95 % interval of a probability of which k of n cases are hits (Clopper, Pearson, Biometrika 26 (1934) 404)."""
+    """Compute the 95 % interval of a probability, k of n cases hit (Clopper, Pearson, Biometrika 26 (1934) 404)."""
     low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
     return low, float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
 
@@ -62,7 +62,7 @@ class Share(Record):
 
     @classmethod
     def of(cls, facts: Sequence[bool]) -> Share:
-        """Of how many facts are true."""
+        """Count the true facts."""
         n, k = len(facts), sum(facts)
         low, high = exact_interval(k, n)
         return cls(n=n, count=k, low=low, high=high)
@@ -86,19 +86,19 @@ class CheckTrialResult(Result, schema="cellapp-trials-check"):
     """Cells that could not be checked, and why."""
 
     def some(self, group: Group, *, visible: bool | None = None) -> list[CheckedChange]:
-        """The checks of a group."""
+        """Return the checks of a group."""
         return [one for one in self.checks if one.group == group and visible in (None, one.visible)]
 
     def false_alarms(self) -> Share:
-        """Share of the unchanged cells in which a change was found."""
+        """Return the share of the unchanged cells in which a change was found."""
         return share(self.some("unchanged"), lambda one: one.alarm)
 
     def found(self) -> Share:
-        """Share of the visible changes of parameters that were detected."""
+        """Return the share of the visible changes of parameters that were detected."""
         return share(self.some("parameter", visible=True), lambda one: one.alarm)
 
     def complaints(self) -> list[str]:
-        """What failed and bars that are missed, in words."""
+        """Say what failed and bars that are missed, in words."""
         said, false, found = list(self.failed), self.false_alarms(), self.found()
         if false.n and false.value > MOST_FALSE:
             said.append(f"false alarms in {false.value:.2%} of {counted(false.n, 'check')}, at most {MOST_FALSE:.0%}")
@@ -108,5 +108,5 @@ class CheckTrialResult(Result, schema="cellapp-trials-check"):
 
 
 def share(checks: Sequence[CheckedChange], fact: Callable[[CheckedChange], bool]) -> Share:
-    """Share of the checks of which a fact is true."""
+    """Return the share of checks for which a fact is true."""
     return Share.of([fact(one) for one in checks])

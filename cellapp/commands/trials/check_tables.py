@@ -20,18 +20,18 @@ _TITLES: dict[Group, str] = {
     "smr": "SMR",
 }
 _MOST_LINES = 15
-"""Parameters with the fewest detections that are shown."""
+"""Most parameters shown, those with the fewest detections."""
 
 
 def check_trial_tables(result: CheckTrialResult) -> list[Table]:
-    """Shares by what was changed, statistics compared, and the changes that are hardest to find."""
+    """Show shares by kind of change, the compared statistics, and the changes that are hardest to find."""
     if not result.some("parameter"):
         return [_groups(result)]
     return [_groups(result), _statistics(result), _hardest(result)]
 
 
 def check_trial_sentences(result: CheckTrialResult) -> list[str]:
-    """How the tables came about, and which bars are missed."""
+    """State the conditions of the tables, and the bars that are missed."""
     false, found = result.false_alarms(), result.found()
     alarms = f"False alarms: {false.value:.2%} of {false.n} [{false.low:.2%}, {false.high:.2%}], at most 1 %."
     if not found.n:
@@ -73,7 +73,7 @@ def _groups(result: CheckTrialResult) -> Table:
 
 @dataclass(frozen=True)
 class _Checks:
-    """A line of a table: some checks under a title."""
+    """One row of a table: checks under a title."""
 
     title: str
     some: Sequence[CheckedChange]
@@ -95,7 +95,7 @@ class _Checks:
         return max((one.solved_mm for one in self.some if one.solved_mm is not None), default=None)
 
     def of_changes(self, fact: Callable[[CheckedChange], bool]) -> float | None:
-        """Share of which a fact is true; None where nothing was changed."""
+        """Return the share of checks for which a fact is true; None if nothing was changed."""
         return share(self.some, fact).value if self.some[0].group != "unchanged" else None
 
 
@@ -107,7 +107,7 @@ _STATISTICS: Mapping[str, Callable[[CheckedChange], bool]] = {
 
 
 def _statistics(result: CheckTrialResult) -> Table:
-    """The sequential test beside tests after all planned stops, each at 1 % false alarms."""
+    """Show the sequential test beside tests after all stops, each at 1 % false alarms."""
 
     def of(heading: str, group: Group, visible: bool | None, number_format: str) -> Field:
         some = result.some(group, visible=visible)
@@ -125,7 +125,7 @@ def _statistics(result: CheckTrialResult) -> Table:
 
 
 def _hardest(result: CheckTrialResult) -> Table:
-    """Visible changes that were detected or listed least."""
+    """Show the visible changes that were detected or listed least often."""
     visible = (*result.some("parameter", visible=True), *result.some("effect", visible=True))
     lines = [_Checks(what, some) for what, some in grouped((one.what, one) for one in visible).items()]
     lines.sort(key=lambda its: (its.found.value, its.of_changes(lambda one: one.listed) or 0.0, its.moved_mm))

@@ -1,8 +1,8 @@
-"""How often the ten-minute check finds and names changes of simulated cells, and how often it finds one where none is.
+"""How often the ten-minute check finds and names changes of simulated cells, and how often it gives a false alarm.
 
-A cell is drawn and calibrated from many stops. Then its plant is changed, not the model: every visible parameter of the
-geometry by 0.05 mm or 50 µrad, one at a time; stiffness, play and eccentricity of joints by what moves the SMR by 0.05
-mm; tracker, bases and SMRs by 0.1 to 10 mm. Each check measures the chosen stops with noise of its own.
+A cell is drawn and calibrated from many stops. Then the plant is changed, not the model: each visible parameter of
+the geometry by 0.05 mm or 50 µrad, one at a time; stiffness, play and eccentricity of joints so that the SMR moves by
+0.05 mm; tracker, bases and SMRs by 0.1 to 10 mm. Each check measures the chosen stops with its own noise.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from drivers.plant import Plant
 _RIGID_M = (1e-4, 1e-3, 1e-2)
 """Motions of tracker, bases and SMRs [m, rad]."""
 _CHANGE_SEED = 0xC4A6
-"""Beside the seed of a cell: the draw of changes is then independent of all other draws."""
+"""Added to the seed of a cell, so that the draw of changes is independent of all other draws."""
 _NOISE_SEED = 10_000
-"""Is multiplied with the seed of a cell: no two checks have the same noise."""
+"""Factor on the seed of a cell, so that no two checks have the same noise."""
 _PLANS, _NEXT_PLAN = 4, 100_000
-"""Plans that are tried, and what is added to the seed of each: one in some hundred seeds ends where no way leads on."""
+"""Most plans that are tried, and the step of the seed between them: one seed in some hundred finds no path."""
 
 
 class CheckPlan(Record):
@@ -78,7 +78,7 @@ def check_trials(
     seeds: Sequence[int],
     work: Work = IN_PLACE,
 ) -> CheckTrialResult:
-    """Checks of simulated cells, one for each seed.
+    """Check simulated cells, one for each seed.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def check_trials(
 
 
 def checked_cell(plan: CheckPlan, drawn: Seed) -> CheckedCell:
-    """All checks of one cell."""
+    """Calibrate one cell and check it after each change."""
     seed = drawn.seed
     profile = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = _calibration_readings(profile, plan.earlier, seed)
@@ -124,7 +124,7 @@ CELLS = TaskKind("cellapp.commands.trials.check_trial:CELLS", CheckPlan, Seed, C
 
 
 def _calibration_readings(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Readings at a plan of the cell's own; a seed from which the planner finds too few stops gives way to another."""
+    """Simulate readings at a plan of the cell's own; try another seed if the planner finds too few stops."""
     for number in range(_PLANS - 1):
         with contextlib.suppress(InputError):
             return measured_stops(profile, stops, seed + _NEXT_PLAN * number)
@@ -148,7 +148,7 @@ class _Trial:
 
     @cached_property
     def last(self) -> MinPValueTest:
-        """The test after all stops: it depends on the stops and not on what is measured there."""
+        """The test after all stops; it depends on the stops only, not on their measurements."""
         readings = self._readings(build_plant(self.profile), 0)
         stops = stop_rows(self.belief, readings, self.design.directions)
         return MinPValueTest.of(Moments.of(stops), self.design.alternatives)
@@ -158,7 +158,7 @@ class _Trial:
         return self.design.belief
 
     def changes(self, unchanged: int) -> Iterator[PlantChange]:
-        """The cell as it was, several times, then changed in one way after another."""
+        """Yield the unchanged cell, several times, then the cell with each change."""
         before = build_plant(self.profile)
         for _ in range(unchanged):
             yield PlantChange("unchanged", "", "", before)
@@ -174,12 +174,12 @@ class _Trial:
         yield from rigid_changes(self.profile, _RIGID_M, rng)
 
     def points(self, plant: Plant) -> Array:
-        """Positions of all SMRs at the stops, arm by arm (m, 3) [m], without noise."""
+        """Compute the positions (m, 3) [m] of all SMRs at the stops, arm by arm, without noise."""
         exact = measured_by(plant, self.homes, self.q, 0, noise=False)
         return np.concatenate([its.p_M for its in exact.values()])
 
     def check(self, number: int, change: PlantChange) -> CheckedChange:
-        """One check of a changed plant."""
+        """Check a changed plant once."""
         readings = self._readings(change.plant, number)
         stops = stop_rows(self.belief, readings, self.design.directions)
         some, state = decided_prefix(self.design, stops)
@@ -215,7 +215,7 @@ class _Trial:
         return measured_by(plant, self.homes, self.q, _NOISE_SEED * (self.seed + 1) + number)
 
     def _words(self, change: PlantChange) -> tuple[str, bool]:
-        """What the check calls a change, and whether it is a visible one."""
+        """Return the name of a change in the check, and whether it is visible."""
         if change.group == "unchanged":
             return "", False
         if change.group in ("parameter", "effect"):
@@ -227,7 +227,7 @@ class _Trial:
 
 
 def words_of(change: PlantChange) -> str:
-    """A change of a parameter or an effect in the words of the check."""
+    """Return the name of a change of a parameter or effect in the check."""
     if change.group == "parameter":
         return parameter_words(change.what)
     slug, joint = change.what.split()
@@ -235,7 +235,7 @@ def words_of(change: PlantChange) -> str:
 
 
 def _solved_mm(design: Design, change: PlantChange, cause: Cause, stops: StopRows) -> float | None:
-    """Largest error [mm] of a solved motion at the points of the stops that it moves."""
+    """Return the largest error [mm] of a solved motion at the points that it moves; None without a motion."""
     if change.motion is None or cause.motion is None:
         return None
     names = list(design.belief.arms)

@@ -1,7 +1,7 @@
 """Independent check of planned motions: finely sampled, with the collision library Coal, which the gate does not use.
 
-Poses of links come from the D-H table of the profile by plain products of matrices, shapes and meshes go to Coal as the
-profile gives them: nothing is shared with the gate but the profile.
+Link poses are plain matrix products of the profile's D-H table; shapes and meshes go to Coal as the profile gives
+them. Nothing is shared with the gate but the profile.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 from cellapp.robot.model.nominal import pose_matrix
 
 _TOUCHING_FRAMES = 2
-"""Bodies of one arm whose frames differ by at most this share a housing."""
+"""Two bodies of one arm whose frames differ by at most this number share a housing and may touch."""
 
 Targets = Mapping[str, Array]
 """Arm -> joint positions (N,) [rad]."""
@@ -30,7 +30,7 @@ Targets = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Collision:
-    """Two bodies that meet during the motion with number ``motion``, and the positions of the arms there."""
+    """Two bodies that collide during motion number ``motion``, and the joint positions of the arms there."""
 
     motion: int
     first: str
@@ -40,7 +40,7 @@ class Collision:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A solid for Coal, fixed to ``frame`` (0: base) of ``arm``, or to the cell where there is no arm.
+    """A Coal shape fixed to ``frame`` (0: base) of ``arm``, or to the cell if it belongs to no arm.
 
     ``centre`` and ``half`` the sizes of its bounding box, (3,) each, are in its own frame [m].
     """
@@ -77,7 +77,7 @@ class CollisionCheck:
     ) -> Iterator[Collision]:
         """Yield the first collision of each motion that has one.
 
-        Every motion is run with all arms in step, and ``timings`` - 1 times with other delays and speeds of each arm,
+        Each motion is run with all arms in step, and ``timings`` - 1 times with random delays and speeds of each arm,
         each time at ``samples`` instants.
         """
         for number, (start, target) in enumerate(motions):
@@ -95,7 +95,7 @@ class CollisionCheck:
                     break
 
     def _first_collision(self, q: Targets) -> tuple[int, str, str] | None:
-        """Row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
+        """Return row and bodies of the first collision at configurations, arm -> (n, N) [rad]; None without one."""
         poses = self._poses(q)
         reach = np.stack([np.abs(pose[:, :3, :3]) @ body.half for pose, body in zip(poses, self._bodies, strict=True)])
         centre = np.stack(
@@ -115,7 +115,7 @@ class CollisionCheck:
         return bool(self._coal.collide(first.geometry, poses[0], second.geometry, poses[1], request, result))
 
     def _poses(self, q: Targets) -> list[Array]:
-        """Poses of all bodies in the cell frame at configurations, arm -> (n, N) [rad]: each (n, 4, 4)."""
+        """Compute the poses (n, 4, 4) in the cell frame of each body at configurations, arm -> (n, N) [rad]."""
         frames = {name: _frames(self._profile.arms[name], value) for name, value in q.items()}
         count = len(next(iter(q.values())))
         return [
@@ -124,7 +124,7 @@ class CollisionCheck:
         ]
 
     def _may_not_touch(self, i: int, k: int) -> bool:
-        """Whether two bodies must keep apart by the rules of the gate: what is mounted on something may touch it."""
+        """Return whether two bodies must keep apart by the gate's rules: what is mounted on a body may touch it."""
         first, second = self._bodies[i], self._bodies[k]
         if first.arm is not None and first.arm == second.arm and not _stands(first) and not _stands(second):
             return abs(first.frame - second.frame) > _TOUCHING_FRAMES
@@ -136,7 +136,7 @@ class CollisionCheck:
         return link.frame > 1 or (link.frame == 1 and not self._base_is_near(link.arm, obstacle))
 
     def _base_is_near(self, arm: str | None, obstacle: _Body) -> bool:
-        """Whether an obstacle is nearer to an arm's base bodies than the clearance: the arm may stand on it."""
+        """Return whether an obstacle is nearer to an arm's base than the clearance: the arm may stand on it."""
         at_zero = {name: np.zeros((1, len(one.type.joints))) for name, one in self._profile.arms.items()}
         poses = [pose[0] for pose in self._poses(at_zero)]
         place = {id(body): pose for body, pose in zip(self._bodies, poses, strict=True)}
@@ -175,7 +175,7 @@ class CollisionCheck:
 
 
 def _stands(body: _Body) -> bool:
-    """Whether a body never moves: an obstacle of the cell or on a base."""
+    """Return whether a body never moves: it is an obstacle of the cell or on a base."""
     return body.obstacle and body.frame == 0
 
 
@@ -190,7 +190,7 @@ def _library() -> ModuleType:
 
 
 def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
-    """A solid for Coal, centre and half the sizes of its bounding box, (3,) each [m]."""
+    """Build a Coal shape; return it with centre and half the sizes of its bounding box, (3,) each [m]."""
     nowhere = np.zeros(3)
     if isinstance(entry, BoxObstacle):
         return coal.Box(*entry.size), nowhere, 0.5 * np.array(entry.size)
@@ -213,7 +213,7 @@ def _shape(coal: ModuleType, entry: AnyObstacle) -> tuple[Any, Array, Array]:
 
 
 def _frames(arm: Arm, q: Array) -> NDArray[np.float64]:
-    """Poses of an arm's D-H frames in the cell frame, base first, at ``q`` (n, N): (N + 1, n, 4, 4)."""
+    """Compute the poses (N + 1, n, 4, 4) of an arm's D-H frames in the cell frame, base first, at ``q`` (n, N)."""
     if arm.base is None:
         raise InputError("arms.*.base is needed to check motions")
     frames = [np.broadcast_to(pose_matrix(arm.base), (len(q), 4, 4))]
@@ -230,7 +230,7 @@ def _frames(arm: Arm, q: Array) -> NDArray[np.float64]:
 
 
 def _z_along(direction: Array) -> Array:
-    """A rotation (3, 3) whose z axis has the given direction; the identity for a zero vector."""
+    """Return a rotation (3, 3) whose z axis has the given direction; the identity for a zero vector."""
     length = float(np.linalg.norm(direction))
     if length < 1e-12:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""What trials cost: processor time and memory of the tasks that a store holds, and so what many more would need."""
+"""Cost of trials: processor time and memory of the tasks in a store, and thus of many more."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class CostResult(Result, schema="cellapp-trials-cost"):
 
 
 def cost_of(path: Path, tasks: int) -> CostResult:
-    """What ``tasks`` tasks of each job in a store would take. Raises ``InputError`` if it is no store or empty."""
+    """Estimate the cost of ``tasks`` tasks of each job in a store. Raises ``InputError`` if it is no store or empty."""
     with ResultStore.open(path, new=False) as store:
         costs = store.costs()
     if not costs:
@@ -58,7 +58,7 @@ def cost_of(path: Path, tasks: int) -> CostResult:
 
 
 def cost_table(result: CostResult) -> Table:
-    """One line for each job."""
+    """Show one line for each job."""
     return table_of(
         "Processor time of one core and memory of one process",
         result.jobs,

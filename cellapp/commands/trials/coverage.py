@@ -62,14 +62,14 @@ def coverage_trials(
     stops: int = 100,
     work: Work = IN_PLACE,
 ) -> CoverageResult:
-    """Coverage of every arm of the profile. Raises as ``gather`` does."""
+    """Estimate the coverage of every arm of the profile. Raises as ``gather`` does."""
     by_arm, failed = of_all_arms(INTERVALS, "coverage", planned_cell(profile, stops), range(runs), work)
     arms = {arm: _coverage(found) for arm, found in by_arm.items() if found}
     return CoverageResult(arms=arms, failed=failed)
 
 
 def coverage_sentences(result: CoverageResult) -> list[str]:
-    """The shares of every arm."""
+    """State the coverage of every arm."""
     return [
         f"arm {name}: {100 * arm.share:.2f} % of {arm.intervals} stated 95 % intervals contain the truth"
         f" ({counted(arm.runs, 'run')}; by parameter {100 * min(arm.by_parameter.values()):.1f} to"
@@ -87,8 +87,8 @@ def coverage(profile: Profile, arm: str, runs: int, stops: int = 100) -> ArmCove
 def interval(planned: PlannedCell, drawn: ArmSeed) -> Interval:
     """Identify one simulated arm.
 
-    The truth of the identified parameters is their estimate from noise-free positions of the same plant, with the same
-    parameters merged into them: these have no true value of their own.
+    The truth of the identified parameters is their estimate from noise-free positions of the same plant with the same
+    parameter set: parameters into which others are merged have no true value of their own.
     """
     profile, arm, q = planned.profile, drawn.arm, planned.stops(drawn.arm)
     nominal = nominal_arm(profile.arms[arm])

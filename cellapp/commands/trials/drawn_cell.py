@@ -1,4 +1,4 @@
-"""Simulated cells that trials draw: by a seed, with a mix of hidden effects, measured and calibrated."""
+"""Simulated cells that trials draw by a seed, with a mix of hidden effects; their readings and calibration."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel
 
 _STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
-"""Hidden in the mix: stiffness of every joint of two arms in turn [Nm/rad], play and rms of the gears' curves [rad]; of
-the size that catalogues of strain-wave gears and measured arms of this class have."""
+"""Hidden effects of the mix: stiffness of every joint of two arms in turn [Nm/rad], play and rms of the gears' curves
+[rad]; sizes as in catalogues of strain-wave gears and in measured arms of this class."""
 
 
 def require_simulated(profile: Profile) -> None:
@@ -27,9 +27,9 @@ def require_simulated(profile: Profile) -> None:
 
 
 def drawn_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
-    """The profile of a simulated cell whose true geometry, plan and splits are drawn by ``seed``.
+    """Return the profile of a simulated cell; ``seed`` draws its true geometry, plan and splits.
 
-    ``mix``: with hidden effects of the arms themselves, curves drawn by ``seed``.
+    ``mix`` adds hidden effects of the arms themselves, with curves drawn by ``seed``.
     """
     profile = _with_mix(profile, seed) if mix else profile
     assert profile.plant is not None
@@ -52,7 +52,7 @@ def _with_mix(profile: Profile, seed: int) -> Profile:
 
 
 def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Readings of all arms at a plan of its own; all but the last are to learn from."""
+    """Simulate readings of all arms at a plan of their own; all but the last ones are for learning."""
     planned = profile.model_copy(
         update={
             "seed": seed,
@@ -65,7 +65,7 @@ def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Reading
 
 
 def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
-    """Calibration and discovery of all arms."""
+    """Calibrate all arms and search them for effects; return their models."""
     models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
     conditions = conditions_of_arms(models, readings)
     return {

@@ -1,6 +1,6 @@
 """Judge blind trials: calibrate and search every run without its truth, then open the truth and score.
 
-What was found is stored in each run's file, so that judging continues where it was interrupted.
+The findings are stored in each run's file, so that judging can be resumed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from cellapp.ground.version import __version__
 from cellapp.robot.model import CellModel
 
 TRIAL_RESULT = "sealed-trial"
-"""Name of the document in which a run keeps what was found in it."""
+"""Name of the document in a run's file that holds the findings."""
 _SEARCHING = ("estimation/calibration", "estimation/design", "estimation/discovery", "estimation/motion", "robot")
 
 
@@ -64,11 +64,11 @@ class StoredTrial(Record):
 
 
 def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) -> JudgeResult:
-    """Calibrate and search all runs of a folder that were not yet, then open the truth and compare.
+    """Calibrate and search all runs of a folder that are not judged yet, then open the truth and compare.
 
-    What was found is kept in the runs themselves, so that a store is not needed; workers of a cluster must see
-    the folder under the same path. ``again`` also repeats what was judged before. A run that fails is reported and does
-    not stop the others.
+    The findings are stored in the runs themselves, so no store is needed; workers of a cluster must see the folder
+    under the same path. ``again`` also repeats runs judged before. A run that fails is reported and does not stop the
+    others.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) ->
     Cancelled
         On request; what was judged so far is kept.
     """
-    check_seal(folder)  # without parsing it: a broken seal is reported before hours of work
+    check_seal(folder)  # without parsing: report a broken seal before hours of work
     runs = sorted(path for path in folder.glob("run-*") if path.is_dir())
     if not runs:
         raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
@@ -127,7 +127,7 @@ RUNS = TaskKind("cellapp.commands.trials.judge:RUNS", Source, JudgedFolder, Judg
 
 
 def judge_run(folder: Path, source: str) -> None:
-    """Calibrate one run, search its arms, and store what was found and how long it took in the run's file.
+    """Calibrate one run, search its arms, and store findings and times in the run's file.
 
     ``source`` identifies the state of the program; see ``source_digest``.
     """
@@ -147,7 +147,7 @@ def judge_run(folder: Path, source: str) -> None:
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
-                # pictures are large, and 'discover' draws them again
+                # without pictures: they are large, and 'discover' draws them again
                 discovery=result.model_copy(update={"pictures": ()}),
             )
         stored = StoredTrial(
@@ -160,7 +160,7 @@ def judge_run(folder: Path, source: str) -> None:
 
 
 def source_digest() -> str:
-    """Short SHA-256 of the modules that calibrate and search: it distinguishes results of different program states."""
+    """Return a short SHA-256 of the modules that calibrate and search, to tell results of program states apart."""
     root = Path(str(files("cellapp")))
     found = hashlib.sha256()
     for package in _SEARCHING:
@@ -174,7 +174,7 @@ def source_digest() -> str:
 
 
 def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mapping[str, Readings]) -> ArmDiscoveryResult:
-    """What was found in an arm with recordings, with the errors at its held-out stops alone."""
+    """Return the findings in an arm with recordings, with the errors at its held-out stops only."""
     at_rest = HeldOut.of(stops[name], conditions_of_arms(model.arms, stops)[name])
     errors = BeforeAfter(before=at_rest.rms_mm(model.arms[name]), after=at_rest.rms_mm(found.model))
     floor_mm = at_rest.noise_floor_mm()
@@ -183,7 +183,7 @@ def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mappin
 
 
 def _stored(folder: Path) -> StoredTrial | None:
-    """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
+    """Read the findings in a run; None if there are none, or of a version that this one cannot read."""
     with RunFile.open(folder) as run:
         text = run.read_result(TRIAL_RESULT)
     try:
@@ -193,7 +193,7 @@ def _stored(folder: Path) -> StoredTrial | None:
 
 
 def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> tuple[dict[str, str], int]:
-    """Judge runs. Returns run -> what went wrong, for those that failed, and how many were judged at the same time."""
+    """Judge runs; return run -> error for those that failed, and how many were judged at the same time."""
     before = total - len(runs)
     work.listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
     if not runs:
@@ -212,7 +212,7 @@ def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> tup
 def _compare(
     folder: Path, truths: Sequence[GroundTruth], failures: Mapping[str, str]
 ) -> tuple[list[ScoredRun], list[str], tuple[str, ...]]:
-    """Score every run that was judged; also the program's state for each, and a sentence for each other run."""
+    """Score every judged run; also return the program states, and a sentence for each other run."""
     scored, sources, failed = [], [], []
     for truth in truths:
         check_readings(folder, truth)
@@ -227,7 +227,7 @@ def _compare(
 
 
 def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
-    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [µm]."""
+    """Return the findings in an arm, with the rms length of the noise drawn at its held-out stops [µm]."""
     found = stored.discovery
     return ArmFindings(
         accepted=tuple(effect.effect for effect in found.accepted),
@@ -255,7 +255,7 @@ def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
 
 
 def _posteriors(found: ArmDiscoveryResult) -> dict[str, float]:
-    """Stated probability of each effect: of the candidates, and of what was accepted; empty where none is stated."""
+    """Return the stated probability of each candidate and accepted effect; empty if none is stated."""
     candidates: Mapping[str, float | None] = getattr(found, "candidates", None) or {}
     stated = {slug: float(value) for slug, value in candidates.items() if value is not None}
     for effect in found.accepted:

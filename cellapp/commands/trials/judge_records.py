@@ -1,4 +1,4 @@
-"""Records of judged trials: what was found in an arm, how a run scored, counts, targets, misses."""
+"""Records of judged trials: findings in an arm, score of a run, counts, targets, misses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VERDICTS = ("explained", "ambiguous", NOT_KNOWN, NOTHING)
 Outcome = Literal["named", "extra", "part", "wrong", "unknown", "none"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 Likeness = Literal["", "part", "right"]
-"""How much of a law outside the library a description has."""
+"""How far a description matches a law outside the library."""
 
 
 class Spread(Record):
@@ -31,7 +31,7 @@ class Spread(Record):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread | None:
-        """Median and range of the finite values; None of none."""
+        """Return the median and range of the finite values; None of none."""
         known = [value for value in values if np.isfinite(value)]
         if not known:
             return None
@@ -183,7 +183,7 @@ class OutcomeCounts(EndState):
     in_answer_set: int
 
     def count(self, outcome: Outcome) -> int:
-        """Number of one outcome."""
+        """Return the number of one outcome."""
         found: int = getattr(self, outcome)
         return found
 

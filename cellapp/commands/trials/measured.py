@@ -1,4 +1,4 @@
-"""Readings of a simulated cell for trials: as collecting the plan would give them, without simulated motion."""
+"""Simulated readings for trials: as if the plan were collected, without simulated motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from drivers.plant import Plant
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
-    """Readings of all arms at ``plan`` (name -> (n, N) [rad]), noise drawn by ``seed``, splits by the profile's seed.
+    """Simulate readings of all arms at ``plan`` (name -> (n, N) [rad]); ``seed`` draws noise, the profile's seed
+    splits.
 
     Joints approach each stop from the one before, the first stop from home.
     """
@@ -29,7 +30,7 @@ def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dic
 def measured_by(
     plant: Plant, homes: Mapping[str, Array], plan: Mapping[str, Array], seed: int, *, noise: bool = True
 ) -> dict[str, Readings]:
-    """Readings of all arms of a simulated cell at ``plan``, without splits; see ``measured_plan``.
+    """Simulate readings of all arms of a plant at ``plan``, without splits; see ``measured_plan``.
 
     Without ``noise`` the points are exact.
     """

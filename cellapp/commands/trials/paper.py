@@ -1,9 +1,8 @@
 """The comparison of three methods of Bai et al., ROBOT 45(3), 2023, over many simulated cells.
 
 Every seed is another cell: other true arms, bases, plan, noise and splits; the hidden physics is the profile's. Each
-seed also moves the tracker to another station, lying on its side, so that its frame differs in every axis, and
-evaluates both networks there: the one trained in the base frame must still help, the one trained in the tracker frame
-must not.
+seed also moves the tracker to another station, laid on its side so that its frame differs in every axis, and evaluates
+two networks there: the one trained in the base frame must still help, the one trained in the tracker frame must not.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from cellapp.robot.kinematics.transforms import Array, apply, register
 PAPER_COOPERATIVE_MM = {"method_1": 0.2319, "method_2": 0.4669, "proposed": 0.1676}
 """Mean cooperative errors of Bai et al., ROBOT 45(3), 2023."""
 PAPER_GAIN = 0.277
-"""Share of method 1's error that their proposed method removes."""
+"""Share of method 1's error that the paper's proposed method removes."""
 _METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed")
 _STATIONS = (math.radians(70.0), math.radians(-70.0))
-"""Angles about the cell's z axis to the moved tracker stations: far to one side or the other."""
+"""Angles about the cell's z axis to the moved tracker stations: far to either side."""
 
 
 class PaperTrial(Record):
@@ -89,7 +88,7 @@ def paper_trials(
 
 
 def paper_trial(profile: Profile, seed: int) -> PaperTrial:
-    """One seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
+    """Run the comparison for one seed. Raises ``InputError`` if the profile is not suitable."""
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: the comparison needs a section 'plant' and two arms")
     profile = drawn_cell(profile, seed)
@@ -118,7 +117,7 @@ def paper_trial(profile: Profile, seed: int) -> PaperTrial:
 
 
 def _moved(profile: Profile, seed: int) -> Profile:
-    """The same cell with the tracker moved to one side of it and laid on its side."""
+    """Return the same cell with the tracker moved to one side and laid on its side."""
     pose = profile.tracker.pose
     if pose is None:
         raise InputError(f"profile {profile.name}: tracker.pose is missing; it says where the tracker stands")
@@ -132,7 +131,7 @@ def _moved(profile: Profile, seed: int) -> Profile:
 
 
 def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, float]:
-    """Mean errors [mm] on held-out stops from another station, the base registered there from geometry alone."""
+    """Return mean errors [mm] on held-out stops from another station; the base is registered there by geometry only."""
     learn, held_out = readings.in_split("identify"), readings.in_split("validate")
     p_B = smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), readings.q)
     T_M_B = register(readings.p_M[learn], p_B[learn])
@@ -150,7 +149,7 @@ def _at_other_station(arm: ArmCalibration, readings: Readings) -> dict[str, floa
 
 
 def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> PaperResult:
-    """Median and worst over the seeds beside the paper's figures."""
+    """Return median and worst values over the seeds beside the paper's figures."""
     gains = [trial.gain for trial in trials]
     errors = {method: [trial.cooperative_mm[method] for trial in trials] for method in _METHODS}
     return PaperResult(
@@ -167,7 +166,7 @@ def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> 
 
 
 def paper_tables(result: PaperResult) -> list[Table]:
-    """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
+    """Show the methods over the seeds beside the paper, and position errors at both tracker stations."""
     gain = (result.gain.median, result.gain.worst, result.gain.paper)
     rows = [
         *(

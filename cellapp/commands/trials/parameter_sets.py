@@ -1,8 +1,8 @@
 """Redundant against reduced parameter sets, as in Bai et al., ROBOT 45(3), 2023: iterations, mean and maximum error.
 
 Two solvers are compared. ``plain`` is the paper's: unscaled Gauss-Newton least squares without regularisation, stopped
-at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along unobservable directions do not end.
-``cellapp`` is this program's, which takes the minimum-norm step where the normal matrix is singular.
+at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along unobservable directions never end.
+``cellapp`` is this program's, which takes the minimum-norm step if the normal matrix is singular.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from cellapp.robot.model.nominal import nominal_arm
 
 PAPER_TOLERANCE = 1e-5
 PAPER_ITERATIONS = 1000
-"""The paper's stopping rule."""
+"""Most iterations, as in the paper."""
 IDENTIFY_STOPS, VALIDATE_STOPS = 100, 100
-"""Stops of each arm that are learned from, and that the errors are judged on."""
+"""Stops of each arm for identification and for validation."""
 
 
 class ParameterSetTrial(Record):
@@ -55,7 +55,7 @@ class ParameterSetsResult(Result, schema="cellapp-trials-parameter-sets"):
 
 
 def plain_gauss_newton(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> tuple[Geometry, int, bool]:
-    """The paper's iteration, without regularisation of dependent columns, until |dg| < 1e-5.
+    """Iterate as in the paper, without regularisation of dependent columns, until |dg| < 1e-5.
 
     Returns the last finite geometry, the iterations and whether it converged.
     """
@@ -106,7 +106,7 @@ def parameter_set_trials(
 
 
 def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
-    """Redundant and reduced models, one table for each arm."""
+    """Show redundant and reduced models, one table for each arm."""
     return [
         table_of(
             f"Arm {arm}: redundant and reduced models, medians over seeds",
@@ -122,7 +122,7 @@ def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
 
 
 def compared_sets(planned: PlannedCell, drawn: ArmSeed) -> Solutions:
-    """Both solvers on all parameter sets, for one arm and seed."""
+    """Run both solvers on all parameter sets, for one arm and seed."""
     arm, profile, stops = drawn.arm, planned.profile, IDENTIFY_STOPS + VALIDATE_STOPS
     nominal, q = nominal_arm(profile.arms[arm]), planned.stops(arm)
     plant = build_plant(bare_profile(profile, stops, plant_seed=drawn.seed))
@@ -154,7 +154,7 @@ SETS = TaskKind("cellapp.commands.trials.parameter_sets:SETS", PlannedCell, ArmS
 
 
 def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -> list[tuple[str, Geometry, int, bool]]:
-    """Name of each solver, its geometry, iterations, and whether it converged."""
+    """Return for each solver its name, its geometry, the iterations, and whether it converged."""
     ours = identify(start, q, p_M, parameter_set=chosen, tolerance=PAPER_TOLERANCE, max_iterations=PAPER_ITERATIONS)
     return [
         ("plain", *plain_gauss_newton(start, q, p_M, chosen)),

@@ -18,7 +18,7 @@ _HEADINGS = {"parameters": "parameters, effects", "mean": "mean prediction", "wo
 
 
 def plan_trial_tables(result: PlanTrialsResult) -> list[Table]:
-    """How many random stops one designed stop is worth, by arm; and the whole plans."""
+    """Show how many random stops one designed stop is worth, by arm; and the whole plans."""
     tables = [_information(result)] if result.trials else []
     whole = (_order(result.profile, result.plans), _safety(result.profile, result.plans)) if result.plans else ()
     return [*tables, *whole]
@@ -41,7 +41,7 @@ def _information(result: PlanTrialsResult) -> Table:
 
 
 def _worth(result: PlanTrialsResult, arm: str, error: ErrorName) -> tuple[str, ErrorName, list[float], float | None]:
-    """Random stops that one designed stop of an arm is worth with each seed, and at best."""
+    """Return how many random stops one designed stop of an arm is worth, with each seed and at best."""
     its = [one for one in result.trials if one.arm == arm]
     best = next((one.bound[error] / result.trials[0].stops for one in its if one.bound), None)
     return arm, error, [one.equal[error] / one.stops for one in its], best
@@ -75,7 +75,7 @@ def _safety(profile: str, plans: Sequence[WholePlan]) -> Table:
 
 
 def plan_trial_sentences(result: PlanTrialsResult) -> list[str]:
-    """What the tables rest on, in words."""
+    """State the assumptions of the tables."""
     return [
         "Errors: mean standard error of geometry parameters and effect coefficients, standard uncertainty of predicted"
         " positions over the workspace, and at its worst point; at configurations that no choice has seen.",

@@ -1,4 +1,4 @@
-"""Designed plans against random ones over seeds: how many random stops tell as much, and how many any choice could."""
+"""Designed against random plans over seeds: how many random stops are as good, and the bound for any choice."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import SimulatedCell, TaskKind, profile_of
 
 BARS: Mapping[ErrorName, float] = {"parameters": 2.0, "mean": 1.5, "worst": 3.0}
-"""Random stops that one designed stop shall be worth, by each error."""
+"""Least number of random stops that one designed stop shall be worth, by error."""
 _ROUNDS = 30
-"""Rounds of the relaxation: its bound is then sharp to 2 %."""
+"""Iterations of the relaxation; its bound is then within 2 %."""
 
 
 class PlanTrial(Record):
@@ -65,7 +65,7 @@ class PlanTrialsResult(Result, schema="cellapp-trials-plans"):
     """Seeds that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What failed, and what whole plans must never have."""
+        """Say what failed, and what whole plans must never have."""
         colliding = [
             f"seed {one.seed}: {counted(one.collisions, 'motion collides', 'motions collide')}"
             for one in self.plans
@@ -74,7 +74,7 @@ class PlanTrialsResult(Result, schema="cellapp-trials-plans"):
         return [*self.failed, *colliding]
 
     def worth(self, arm: str, error: ErrorName) -> float:
-        """Random stops that one designed stop of an arm is worth: median over seeds."""
+        """Return random stops that one designed stop of an arm is worth: median over seeds."""
         return float(np.median([one.equal[error] / one.stops for one in self.trials if one.arm == arm]))
 
 
@@ -100,9 +100,9 @@ def plan_trials(
     whole: int = 0,
     work: Work = IN_PLACE,
 ) -> PlanTrialsResult:
-    """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
+    """Run trials for all ``seeds``; the first ``bounded`` ones with their bounds, which take longer.
 
-    With ``whole`` stops also whole plans with each seed. Raises as ``gather`` and ``whole_plans`` do.
+    With ``whole`` stops also make whole plans with each seed. Raises as ``gather`` and ``whole_plans`` do.
     """
     drawn = [BoundedSeed(seed=seed, stops=stops, with_bound=number < bounded) for number, seed in enumerate(seeds)]
     gathered = work.gather(DESIGNS, "plans", SimulatedCell(profile=profile), drawn)
@@ -153,7 +153,7 @@ DESIGNS = TaskKind(
 )
 
 _SEED = 0x9A8
-"""Beside the trial's seed."""
+"""Mixed with the trial's seed."""
 
 
 def _bound(
@@ -164,7 +164,7 @@ def _bound(
     rng: np.random.Generator,
     cancel: CancelToken,
 ) -> dict[ErrorName, float]:
-    """Numbers of random stops that tell as much as the best weights of all candidates."""
+    """Return, by error, how many random stops are as good as the best weights of all candidates."""
     others = {other: pool.q for other, pool in pools.items() if other != name}
     with threadpool_limits(limits=1, user_api="blas"):
         judge = Judge.of(profile, name, others, stops, rng, cancel)

@@ -1,4 +1,4 @@
-"""A simulated cell without hidden effects and the stops at which its arms of all seeds are measured."""
+"""A simulated cell without hidden effects, and the stops at which its arms are measured with every seed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PlannedCell(Record):
     planned: Mapping[str, tuple[tuple[float, ...], ...]]
 
     def stops(self, arm: str) -> Array:
-        """Joint positions (n, N) of an arm [rad]."""
+        """Return joint positions (n, N) of an arm [rad]."""
         return np.array(self.planned[arm])
 
 
@@ -40,7 +40,7 @@ def of_all_arms(
     seeds: Sequence[int],
     work: Work,
 ) -> tuple[dict[str, list[Found]], tuple[str, ...]]:
-    """Results of every arm with every seed, by arm, and what failed. Raises as ``Work.gather`` does."""
+    """Compute every arm with every seed; return the results by arm, and the failures. Raises as ``Work.gather``."""
     drawn = [ArmSeed(arm=arm, seed=seed) for arm in cell.profile.arms for seed in seeds]
     gathered = work.gather(kind, job, cell, drawn, "arm {0.arm}, seed {0.seed}")
     by_arm: dict[str, list[Found]] = {arm: [] for arm in cell.profile.arms}
@@ -51,7 +51,7 @@ def of_all_arms(
 
 
 def planned_cell(profile: Profile, stops: int) -> PlannedCell:
-    """Plan so many stops. Raises ``InputError`` if the profile has no simulated cell or they cannot be reached."""
+    """Plan ``stops`` stops. Raises ``InputError`` if the profile has no simulated cell or too few can be reached."""
     planned = plan_stops(bare_profile(profile, stops))
     return PlannedCell(
         profile=profile, planned={arm: tuple(tuple(row) for row in q.tolist()) for arm, q in planned.items()}
@@ -59,7 +59,7 @@ def planned_cell(profile: Profile, stops: int) -> PlannedCell:
 
 
 def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
-    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
+    """Return the profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
     if profile.plant is None:
         raise InputError(f"profile {profile.name}: these trials need a section 'plant' (a simulated cell)")
     plant = profile.plant.model_copy(

@@ -12,19 +12,19 @@ from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import EFFECTS
 
 EVERY, STATED, ACCEPTED = "every effect that the plan can show", "effects with a stated probability", "accepted names"
-"""What statements are about."""
+"""Groups of statements that are scored."""
 _BINS = 5
 
 Statement = tuple[float, bool]
-"""A stated probability, and whether what it is about is true."""
+"""A stated probability, and whether the effect is really there."""
 
 
 def posterior_scores(runs: Sequence[ScoredRun]) -> tuple[PosteriorScore, ...]:
-    """Scores of the statements in all arms; without any, none.
+    """Score the statements in all arms; empty if there are none.
 
-    About every effect that the plan can show (one that is not among the stated ones counts as stated with probability
-    zero), about those that were stated, and about accepted names. Not counted are hidden effects below the noise, which
-    no method can be asked to see.
+    The groups are every effect that the plan can show (without a stated probability it counts as zero), effects with a
+    stated probability, and accepted names. Hidden effects below the noise do not count: no method can be expected to
+    see them.
     """
     about: dict[str, list[Statement]] = {EVERY: [], STATED: [], ACCEPTED: []}
     for run in runs:

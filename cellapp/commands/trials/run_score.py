@@ -1,4 +1,4 @@
-"""What was found in one run of a blind trial beside what was hidden in it."""
+"""Compare the findings in one run of a blind trial with what was hidden in it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _POSITIONS: tuple[frozenset[str], ...] = (
     frozenset({"x", "y", "z"}),
     frozenset({"range", "azimuth", "elevation"}),
 )
-"""Variables that together say where the SMR is."""
+"""Sets of variables that together state where the SMR is."""
 _OF_SPACE = ("tracker", "base", "workspace", "field", "position")
-"""First words of channels that a field over the workspace may be described by."""
+"""First words of channels that may describe a field over the workspace."""
 _CONVENTION = re.compile(r"opposite|wrong sign|reversed|flipped|convention", re.IGNORECASE)
-"""Words that say that approach signs have the other convention."""
+"""Words which say that approach signs follow the other convention."""
 
 _ALIKE: tuple[frozenset[DriverVariable], ...] = (
     frozenset({DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL}),
@@ -39,11 +39,11 @@ _ALIKE: tuple[frozenset[DriverVariable], ...] = (
     frozenset({DriverVariable.TORQUE, DriverVariable.PAYLOAD}),
     frozenset({DriverVariable.BEAM, DriverVariable.INCIDENCE}),
 )
-"""Quantities that stand for one another: the last motion, the course of the run, the load, the line of sight."""
+"""Quantities that can stand for one another: the last motion, the course of the run, the load, the line of sight."""
 
 
 def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
-    """Compare what was found in one run with what was hidden in it."""
+    """Compare the findings in one run with what was hidden in it."""
     noise_um = truth.noise_um.get(truth.arm, 0.0)
     hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
     called = [_library_name(truth, effect.effect) for effect in hidden]
@@ -65,7 +65,7 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
 
 
 def _library_name(truth: GroundTruth, effect: str) -> str:
-    """How a hidden effect should be called: a hard case may hide some that the library lacks beside others."""
+    """Return the name that a hidden effect should get: hard cases may also hide effects that the library lacks."""
     return UNKNOWN if truth.kind == HARD and effect not in EFFECTS else effect
 
 
@@ -82,7 +82,7 @@ def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
 
 
 def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Likeness:
-    """How well the best data-driven term matches; a channel in one direction only counts as that channel."""
+    """Rate the best match of a data-driven term; a channel in one direction counts as that channel."""
     if expected.variables == (POSITION,):
         return _field_description(described)
     best: Likeness = ""
@@ -97,7 +97,7 @@ def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) ->
 
 
 def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
-    """As ``_description`` for a field over the workspace: at least two variables of position, or the word itself."""
+    """Rate the description of a field over the workspace: at least two variables of position, or the word itself."""
     best: Likeness = ""
     for term in described:
         of_space = term.channel.split(" ")[0] in _OF_SPACE
@@ -112,7 +112,7 @@ def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
 
 
 def _says_convention(found: ArmFindings) -> bool:
-    """Whether the verdict or a description says that a sign is opposite to what it should be."""
+    """Return whether the verdict or a description says that a sign is the opposite of what it should be."""
     return any(_CONVENTION.search(text) for text in (found.sentence, *(term.sentence for term in found.described)))
 
 
@@ -122,7 +122,7 @@ def _says_convention(found: ArmFindings) -> bool:
 def _second_names(
     called: Sequence[str], hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
 ) -> tuple[SecondName, ...]:
-    """What was accepted beyond as many effects as were hidden; one for each name that is missing counts as wrong.
+    """Return the names accepted beyond the number of hidden effects; a name that replaces a missing one is only wrong.
 
     ``called`` are the names that the hidden effects should get.
     """
@@ -147,7 +147,7 @@ def _second_names(
 
 
 def _widened(drivers: frozenset[DriverVariable]) -> frozenset[DriverVariable]:
-    """These quantities and those that stand for them."""
+    """Add to quantities those that can stand for them."""
     return drivers.union(*(group for group in _ALIKE if group & drivers))
 
 
@@ -161,7 +161,7 @@ def _term_drivers(term: DescribedTerm | None) -> frozenset[DriverVariable]:
 
 
 def _drivers(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[DriverVariable]:
-    """What the hidden effects depend on."""
+    """Return the quantities on which the hidden effects depend."""
     if expected is not None and expected.variables == (POSITION,):
         return frozenset({DriverVariable.BEAM, DriverVariable.JOINT_ANGLE})
     if expected is not None:

@@ -1,4 +1,4 @@
-"""Scores of blind trials: what was found beside what was hidden, counts, targets, misses."""
+"""Scores of blind trials: findings beside what was hidden, counts, targets, misses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cellapp.ground.grouping import grouped
 
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
-    """Counts and targets over all runs."""
+    """Count outcomes and targets over all runs."""
     one = [run for run in runs if run.kind in ("one", "flipped")]
     outside = [run for run in runs if run.kind == "outside"]
     several = [run for run in runs if len(run.hidden) > 1]
@@ -56,7 +56,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
-    """Runs that hide the same, look-alikes last."""
+    """Group the runs that hide the same, look-alikes last."""
     ordered = sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names))
     return grouped((run.hidden_names, run) for run in ordered)
 
@@ -142,7 +142,7 @@ def _miss(run: ScoredRun, arm: str) -> Miss:
 
 
 def _hidden_words(effect: HiddenEffect) -> str:
-    """``backlash/many_plays (84, beyond its law 12)``: visible size, and what the library's law leaves of it [µm]."""
+    """Describe an effect, ``backlash/many_plays (84, beyond its law 12)``: visible size, size beyond the law [µm]."""
     law = f"/{effect.law}" if effect.law else ""
     beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
     return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"

@@ -1,8 +1,8 @@
-"""Blind trials: runs of simulated cells with hidden effects, their ground truth in a sealed file that is opened last.
+"""Blind trials: runs of simulated cells with hidden effects; the ground truth is in a sealed file, opened last.
 
 A folder of trials holds ``run-0001``, ``run-0002`` ..., each like an imported run, ``truth.json``, and ``seal.txt``
-with the SHA-256 of it in the form that ``sha256sum -c`` takes. A run has no section ``plant`` and no seed that its
-truth was drawn from, and the runs are in random order: only ``truth.json`` states what is hidden in which arm.
+with its SHA-256 in the format of ``sha256sum -c``. A run has no section ``plant`` and not the seed of its truth, and
+the runs are in random order: only ``truth.json`` states what is hidden in which arm.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def seal_trials(
 ) -> SealResult:
     """Write ``n`` sealed runs into a new folder, under the conditions of ``setup``.
 
-    Without ``seed`` one is drawn that only ``truth.json`` states.
+    Without ``seed`` a seed is drawn; only ``truth.json`` states it.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def seal_trials(
         raise InputError(f"profile {profile.name}: sealed trials need a section 'plant' and two arms")
     seed = secrets.randbits(31) if seed is None else seed
     profile = setup.cell(profile)
-    build_plant(profile)  # an error in the cell is reported before a folder is made
+    build_plant(profile)  # report an error in the cell before making a folder
     made = _new_folder(folder)
     try:
         hidden = cases(tuple(profile.arms), setup.hides, n, seed)
@@ -185,14 +185,14 @@ def seal_trials(
 
 
 def check_seal(folder: Path) -> bytes:
-    """The bytes of ``truth.json``, unread, if they are those that were sealed.
+    """Return the bytes of ``truth.json``, without parsing them, if they match the seal.
 
     Raises
     ------
     InputError
         If the folder holds no sealed trials.
     CheckFailed
-        If truth and seal do not belong together.
+        If truth and seal do not match.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: folder not found; 'cellapp trials seal' makes one")
@@ -217,17 +217,17 @@ def check_seal(folder: Path) -> bytes:
 
 
 def open_truth(folder: Path) -> TruthFile:
-    """Check the seal and open the truth. Raises as ``check_seal``, and ``InputError`` for another version's file."""
+    """Check the seal and read the truth. Raises as ``check_seal``, and ``InputError`` for a file of another version."""
     return TruthFile.from_json(check_seal(folder).decode("utf-8", "replace"), str(folder / TRUTH_FILE))
 
 
 def check_readings(folder: Path, truth: GroundTruth) -> None:
-    """Refuse a run of a folder that is not as it was sealed.
+    """Raise an error if a run of a folder is not as it was sealed.
 
     Raises
     ------
     InputError
-        If it is missing.
+        If the run is missing.
     CheckFailed
         If its readings were changed.
     """
@@ -241,7 +241,7 @@ def check_readings(folder: Path, truth: GroundTruth) -> None:
 
 
 def digest_of(run: RunFile) -> str:
-    """SHA-256 of the joint positions and points of all arms, in the arms' order by name, and of their recordings."""
+    """Return the SHA-256 of the joint positions, points and recordings of all arms, sorted by name."""
     found = hashlib.sha256()
     for name in sorted(run.arms()):
         readings = run.readings(name)
@@ -257,7 +257,7 @@ def digest_of(run: RunFile) -> str:
 
 
 def without_truth(profile: Profile, number: int) -> Profile:
-    """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
+    """Return the profile of a sealed run: no section ``plant``, no device, the run's number as seed."""
     arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
     return profile.model_copy(
         update={
@@ -276,12 +276,12 @@ def without_truth(profile: Profile, number: int) -> Profile:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 _Effects = Mapping[str, Mapping[str, Any]]
-"""Effect of the plant -> parameters."""
+"""Effect of the plant -> its parameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """Stops of some runs, sweeps if they are recorded too, and the seed of both."""
+    """Stops shared by some runs, the sweeps if recorded too, and the seed of both."""
 
     stops: Mapping[str, Array] | PlannedStops
     sweeps: SweepPlan | None
@@ -303,7 +303,7 @@ def _write_runs(
     listener: Listener,
     cancel: CancelToken,
 ) -> list[GroundTruth]:
-    """Write the runs and return their truth."""
+    """Write the runs; return their truth."""
     truths: list[GroundTruth] = []
     for first in range(0, len(cases), _TRIALS_A_PLAN):
         listener(Progress("seal", first, len(cases), f"run {first + 1}"))
@@ -318,7 +318,7 @@ def _write_runs(
 
 @dataclass(frozen=True, eq=False)
 class _HiddenCell:
-    """The simulated cell of one run, with effects of one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
+    """The simulated cell of one run, with effects in one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
 
     ``plant_seed`` draws the true geometry, ``split_seed`` the splits.
     """
@@ -332,15 +332,15 @@ class _HiddenCell:
     session: Session
 
     def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
-        """Readings with noise."""
+        """Simulate readings with noise."""
         return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise, self.session)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
-        """Readings at the same stops without noise."""
+        """Simulate readings at the same stops without noise."""
         return blind_readings(self.cell(effects, noise=False), self.plan, self.noise_seed, session=self.session)
 
     def cell(self, effects: _Effects, *, noise: bool) -> Profile:
-        """The simulated cell with some effects."""
+        """Return the simulated cell with these effects."""
         hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
         assert hidden.plant is not None
         settings = hidden.plant.model_copy(update={"noise": noise})
@@ -356,7 +356,7 @@ def _write_run(
     seed: int,
     setup: Setup,
 ) -> GroundTruth:
-    """Write one run and return its ground truth."""
+    """Write one run; return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
     parameters = _drawn_parameters(profile, case, setup, rng)
@@ -391,7 +391,7 @@ def _write_run(
 def _drawn_parameters(
     profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of every effect of a case, drawn for its arm."""
+    """Draw the parameters of every effect of a case for its arm."""
     if not case.slugs:
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
@@ -400,7 +400,7 @@ def _drawn_parameters(
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:
-    """Every hidden effect; ``with_all`` are the exact readings with all of them."""
+    """Return every hidden effect with its size; ``with_all`` are the exact readings with all effects."""
     found = []
     for slug, own in parameters.items():
         without = cell.exact({other: values for other, values in parameters.items() if other != slug})
@@ -416,7 +416,7 @@ def _hidden_law(
     without: Mapping[str, Readings],
     with_all: Mapping[str, Readings],
 ) -> HiddenLaw:
-    """One hidden effect in arm ``name``, from exact readings of all arms without it and with all effects."""
+    """Return one hidden effect of arm ``name`` with its size, from exact readings without it and with all effects."""
     own = without[name]
     moved = with_all[name].p_M - own.p_M
     models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}
@@ -433,7 +433,7 @@ def _hidden_law(
 
 
 def _rms_um(vectors: Array) -> float:
-    """Root mean square length [µm] of vectors (n, 3) [m]; NaN of none."""
+    """Return the root mean square length [µm] of vectors (n, 3) [m]; NaN if there are none."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
 
 
@@ -444,7 +444,7 @@ def _stated_um(readings: Readings) -> float:
 
 
 def _new_folder(folder: Path) -> bool:
-    """Make the folder and return whether it was missing. Raises ``InputError`` if it cannot be used."""
+    """Make the folder if needed; return whether it was missing. Raises ``InputError`` if it cannot be used."""
     try:
         if folder.is_dir():
             if any(folder.iterdir()):

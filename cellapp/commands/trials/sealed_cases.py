@@ -1,4 +1,4 @@
-"""What sealed trials hide: effects one by one, pairs, triples, laws outside the library, nothing; order and arms."""
+"""Cases of sealed trials: single effects, pairs, triples, laws outside the library, nothing; order and arms."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LOOK_ALIKES: tuple[tuple[str, ...], ...] = (
     ("base_drift", "thermal_growth"),
     ("encoder_eccentricity", "transmission_error"),
 )
-"""Pairs of which each imitates a part of the other."""
+"""Pairs in which each effect imitates a part of the other."""
 TRIPLES: tuple[tuple[str, ...], ...] = (
     ("joint_compliance", "backlash", "base_drift"),
     ("joint_compliance", "encoder_eccentricity", "target_slip"),
@@ -44,10 +44,10 @@ TRIPLES: tuple[tuple[str, ...], ...] = (
     ("payload_compliance", "joint_drift", "backlash"),
     ("pedestal_coupling", "encoder_eccentricity", "base_step"),
 )
-"""Ordinary triples: none imitates another."""
+"""Ordinary triples: no effect imitates another."""
 
 POSITION = "position"
-"""Stands for any variables that together say where in the workspace the SMR is."""
+"""Stands for any set of variables that states where in the workspace the SMR is."""
 EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "dress_pack": ("joint 1", ("q1", "q2")),
     "crosstalk": ("joint 4", ("q5",)),
@@ -60,7 +60,7 @@ EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "warm_floor": ("base shift", ("temperature",)),
     "workspace_field": ("tracker", (POSITION,)),
 }
-"""Channel and variables that a description of each law outside the library must state."""
+"""Channel and variables that a correct description of each law outside the library states."""
 HARD_CASES: tuple[tuple[str, ...], ...] = (
     ("workspace_field",),
     ("workspace_field", "joint_compliance"),
@@ -72,8 +72,7 @@ HARD_CASES: tuple[tuple[str, ...], ...] = (
     ("tracker_drift",),
     ("crosstalk",),
 )
-"""What was once answered with a name too many: fields of short length, couplings, quadruples, slow drift; by other
-laws."""
+"""Cases once answered with a name too many: fields of short length, couplings, quadruples, slow drift; other laws."""
 IN_MOTION: tuple[tuple[str, ...], ...] = (
     ("joint_compliance",),
     ("backlash",),
@@ -85,21 +84,21 @@ IN_MOTION: tuple[tuple[str, ...], ...] = (
 )
 """Effects of joints, which recordings of motion show."""
 FLIPPED: tuple[tuple[str, ...], ...] = (("backlash",), ("friction_windup",))
-"""Effects that show in approach signs: hidden where the signs have the wrong convention."""
+"""Effects that show in approach signs; hidden in cases whose signs have the wrong convention."""
 
 IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
-"""Laws of the plant that one arm's data cannot distinguish from an effect of the library, and that effect."""
+"""Laws of the plant that one arm's data cannot tell from an effect of the library, and that effect."""
 ONE, NONE, OUT, PAIR, TRIPLE, HARD, FLIP = "one", "none", "outside", "pair", "triple", "hard", "flipped"
 MOTION = "motion"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
 MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
-"""Kinds of mixed cases, each as often as it occurs."""
+"""Kinds of mixed cases; repeated kinds are more frequent."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What one run shall hide."""
+    """What one run hides."""
 
     kind: str
     slugs: tuple[str, ...] = ()
@@ -108,14 +107,14 @@ class Case:
 
 
 def library_name(plant: str) -> str:
-    """The library's name of an effect of the plant."""
+    """Return the library's name of a plant effect."""
     return IN_THE_LIBRARY.get(plant, plant)
 
 
 def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
-    """What each of ``n`` runs hides: every law of a kind in turn, in alternating arms; the runs in random order.
+    """Return what each of ``n`` runs hides: every law of a kind in turn, alternating between arms, in random order.
 
-    The seed decides which law comes first, so that few runs do not always hide the same.
+    The seed decides which law comes first, so that small numbers of runs do not always hide the same.
     """
     known = [slug for slug in REALISTIC if library_name(slug) in EFFECTS]
     menus: dict[str, list[tuple[tuple[str, ...], bool]]] = {
@@ -135,7 +134,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         menu, turn = menus[here], counts[here]
         counts[here] += 1
         slugs, look_alikes = menu[(seed + turn) % len(menu)]
-        # with an even number of laws, each would always be hidden in the same arm
+        # with an even number of laws, each law would otherwise always be in the same arm
         shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
         found.append(Case(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
     order = np.random.default_rng([seed, 0x0DE2]).permutation(n)

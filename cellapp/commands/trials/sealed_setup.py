@@ -1,4 +1,4 @@
-"""Conditions under which sealed trials are made: number of stops, joint ranges, masses, laws, what readings state."""
+"""Conditions of sealed trials: number of stops, joint ranges, masses, laws, what readings state."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ NOISES: Mapping[str, Noise] = {
     "heavy": Noise("heavy"),
     "repeatability": Noise("gaussian", 8e-6),
 }
-"""How readings scatter: as stated, with heavy tails, or with 8 µrad unstated repeatability of each joint."""
+"""Scatter of readings: as stated, with heavy tails, or with 8 µrad of unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
 MASS_ERROR = 0.05
-"""Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
+"""Relative standard deviation of true link masses about the nominal ones: they are never known better."""
 FEWEST_HELD_OUT = 10
 FEWEST_STOPS = 15 + FEWEST_HELD_OUT
-"""Of these 15 just determine the geometry."""
+"""Least number of stops: 15 just determine the geometry, the others are held out."""
 HELD_OUT = 100
-"""Stops at rest that judge what recordings of motion show, where no number is given."""
+"""Stops at rest that judge recordings of motion, unless a number is given."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
-"""Widths of narrow joint ranges."""
+"""Range of the width of narrow joint ranges."""
 _CENTRES = 30
-"""Centres of narrow ranges that are tried: about a few of them the wrist never shows the SMR to the tracker."""
+"""Centres of narrow ranges that are tried: around some the wrist never shows the SMR to the tracker."""
 
 
 class Setup(Record):
@@ -128,7 +128,7 @@ class Setup(Record):
             )
 
     def cell(self, profile: Profile) -> Profile:
-        """The profile with the number of stops, the splits and the masses of these trials, and nothing hidden."""
+        """Return the profile with these trials' number of stops, splits and masses, and nothing hidden."""
         assert profile.plant is not None
         geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
@@ -151,7 +151,7 @@ class Setup(Record):
         return profile.model_copy(update=changes)
 
     def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array] | PlannedStops:
-        """Stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
+        """Return stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
         if self.ranges == "full":
             if self.plan_method == "random":
                 return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
@@ -167,7 +167,7 @@ class Setup(Record):
         raise InputError(f"--ranges narrow: about none of {_CENTRES} centres does the tracker see enough stops")
 
     def reported(self, readings: Readings) -> Readings:
-        """The readings as a run of these trials holds them."""
+        """Return the readings as a run of these trials holds them."""
         if not self.stated:
             readings = replace(readings, covariance_M=None)
         if self.flip_approach:
@@ -176,11 +176,11 @@ class Setup(Record):
 
 
 USUAL_SETUP = Setup()
-"""One hidden effect in each run, by the library's laws, and stated Gaussian noise."""
+"""Default: one hidden effect in each run, by the library's laws, and stated Gaussian noise."""
 
 
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
-    """The profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
+    """Return the profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
     centre = draw_stops(cell_bodies(profile), profile, 1, rng)
     arms: dict[str, Arm] = {}
     for name, arm in profile.arms.items():

@@ -1,4 +1,4 @@
-"""Sweeps of sealed runs: planned once for many runs, recorded in the simulated cell of each."""
+"""Sweeps of sealed runs: planned once for many runs, recorded in each run's simulated cell."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from drivers.plant import Plant
 from drivers.plant.sweep import record_sweep, recorder_of
 
 _SESSION = "sweeps"
-"""All sweeps of an arm are one recording."""
+"""Name of the one recording that holds all sweeps of an arm."""
 _WAIT_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class SweepPlan:
-    """Stops, and a sweep of each arm about each as far as the gate and the tracker allow one; the other arms rest."""
+    """Stops, and a sweep of each arm about each stop if gate and tracker allow it; the other arms rest."""
 
     stops: PlannedStops
     sweeps: tuple[PlannedSweep, ...]
 
     @classmethod
     def of(cls, profile: Profile, count: int, seed: int, cancel: CancelToken) -> SweepPlan:
-        """Sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and ``Cancelled``."""
+        """Plan sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and ``Cancelled``."""
         plan = profile.plan.model_copy(update={"stops": count, "reserve": 0, "other_arm": "resting"})
         asked = profile.model_copy(update={"plan": plan, "seed": seed})
         stops, _ = make_stops(asked, cancel=cancel)
         return cls(stops, plan_sweeps(asked, stops, cancel=cancel).sweeps)
 
     def recorded(self, profile: Profile) -> list[RecordedStreams]:
-        """The sweeps in the simulated cell of ``profile``, by clocks and devices of its own."""
+        """Record the sweeps in the simulated cell of ``profile``, with its own clocks and devices."""
         plant, found = build_plant(profile), list[RecordedStreams]()
         recorder = recorder_of(plant)
         for sweep in self.sweeps:

@@ -1,7 +1,7 @@
-"""What an arm's earlier calibration is worth when the arm is calibrated again, on simulated cells and a real arm.
+"""Gain by an arm's earlier calibration when it is calibrated again, on simulated cells and a real arm.
 
-Simulated: a cell is calibrated from many stops, then each arm gets another base and another SMR mount and is calibrated
-again, from few stops with the earlier calibration and from more stops without. Real: series C, then series D of a UR10.
+Simulated: a cell is calibrated from many stops. Then each arm gets another base and SMR mount and is calibrated again,
+from few stops with the earlier calibration and from more stops without. Real: series C, then series D of a UR10.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import ArmModel
 
 _REMOUNT_SEED = 0x2E30
-"""Beside the seed of a cell: the draw of its new mounts is then independent of all other draws."""
+"""Mixed with the seed of a cell, so that the draw of new mounts is independent of all other draws."""
 _BASE_M, _BASE_RAD, _SMR_M = 0.03, 0.02, 0.01
-"""Standard deviations of a coordinate by which a base and an SMR are mounted elsewhere: by hand, not by a fixture."""
+"""Standard deviations of a coordinate of the new base and SMR mounts: placed by hand, not by a fixture."""
 _EXACT = 1e-6
-"""Share of its covariance that is left of an earlier calibration that is taken as exact."""
+"""Factor on the covariance of an earlier calibration that is taken as exact."""
 _PLAN_SEED = 1000
-"""Is added to the seed of the plan of the second calibration: its stops are others."""
+"""Added to the seed of the second calibration's plan, so that its stops differ."""
 
 
 _EARLIER, _LATER = "C", "D"
-"""Series of one real arm, the earlier as prior of the later."""
+"""Series of one real arm; the earlier one is the prior of the later."""
 
 
 class SignatureDraw(Record):
@@ -109,7 +109,7 @@ class SignatureResult(Result, schema="cellapp-trials-signature"):
     """Cells or draws that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What failed and bars that are missed, in words."""
+        """Say what failed and bars that are missed, in words."""
         return [
             *self.failed,
             *(f"{bar.what}: {bar.reached:.4g}, at most {bar.most:.4g}" for bar in self.bars if not bar.met),
@@ -154,7 +154,7 @@ def twin_trials(
     seeds: Sequence[int],
     work: Work = IN_PLACE,
 ) -> SignatureResult:
-    """Simulated cells whose arms were mounted elsewhere, one for each seed.
+    """Try simulated cells whose arms were remounted, one for each seed.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def twin_trials(
 
 
 def twin_draws(plan: TwinPlan, drawn: Seed) -> Draws:
-    """Both arms of one simulated cell, from few and from many stops."""
+    """Try both arms of one simulated cell, from few and from many stops."""
     seed = drawn.seed
     first = drawn_cell(plan.profile, seed, mix=plan.mix)
     known = measured_stops(first, plan.earlier, seed)
@@ -207,7 +207,7 @@ TWINS = TaskKind("cellapp.commands.trials.signature:TWINS", TwinPlan, Seed, Draw
 
 
 def remounted(profile: Profile, seed: int) -> Profile:
-    """The profile with every base and every SMR mounted elsewhere, drawn by ``seed``."""
+    """Return the profile with every base and every SMR mount changed, drawn by ``seed``."""
     generator = np.random.default_rng([seed, _REMOUNT_SEED])
     arms = {}
     for name, arm in profile.arms.items():
@@ -230,12 +230,12 @@ def real_trials(
     data: Path,
     profiles: Path,
 ) -> SignatureResult:
-    """A measured series of an arm, with an earlier series of the same arm as prior.
+    """Calibrate a measured series of an arm with an earlier series of the same arm as prior.
 
     Raises
     ------
     InputError
-        If a series, or the asked number of rows, is not there.
+        If a series is missing, or has fewer rows than requested.
     """
     series = RealSeries(earlier=_EARLIER, later=_LATER, texts=series_texts([_EARLIER, _LATER], data, profiles))
     tasks = [RealTask(rows=size, seed=seed) for size in rows for seed in seeds]
@@ -277,7 +277,7 @@ def calibrated_earlier(series: RealSeries) -> RealArm:
 
 
 def real_draw(arm: RealArm, task: RealTask) -> SignatureDraw:
-    """One draw of rows with and without the earlier series."""
+    """Calibrate one draw of rows with and without the earlier series."""
     entrant = arm.entrant
     readings = draw_rows(entrant, task.rows, task.seed).split(entrant.readings)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
@@ -292,7 +292,7 @@ REAL = TaskKind(
 
 
 def lines_of(draws: Sequence[SignatureDraw]) -> tuple[SignatureLine, ...]:
-    """Means over draws by cell and number of stops."""
+    """Average the draws by cell and number of stops."""
     groups = grouped(((draw.cell, draw.stops), draw) for draw in draws)
     return tuple(_line(cell, stops, some) for (cell, stops), some in groups.items())
 
@@ -313,7 +313,7 @@ def _line(cell: str, stops: int, draws: Sequence[SignatureDraw]) -> SignatureLin
 
 
 def _first_learn(readings: Readings, stops: int, learnable: int) -> Readings:
-    """The first ``stops`` readings to learn from, those from ``learnable`` on held out."""
+    """Split the readings: the first ``stops`` for learning, those from ``learnable`` on held out."""
     count = len(readings)
     words = ["identify" if k < stops else "validate" if k >= learnable else None for k in range(count)]
     return replace(readings, split=tuple(words))
@@ -329,7 +329,7 @@ def _draw(
     geometry: ArmModel,
     earlier: Earlier | None,
 ) -> SignatureDraw:
-    """One arm without and, where ``earlier`` is given, with its earlier calibration."""
+    """Calibrate one arm without and, if ``earlier`` is given, with its earlier calibration."""
     rows = readings.in_split("validate")
     held_out, its = readings.take(rows), conditions.take(rows)
 

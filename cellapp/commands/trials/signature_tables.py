@@ -16,7 +16,7 @@ _ERRORS = (
 
 
 def signature_tables(result: SignatureResult) -> list[Table]:
-    """Means, bars and every draw."""
+    """Show means, bars and every draw."""
     return [
         table_of(
             "With and without the earlier calibration: mean held-out error [mm]",
@@ -48,7 +48,7 @@ def signature_tables(result: SignatureResult) -> list[Table]:
 
 
 def signature_sentences(result: SignatureResult) -> list[str]:
-    """How the tables came about, and every change that was said to be proven."""
+    """State the conditions of the tables, and every change reported as proven."""
     earlier = ", ".join(f"{name}: {stops}" for name, stops in result.earlier_stops.items())
     said = [
         f"Stops of the earlier calibration: {earlier}. Without: calibrate and discover on the new stops alone."

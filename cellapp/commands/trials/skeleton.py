@@ -1,4 +1,4 @@
-"""What every trial is made of: tasks that are computed and stored, bars, and tables of what was found."""
+"""Parts that all trials share: tasks that are computed and stored, bars, and tables of the results."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cellapp.ground.scale.gather import Gathered, gather
 from cellapp.ground.scale.task import Batch, Common, Found, Parameters, Prepared, TaskKind
 
 _NAMED = 10
-"""Failures that are named one by one."""
+"""Most failures that are named one by one."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """Where the tasks of a trial are computed and kept, who is told of them, and what stops them."""
+    """Where the tasks of a trial are computed and stored, and who listens to them and can cancel them."""
 
     resources: Resources = IN_PROCESS
     listener: Listener = ignore
@@ -35,7 +35,7 @@ class Work:
         *,
         all_may_fail: bool = False,
     ) -> Gathered[Found]:
-        """Results of all tasks; ``name`` is the format of what a task with some parameters is called.
+        """Compute all tasks; ``name`` is the format string of a task's name, given its parameters.
 
         Raises as ``gather`` of ``cellapp.ground.scale`` does.
         """
@@ -44,12 +44,12 @@ class Work:
 
 
 IN_PLACE = Work()
-"""In this process, without a store and a listener."""
+"""In this process, without store and listener."""
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What a trial states: its result, tables and sentences about it; ``refused`` says why it does not hold, if so."""
+    """Outcome of a trial: its result, tables and sentences; ``refused`` says why it does not hold, else empty."""
 
     result: Result
     tables: Sequence[Table] = ()
@@ -58,15 +58,15 @@ class Stated:
 
 
 class Trial(Protocol):
-    """A result that knows what failed and which bars are missed."""
+    """A result that can state its failures and missed bars."""
 
     def complaints(self) -> list[str]:
-        """What failed and bars that are missed, in words."""
+        """State what failed, and which bars are missed."""
         ...
 
 
 def not_computed(failed: Sequence[str]) -> str:
-    """The first tasks that failed, in words; empty if none did."""
+    """Name the first tasks that failed; empty if none did."""
     if not failed:
         return ""
     more = f"; and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
@@ -74,6 +74,6 @@ def not_computed(failed: Sequence[str]) -> str:
 
 
 def complained(trial: str, result: Trial) -> str:
-    """The complaints of a trial of some name in one line; empty without any."""
+    """Return the complaints of the trial named ``trial`` in one line; empty if there are none."""
     said = result.complaints()
     return f"trials {trial}: {'; '.join(said)}" if said else ""

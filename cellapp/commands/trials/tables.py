@@ -43,11 +43,11 @@ _CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "sign": ("flipped", "visible: called unknown, opposite sign said"),
     },
 }
-"""Tables of the cells: title, headings, and the target (kind, target) under each heading."""
+"""Tables of the cells: title, headings, and under each heading its target (kind, target)."""
 
 
 def judge_tables(result: Scores) -> list[Table]:
-    """Targets, then one table for each kind of trial; the last one lists the misses."""
+    """Show the targets, then one table for each kind of trial; the last one lists the misses."""
     effects = {"One hidden effect": result.one, "Several hidden effects": result.pair}
     return [
         _target_table(result.targets),
@@ -60,7 +60,7 @@ def judge_tables(result: Scores) -> list[Table]:
 
 
 def judge_sentences(result: JudgeResult) -> list[str]:
-    """How the tables came about: threshold, abbreviations, speed, date, seed, program."""
+    """State the conditions of the tables: threshold, abbreviations, speed, date, seed, program."""
     sealed = result.sealed
     wall, cpu = result.seconds_an_arm, result.cpu_seconds_an_arm
     said = [
@@ -88,20 +88,20 @@ def judge_sentences(result: JudgeResult) -> list[str]:
 
 
 def refused(result: JudgeResult | MatrixResult) -> str:
-    """Runs that could not be judged, or bars missed in enough trials to say so, in words; empty without any."""
+    """State the runs that could not be judged, or bars missed in enough trials; empty if there are none."""
     missed = "; ".join(f"{one.kind}: {one.target}" for one in result.missed)
     return not_computed(result.failed) or (f"bars missed: {missed}" if missed else "")
 
 
 def setup_words(setup: Setup) -> str:
-    """The conditions of a set of trials in words."""
+    """Describe the conditions of a set of trials."""
     said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
     said.append(f"masses {100 * setup.mass_error:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
 
 
 def matrix_tables(result: MatrixResult) -> list[Table]:
-    """Targets over all cells, stated probabilities, and the shares that each cell reached."""
+    """Show targets over all cells, stated probabilities, and the shares reached in each cell."""
     return [
         _target_table(result.targets),
         *(_posterior_table(score) for score in result.posteriors),
@@ -110,7 +110,7 @@ def matrix_tables(result: MatrixResult) -> list[Table]:
 
 
 def _cell_table(title: str, result: MatrixResult, headings: Mapping[str, tuple[str, str]]) -> Table:
-    """The cells that have one of some targets, each named by kind and target, and the targets that any cell has."""
+    """Show the cells that have any of the targets ``headings`` (heading -> kind, target), and those targets."""
     reached = {
         cell.name: {(one.kind, one.target): f"{one.reached}/{one.n}" for one in cell.targets} for cell in result.cells
     }
@@ -126,7 +126,7 @@ def _cell_table(title: str, result: MatrixResult, headings: Mapping[str, tuple[s
 
 
 def matrix_sentences(result: MatrixResult) -> list[str]:
-    """How the tables came about."""
+    """State the conditions of the tables."""
     said = [f"Visible: {THRESHOLD}."]
     if result.seconds_an_arm is not None:
         pace = result.seconds_an_arm
@@ -175,7 +175,7 @@ def _posterior_table(score: PosteriorScore) -> Table:
 
 
 def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
-    """Outcomes of runs that hide the same, those of visible effects and those of effects below the noise."""
+    """Show outcomes of runs that hide the same, separately for effects above and below the noise."""
     rows = [
         (f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts)
         for name, group in groups.items()

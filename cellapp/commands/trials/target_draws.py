@@ -1,4 +1,4 @@
-"""What trials of new targets draw: the effects that a simulated cell hides, and targets that its arms can reach."""
+"""Draws of the trials of new targets: effects that a simulated cell hides, and targets that its arms can reach."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from cellapp.robot.model import CellModel
 from drivers.plant import suggest, suggest_other_law
 
 _HIDDEN_SEED, _TARGET_SEED = 0x71DE, 0x7A26
-"""Beside the trial's seed."""
+"""Mixed with the trial's seed."""
 _OTHER_LAWS = 0.5
-"""Share of the drawn effects whose law has another shape than the library's."""
+"""Share of the drawn effects with a law of another shape than the library's."""
 
 
 def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """Effects of every arm: the profile's own, and a case of the mixture that sealed trials hide; words on the laws.
+    """Draw the effects of every arm: the profile's own, and a case of the sealed trials' mixture; also describe the
+    laws.
 
-    ``duration_s`` is the length of the run in which onsets and time constants lie.
+    Onsets and time constants lie within the run's length ``duration_s`` [s].
     """
     assert profile.plant is not None
     configs = {config.name: config for config in build_plant(profile).config.arms}
@@ -46,11 +47,11 @@ def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[st
 
 
 def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
-    """``count`` single targets of each arm in the tracker frame, which the arm reaches where the tracker sees it.
+    """Draw ``count`` single targets of each arm in the tracker frame, reachable and visible to the tracker.
 
     Each is the SMR pose of the nominal arm at a random configuration; the other arms wait at home. The side from which
-    each joint comes is stated, drawn at random: a short last motion, as designed plans have it. After ways of radians
-    effects of the last motion would be larger than any that the run could show.
+    each joint comes is stated and random, with a short last motion as in designed plans: after motions of radians the
+    effects of the last motion would be larger than any in the run.
     """
     cell, homes = cell_bodies(profile, model), home_positions(profile)
     targets = []
@@ -67,7 +68,7 @@ def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> l
 
 
 def draw_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
-    """``count`` cooperative targets of the first two arms: random configurations at which both are clear and seen."""
+    """Draw ``count`` cooperative targets of the first two arms: random configurations, collision-free and visible."""
     cell = cell_bodies(profile, model)
     first, second = list(profile.arms)[:2]
     drawn = zip(
@@ -102,7 +103,7 @@ def _both_allowed(cell: CellBodies, q: Mapping[str, Array]) -> bool:
 
 
 def _pose(nominal: Geometry, q: Array) -> Array:
-    """SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
+    """Compute the SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
     rotations, origins = flange_poses(nominal, q[None])
     return transform(rotations[0], origins[0] + rotations[0] @ nominal.tool)
 

@@ -10,13 +10,13 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 
 LEAST_RATIO = 15.0
-"""Bar: nominal mean error over compensated mean error."""
+"""Bar: least ratio of nominal to compensated mean error."""
 MOST_OF_FLOOR = 1.5
-"""Bar: compensated mean error over what measuring and repeatability leave of a perfect model."""
+"""Bar: largest ratio of compensated mean error to what measuring and repeatability leave of a perfect model."""
 LEAST_GAIN = 0.4
-"""Bar: share of the cooperative error of the paper's proposed method that compensation removes."""
+"""Bar: least share of the cooperative error of the paper's proposed method that compensation removes."""
 COVERAGE = (0.93, 0.97)
-"""Bar: share of measurements within the stated 95 % limits."""
+"""Bar: range of the share of measurements within the stated 95 % limits."""
 CALIBRATED, RELOCATED = "calibrated", "tracker moved"
 """States of the cell: as calibrated, and after the tracker was moved and located again from 4 points."""
 
@@ -113,7 +113,7 @@ class TargetTrialsResult(Result, schema="cellapp-trials-targets"):
     """Cells that failed, and why."""
 
     def complaints(self) -> list[str]:
-        """What failed, and bars that the means over all cells miss."""
+        """Say what failed, and bars that the means over all cells miss."""
         found = list(self.failed)
         for state in self.states():
             for name, arms in self.by_arm(state).items():
@@ -124,21 +124,21 @@ class TargetTrialsResult(Result, schema="cellapp-trials-targets"):
         return found
 
     def states(self) -> list[str]:
-        """States that were measured, in their order."""
+        """Return states that were measured, in their order."""
         return list(dict.fromkeys(state for trial in self.trials for state in trial.states))
 
     def by_arm(self, state: str) -> dict[str, list[ArmFigures]]:
-        """Figures of every arm in one state, a cell each."""
+        """Return figures of every arm in one state, a cell each."""
         return grouped(of for one in self.trials if state in one.states for of in one.states[state].arms.items())
 
     def pairs(self, state: str) -> list[PairFigures]:
-        """Figures of the pair in one state, a cell each."""
+        """Return figures of the pair in one state, a cell each."""
         found = (trial.states[state].pair for trial in self.trials if state in trial.states)
         return [pair for pair in found if pair is not None]
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are there; None of none."""
+    """Return the mean of the values that are not None; None if there are none."""
     there = [value for value in values if value is not None]
     return float(np.mean(there)) if there else None
 

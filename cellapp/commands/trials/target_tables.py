@@ -18,7 +18,7 @@ from cellapp.commands.view.table import Field, Table, table_of
 
 
 def target_trial_tables(result: TargetTrialsResult) -> list[Table]:
-    """Errors by arm and by pair in every state, a row each cell and one of the means; then what was hidden."""
+    """Show errors by arm and by pair in every state, a row for each cell and one of the means; then hidden effects."""
     tables = []
     for state in result.states():
         tables += [_arms(result, state), _promises(result, state)]
@@ -28,7 +28,7 @@ def target_trial_tables(result: TargetTrialsResult) -> list[Table]:
 
 
 def target_trial_sentences(result: TargetTrialsResult) -> list[str]:
-    """What the columns mean, and which bars are missed."""
+    """Explain the columns, and state which bars are missed."""
     return [
         f"Bars on the means: at least {LEAST_RATIO:g} times below nominal, at most {MOST_OF_FLOOR:g} times the floor,"
         f" cooperative at least {LEAST_GAIN:.0%} below the paper's proposed method on the same readings.",
@@ -44,7 +44,7 @@ def target_trial_sentences(result: TargetTrialsResult) -> list[str]:
 
 
 def _arms(result: TargetTrialsResult, state: str) -> Table:
-    """Errors of single targets."""
+    """Show errors of single targets."""
     return table_of(
         f"{result.profile}: single targets, {state}",
         _lines_of_arms(result, state),
@@ -59,7 +59,7 @@ def _arms(result: TargetTrialsResult, state: str) -> Table:
 
 
 def _promises(result: TargetTrialsResult, state: str) -> Table:
-    """How often measurements keep what was stated of them, beside what no calibration can foresee."""
+    """Show how often measurements are within their stated intervals, beside what no calibration can predict."""
     return table_of(
         f"{result.profile}: stated intervals of single targets, {state}",
         _lines_of_arms(result, state),
@@ -92,7 +92,7 @@ def _pairs(result: TargetTrialsResult, state: str) -> Table:
 
 @dataclass(frozen=True)
 class _Line:
-    """A row: the figures of an arm, or of the pair, of one cell or of all."""
+    """A row: the figures of an arm, or of the pair, of one cell or the means of all cells."""
 
     arm: str
     seed: str
@@ -119,7 +119,7 @@ _COUNTS: tuple[Field, ...] = (
 
 
 def _lines_of_arms(result: TargetTrialsResult, state: str) -> list[_Line]:
-    """A line for each arm of each cell, and one of the means of each arm."""
+    """Return a row for each arm of each cell, and one of each arm's means."""
     seeds = [str(trial.seed) for trial in result.trials if state in trial.states]
     lines = []
     for name, arms in result.by_arm(state).items():

@@ -1,8 +1,8 @@
-"""Compensation judged on whole simulated cells: plan, collect, calibrate, discover, then new targets that are measured.
+"""Compensation judged on whole simulated cells: plan, collect, calibrate, discover, then measure new targets.
 
 Every seed is another cell with other true arms and another mix of hidden effects. All verbs are the product's own, on
-simulated devices; the cell goes on from job to job. What the profile of the run states is no more than that of a real
-cell would: the hidden effects are in the simulated cell only.
+simulated devices; the cell continues from job to job. The run's profile states no more than that of a real cell: the
+hidden effects are in the simulated cell only.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ from cellapp.robot.model.nominal import pose_matrix
 from drivers.plant import Plant
 
 _FLOOR_SEED = 0xF100
-"""Beside the trial's seed."""
+"""Mixed with the trial's seed."""
 _STATION_SEED = 0x57A7
-"""Beside the trial's seed."""
+"""Mixed with the trial's seed."""
 _OTHER_TARGETS = 1000
-"""Added to the trial's seed for the targets after the tracker was moved."""
+"""Added to the trial's seed for the targets after the tracker has moved."""
 _TURNED = (math.radians(8.0), math.radians(25.0))
-"""Angle about the cell's z axis from the old station to the new one: some steps to one side."""
+"""Range of the angle about the cell's z axis from the old station to the new one: some steps to one side."""
 _PACED_M, _PACED_RAD = 0.02, math.radians(0.4)
-"""Standard deviation of each coordinate and angle of a station that was paced out."""
+"""Standard deviation of each coordinate and angle of a station measured by pacing."""
 _FLOOR_DRAWS = 5
 """Repeated measurements of each target: with 200 targets the mean is known to 1.5 %."""
 _NORMAL_95 = 1.959964
@@ -110,7 +110,7 @@ def target_trials(
 
 
 def target_trial(task: TargetsPlan, drawn: Seed) -> TargetTrial:
-    """Calibrate one cell with hidden effects and measure new targets in it."""
+    """Calibrate one cell with hidden effects, and measure new targets in it."""
     began, seed = time.perf_counter(), drawn.seed
     profile = with_hidden(task.profile, {}, seed)
     with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run") as run:
@@ -147,12 +147,11 @@ CELLS = TaskKind("cellapp.commands.trials.target_trial:CELLS", TargetsPlan, Seed
 
 @dataclass(frozen=True, eq=False)
 class _Bench:
-    """A calibrated cell: what the run's profile states, the cell itself, the model in force, and the paper's.
+    """A calibrated cell: the run's profile, the cell itself, the model in force, and the paper's model.
 
-    ``known_s`` is when the model was last made to fit, by the last reading or point [s]; ``moved`` whether the tracker
-    stands elsewhere since.
-    ``paper`` is the model of geometry and network in the base frame, by the proposed method of Bai et al., from the
-    same readings; its pair is the one identified from distances. ``ranges`` are what the readings covered.
+    ``known_s`` is the time of the last reading or point that the model was fitted to [s]; ``moved`` whether the tracker
+    has moved since. ``paper`` is the model of geometry and network in the base frame by the proposed method of Bai et
+    al., from the same readings; its pair is identified from distances. ``ranges`` are those that the readings covered.
     """
 
     profile: Profile
@@ -166,7 +165,7 @@ class _Bench:
 
 
 def _models(run: RunFile) -> tuple[CellModel, CellModel]:
-    """The model in force, and that of the calibration."""
+    """Return the model in force, and that of the calibration."""
     stages = read_stages(run)
     return model_of(run, stage_in_force(run, stages)), model_of(run, stages.current[CALIBRATE])
 
@@ -177,10 +176,7 @@ def _effects(hidden: tuple[str, ...], laws: str, found: DiscoverResult, name: st
 
 
 def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
-    """Move the tracker and locate it again.
-
-    The new station is known as well as one that was paced out.
-    """
+    """Move the tracker and locate it again; the new station is known as well as one measured by pacing."""
     pose, rng = bench.profile.tracker.pose, np.random.default_rng([bench.seed, _STATION_SEED])
     assert pose is not None
     turned = transform(rotation_z(rng.choice([-1.0, 1.0]) * rng.uniform(*_TURNED)), np.zeros(3))
@@ -193,7 +189,7 @@ def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
 
 
 def _state(bench: _Bench, task: TargetsPlan) -> StateFigures:
-    """Draw new targets, compensate and measure them."""
+    """Draw new targets, compensate them, and measure them."""
     seed = bench.seed + (_OTHER_TARGETS if bench.moved else 0)
     singles = draw_targets(bench.profile, bench.model, task.targets, seed)
     both = draw_pairs(bench.profile, bench.model, task.pairs, seed)
@@ -239,7 +235,7 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
 
 
 def _pair_figures(bench: _Bench, result: VerifyResult) -> PairFigures:
-    """Figures of the cooperative targets; each arm's part is a target of the same name."""
+    """Return the figures of the cooperative targets; each arm's part is a target of the same name."""
     done = [pair for pair in result.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
     parts = {(target.name, target.arm): target for target in result.targets}
     names = done[0].arms
@@ -260,7 +256,7 @@ def _pair_figures(bench: _Bench, result: VerifyResult) -> PairFigures:
 
 
 def _paper_pair_mm(bench: _Bench, q: Mapping[str, Array], apart: Array) -> float | None:
-    """Mean absolute error [mm] of distances between the SMRs as the paper's proposed method predicts them."""
+    """Return the mean absolute error [mm] of SMR distances predicted by the paper's proposed method."""
     paper = bench.paper
     if paper.pair is None or paper.T_R_L is None:
         return None
@@ -269,7 +265,7 @@ def _paper_pair_mm(bench: _Bench, q: Mapping[str, Array], apart: Array) -> float
 
 
 def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
-    """Errors (k, n, 3) [m] of k repeated measurements at ``q``, arm -> (n, N) [rad]: noise and repeatability."""
+    """Draw errors (k, n, 3) [m] of k repeated measurements at ``q``, arm -> (n, N) [rad]: noise and repeatability."""
     rng = np.random.default_rng([bench.seed, _FLOOR_SEED])
     plant, errors = bench.plant, {}
     for name, here in q.items():
@@ -283,9 +279,9 @@ def _scatter(bench: _Bench, q: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _changed(bench: _Bench, name: str, q: Array) -> Array:
-    """Displacement (n, 3) [m] at ``q`` (n, N) [rad] since the model was last made to fit, by effects of time.
+    """Compute the displacement (n, 3) [m] at ``q`` (n, N) [rad] by effects of time since the model was last fitted.
 
-    No calibration can foresee it, unless it follows a law that the run shows.
+    No calibration can predict it, unless it follows a law that the run shows.
     """
     times = (np.array([time_s]) for time_s in (bench.known_s, bench.plant.clock_s))
     then, now = (bench.plant.smr_positions(name, q, time_s=time_s) for time_s in times)
@@ -293,7 +289,7 @@ def _changed(bench: _Bench, name: str, q: Array) -> Array:
 
 
 def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRanges) -> Array:
-    """Standard deviations (n, 3) [m] of measured coordinates about their prediction, as the product states them."""
+    """Return standard deviations (n, 3) [m] of measured coordinates about the prediction, as the product states."""
     conditions = MeasurementConditions(approach=approach)
     covariance = spread_of(model, q, conditions, ranges).of_model
     if model.posterior is not None and ranges.noise is not None:
@@ -302,7 +298,7 @@ def _measured_sd(model: ArmModel, q: Array, approach: Array, ranges: ConditionRa
 
 
 def _rows(vectors: Sequence[tuple[float, ...] | None]) -> Array:
-    """Vectors (n, N) of measured targets, which have them all."""
+    """Stack vectors (n, N) of measured targets, which all have them."""
     return np.array(vectors, dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Targets of blind trials: the wanted and the reached share of each, and which of them are bars."""
+"""Targets of blind trials: the required and the reached share of each, and which of them are bars."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from cellapp.commands.trials.judge_records import ArmFindings, PosteriorScore, S
 from cellapp.commands.trials.posteriors import ACCEPTED, EVERY
 
 AT_FLOOR = 1.05
-"""Held-out rms within this factor of the noise counts as reaching it."""
+"""A held-out rms within this factor of the noise counts as reaching it."""
 USUAL_S, SLOWEST_S = 1.0, 5.0
-"""Targets for the search of one arm, median and worst [s]."""
+"""Targets for the search time of one arm, median and worst [s]."""
 ENOUGH_CLEAN = 300
-"""Arms without effects from which a rate of 1 % can be confirmed: 3 false alarms are expected at that rate."""
+"""Least arms without effects to confirm a rate of 1 %: 3 false alarms are expected at that rate."""
 _ONE, _SEVERAL, _OUTSIDE, _SECOND = 34, 13, 20, 50
-"""Trials from which a bar counts: one miss is then still within it."""
+"""Least trials for a bar to count: it then still tolerates one miss."""
 _BRIER = 0.05
 _STATEMENTS = 100
-"""Stated probabilities from which their Brier score counts."""
+"""Least stated probabilities for their Brier score to count."""
 
 
 def targets(
     runs: Sequence[ScoredRun], clean: Sequence[ArmFindings], posteriors: Sequence[PosteriorScore]
 ) -> list[TargetScore]:
-    """The wanted and the reached share of every target for which there are trials; ``clean`` arms hide nothing."""
+    """Return the required and reached share of every target that has trials; ``clean`` arms hide nothing."""
     every = [found for run in runs for found in run.arms.values()]
     beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.kind in ("one", "pair", "triple")]
@@ -45,12 +45,12 @@ def targets(
 
 
 def _false(arms: Sequence[ArmFindings]) -> list[bool]:
-    """Whether anything was named or called unknown in arms that hide nothing."""
+    """Return for each arm that hides nothing whether anything was named or called unknown."""
     return [bool(found.accepted) or found.unknown for found in arms]
 
 
 def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Exact names of visible effects."""
+    """Score exact names of visible effects."""
     one = [run for run in visible if run.kind == "one"]
     several = [run for run in visible if run.kind != "one"]
     ordinary = [run.outcome == "named" for run in several if not run.look_alikes]
@@ -64,18 +64,18 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
 
 
 def _wrong_below(known: Sequence[ScoredRun]) -> list[bool]:
-    """Whether a single effect below the noise made the search accept anything else."""
+    """Return for each single effect below the noise whether the search accepted anything else."""
     below = [run for run in known if run.kind == "one" and not run.visible]
     return [run.outcome not in ("none", "named") for run in below]
 
 
 def _too_many(runs: Sequence[ScoredRun]) -> list[bool]:
-    """Whether a hard case got more names, or unknown terms, than it has causes."""
+    """Return for each hard case whether it got more names, or unknown terms, than it has causes."""
     return [bool(run.second_names) for run in runs if run.kind == "hard"]
 
 
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """What the library lacks, and signs of the wrong convention; above the noise only."""
+    """Score laws outside the library, and signs of the wrong convention; only above the noise."""
     called = [run.findings.unknown for run in outside if run.visible]
     described = [run.description == "right" for run in outside if run.visible]
     said = [run.findings.unknown and bool(run.says_convention) for run in flipped if run.visible]
@@ -87,7 +87,7 @@ def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list
 
 
 def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Names beyond those of the hidden effects."""
+    """Score names beyond those of the hidden effects."""
     beyond = [bool(run.second_names) for run in known]
     same = [any(one.same_cause for one in run.second_names) for run in known]
     further = [bool(run.second_names) for run in outside]
@@ -99,7 +99,7 @@ def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[Ta
 
 
 def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
-    """Held-out errors where something of the library is hidden."""
+    """Score held-out errors of arms that hide effects of the library."""
     stated = [found.to_stated for found in known]
     return [
         _at_least(
@@ -118,7 +118,7 @@ def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
 
 
 def _brier(score: PosteriorScore) -> TargetScore:
-    """The Brier score of some statements as a target."""
+    """Return the Brier score of some statements as a target."""
     held = score.brier <= _BRIER
     return TargetScore(
         kind="all",
@@ -135,7 +135,7 @@ def _brier(score: PosteriorScore) -> TargetScore:
 
 
 def _at_least(kind: str, what: str, wanted: float, hits: Sequence[bool], bar_from: int = 0) -> TargetScore | None:
-    """A target to reach; a bar from ``bar_from`` trials, if that is given."""
+    """Return a target with a least share; a bar from ``bar_from`` trials on, if given."""
     return _target(kind, what, wanted, hits, at_most=False, trials_wanted=max(bar_from, 1), bar=bar_from > 0)
 
 
@@ -148,7 +148,7 @@ def _at_most(
 def _target(
     kind: str, what: str, wanted: float, hits: Sequence[bool], *, at_most: bool, trials_wanted: int, bar: bool
 ) -> TargetScore | None:
-    """One target; None where there is no trial for it. Too few trials can refute it but not confirm it."""
+    """Return one target; None if it has no trials. Too few trials can refute it but not confirm it."""
     n, reached = len(hits), sum(hits)
     if not n:
         return None

@@ -1,7 +1,7 @@
-"""``trials truth``: many blind runs in sets that each ask one question, in sealed blocks that are judged in turn.
+"""``trials truth``: many blind runs in sets that each answer one question, in sealed blocks that are judged in turn.
 
-A set is a folder of blocks of 25 runs that share a plan. Blocks of all sets take turns in proportion, so that a trial
-that is stopped, or that has a time to keep, states all sets from what it has; the same command goes on.
+A set is a folder of blocks of 25 runs that share a plan. The sets take turns in proportion, so that a trial that is
+stopped, or has a time limit, has results for all sets; the same command resumes it.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from cellapp.ground.version import __version__
 BLOCK = 25
 """Runs of a block."""
 FEW_STOPS = (25, 40, 60, 80)
-"""Stops of the blocks of the set ``few`` in turn: 10 to 20 of them are held out, 15, 30, 45 and 60 are learned from."""
+"""Stops of the blocks of the set ``few`` in turn: 10 to 20 of them are held out, 15, 30, 45 and 60 are for learning."""
 
 
 @dataclass(frozen=True)
 class TrialSet:
-    """One question: under which conditions, and how many runs answer it."""
+    """One question: its conditions, and how many runs answer it."""
 
     setup: Setup
     runs: int
@@ -66,7 +66,7 @@ class Share(Record):
 
     @classmethod
     def of(cls, hits: Sequence[bool]) -> Share | None:
-        """Of cases that are hits or not; None without any."""
+        """Count the hits among cases; None without any case."""
         if not hits:
             return None
         low, high = exact_interval(sum(hits), len(hits))
@@ -117,7 +117,7 @@ class TruthResult(Result, schema="cellapp-trials-truth-sets"):
 
 
 def sizes_of(text: str) -> dict[str, int]:
-    """Runs of each set from ``clean=300,single=100``; sets that are not named have their usual size.
+    """Parse the runs of each set, as ``clean=300,single=100``; sets that are not named have their usual size.
 
     Raises
     ------
@@ -141,16 +141,16 @@ def truth_trials(
     work: Work = IN_PLACE,
     limit: TimeLimit = UNLIMITED,
 ) -> TruthResult:
-    """Seal and judge the blocks of all sets in turn, and score what was judged.
+    """Seal and judge the blocks of all sets in turn, and score the judged runs.
 
     Parameters
     ----------
     sizes : mapping
-        Set -> runs.
+        Set -> number of runs.
     seed : int
         Draws everything.
     limit : TimeLimit
-        No block begins after it; what is left is judged by the next call.
+        No block starts after it; the next call judges the rest.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def truth_trials(
     CheckFailed
         If a seal is broken.
     Cancelled
-        On request; runs that were judged stay so.
+        On request; judged runs stay judged.
     """
     scored: dict[str, list[ScoredRun]] = {name: [] for name, size in sizes.items() if size}
     failed: list[str] = []
@@ -174,7 +174,7 @@ def truth_trials(
             own.parent.mkdir(parents=True, exist_ok=True)
             seal_trials(profile, own, block.runs, block.setup, seed=block.seed, cancel=work.cancel)
         result = judge_trials(own, Work(work.resources, cancel=work.cancel))
-        if (result.sealed.seed, result.sealed.runs) != (block.seed, block.runs):  # stated where the truth is
+        if (result.sealed.seed, result.sealed.runs) != (block.seed, block.runs):  # only the opened truth states them
             raise InputError(f"{own} has runs of another seed or size; give those, or another --out")
         scored[block.set] += result.trials
         failed += [f"{block.name}/{one}" for one in result.failed]
@@ -193,7 +193,7 @@ def truth_trials(
 
 
 def truth_score(runs: Sequence[ScoredRun], wanted: int) -> TruthScore:
-    """Scores over some runs."""
+    """Score some runs."""
     empty = [found for run in runs for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.hidden and run.expected is None and run.visible]
     outside = [run for run in runs if run.expected is not None and run.visible]
@@ -212,7 +212,7 @@ def truth_score(runs: Sequence[ScoredRun], wanted: int) -> TruthScore:
 
 
 def truth_table(result: TruthResult) -> Table:
-    """A row for each set: counts, and the interval of each share."""
+    """Build a table with a row for each set: counts, and the interval of each share."""
     rows = [*result.sets.items(), ("total", result.total)]
     shares = {
         "false names": "false_names",
@@ -241,7 +241,7 @@ def truth_table(result: TruthResult) -> Table:
 
 
 def truth_sentence(result: TruthResult) -> str:
-    """What was judged, by which program."""
+    """State what was judged, and by which program version."""
     return (
         f"{counted(result.total.runs, 'run')} of {result.total.wanted}, two arms each; {result.date}, {result.program},"
         f" source {result.source}, profile {result.profile}, seed {result.seed}. False names: of arms in which nothing"
@@ -264,12 +264,12 @@ class _Block:
 
     @property
     def name(self) -> str:
-        """Its folder below that of all sets."""
+        """Its folder, relative to the folder of all sets."""
         return f"{self.set}/block-{self.number:02d}"
 
 
 def _blocks(sizes: Mapping[str, int], seed: int) -> list[_Block]:
-    """All blocks, those of each set spread evenly."""
+    """Return all blocks; those of each set are spread evenly."""
     found = []
     for place, (name, one) in enumerate(SETS.items()):
         count = -(-sizes.get(name, 0) // BLOCK)

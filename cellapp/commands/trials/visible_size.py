@@ -1,4 +1,4 @@
-"""How large a hidden effect is: what the geometry cannot follow of it, and what the library's laws cannot."""
+"""Size of a hidden effect: the part that geometry cannot absorb, and the part that the library's laws cannot."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
 
 _ROUNDING = 1e-9
-"""Directions of a design whose singular value is this share of the largest one are rounding."""
+"""Singular values below this share of the largest one are rounding errors."""
 _MOST_COLUMNS = 80
-"""Laws of more columns are not compared: they follow anything (all lines of a spectrum, free curves)."""
+"""Laws with more columns are not compared: they absorb anything (all lines of a spectrum, free curves)."""
 _TUNING_ROUNDS = 6
-"""Rounds in which the constants of the best law are moved, with half the step each."""
+"""Rounds that tune the constants of the best law, each with half the step."""
 
 
 def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
-    """The part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot follow.
+    """Return the part of displacements ``moved`` (n, 3) [m] that the identifiable geometry cannot absorb.
 
-    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] the SMR positions without the effect. Linear, about the nominal
-    arm registered to the tracker: the part of the displacement orthogonal to the columns of its Jacobian.
+    ``q`` (n, N) [rad] are the stops, ``p_M`` (n, 3) [m] the SMR positions without the effect. The nominal arm,
+    registered to the tracker, is linearized; the part is orthogonal to the columns of its Jacobian.
     """
     nominal = _registered(arm, q, p_M)
     columns = auto_set(nominal, q).columns
@@ -36,17 +36,17 @@ def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
 
 
 def registered_model(profile: Profile, name: str, q: Array, p_M: Array) -> ArmModel:
-    """The nominal model of an arm with its base registered to SMR positions ``p_M`` (n, 3) [m] at ``q`` (n, N)."""
+    """Return an arm's nominal model, its base registered to SMR positions ``p_M`` (n, 3) [m] at ``q`` (n, N)."""
     arm = profile.arms[name]
     geometry = _registered(arm, q, p_M)
     return ArmModel(geometry, geometry, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
 
 
 def beyond_law(model: ArmModel, slug: str, q: Array, conditions: MeasurementConditions, moved: Array) -> Array | None:
-    """The part of displacements ``moved`` (n, 3) [m] that geometry with the best law of an effect cannot follow.
+    """Return the part of displacements ``moved`` (n, 3) [m] that geometry with the best law of an effect cannot absorb.
 
-    ``q`` (n, N) [rad] are the stops and ``conditions`` their measurement conditions. All parameters are free. None
-    where the library has no law of few columns for these data.
+    ``q`` (n, N) [rad] are the stops and ``conditions`` their measurement conditions. All parameters are free. None if
+    the library has no law with few columns for these data.
     """
     effect = EFFECTS.get(slug)
     context = model.context(q, conditions=conditions)
@@ -82,7 +82,7 @@ def _registered(arm: Arm, q: Array, p_M: Array) -> Geometry:
 
 
 def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
-    """Displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are those per radian of each joint."""
+    """Stack the displacements (m, 3 n) of columns; ``by_joint`` (3, N, n) are displacements per radian of a joint."""
     rows = []
     for column in columns:
         if column.shift_M is not None:
@@ -94,7 +94,7 @@ def _rows(columns: list[EffectColumn], by_joint: Array) -> Array:
 
 
 def _left(rows: Array, y: Array) -> Array:
-    """The part of ``y`` (k,) orthogonal to ``rows`` (m, k), each of which counts whatever its unit."""
+    """Return the part of ``y`` (k,) orthogonal to ``rows`` (m, k), whose scale does not matter."""
     lengths = np.linalg.norm(rows, axis=1)
     rows = rows[lengths > 0.0] / lengths[lengths > 0.0, None]
     gram = rows @ rows.T

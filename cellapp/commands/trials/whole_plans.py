@@ -1,5 +1,4 @@
-"""Whole plans over seeds, designed against random: reached stops, travel, correlations, and an independent collision
-check of every motion."""
+"""Whole plans over seeds, designed against random: stops, travel, correlations, an independent collision check."""
 
 from __future__ import annotations
 
@@ -23,9 +22,9 @@ from cellapp.ground.scale.task import SimulatedCell, TaskKind, profile_of
 from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0x9A9
-"""Beside the trial's seed."""
+"""Mixed with the trial's seed."""
 _TIMINGS = 2
-"""Times that each motion is run in the check: all arms in step, and one of them late and at another speed."""
+"""Runs of each motion in the check: all arms in step, and once with one arm late and at another speed."""
 
 
 class WholePlan(Record):
@@ -119,7 +118,7 @@ PLANS = TaskKind(
 
 
 def planned_motions(stops: PlannedStops, homes: Configuration) -> list[tuple[dict[str, Array], dict[str, Array]]]:
-    """All motions of a plan from home and back, each from where all arms are to where all arms are then."""
+    """Return all motions of a plan from home and back, each from the positions of all arms to their next ones."""
     here = {name: homes.get(name, q[0]) for name, q in stops.q.items()}
     motions = []
     for stop in range(len(stops)):
@@ -132,7 +131,7 @@ def planned_motions(stops: PlannedStops, homes: Configuration) -> list[tuple[dic
 
 
 def as_driven(stops: PlannedStops, homes: Configuration) -> PlannedStops:
-    """A plan without approaches whose last motions are the whole ways, so that their sides can be judged."""
+    """Return a plan without approaches whose last motions are the whole motions, so that their sides can be judged."""
     begin = {name: np.vstack([homes.get(name, q[0]), q[:-1]]) for name, q in stops.q.items()}
     return replace(stops, approach_from=begin)
 

@@ -1,4 +1,4 @@
-"""What is shown of many readings, and the frame in which a cell is drawn."""
+"""Selection of readings to draw, and the frame in which a cell is drawn."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def evenly_spread(n: int, most: int) -> NDArray[np.intp]:
-    """At most ``most`` of n rows, evenly spread."""
+    """Return at most ``most`` of n row indices, evenly spread."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
 
 
 def levelling_rotation(up_M: Array) -> Array:
-    """The smallest rotation (3, 3) that takes ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
+    """Return the smallest rotation (3, 3) that maps ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
     x, y, z = up_M
     if z < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

@@ -1,6 +1,6 @@
-"""A chart as data: what is drawn, in which units, and what a person should see in it. No medium, no I/O.
+"""Charts as data: what is drawn, in which units, with what message. No medium, no I/O.
 
-The modules ``charts_*`` make charts from typed results; ``cellapp.interfaces.tui.plots`` draws them in a terminal.
+Modules ``charts_*`` build charts from typed results; ``cellapp.interfaces.tui.plots`` draws them in a terminal.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.results import STAGES
 
-Array = NDArray[np.float64]  # not that of kinematics, which loads scipy: a screen that draws must open fast
+Array = NDArray[np.float64]  # not imported from kinematics: that loads scipy, and screens must open fast
 Kind = Literal["line", "points", "steps", "bars"]
 Key = TypeVar("Key", bound=str)
 """Name of a stage or a method."""
 
 STAGE_STYLES: Mapping[str, int] = {stage: number for number, stage in enumerate(STAGES)}
-"""Style of each stage: the same in all charts."""
+"""Style of each stage, the same in all charts."""
 SMALLEST_MM = 1e-6
-"""What a logarithmic axis shows for an error of zero [mm]."""
+"""Value of a logarithmic axis for an error of zero [mm]."""
 LEAST = 1e-100
-"""Smaller values, in whatever unit, are drawn as zero: steps between denormal numbers are not exact."""
+"""Values below this, in any unit, are drawn as zero: differences of denormal numbers are not exact."""
 _BINS = 40
-"""Bins of a histogram over all errors."""
+"""Number of bins of a histogram over all errors."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis shows and its unit (empty: a plain number)."""
+    """Label of an axis and its unit (empty: a plain number)."""
 
     label: str
     unit: str = ""
@@ -39,7 +39,7 @@ class Axis:
 
     @property
     def words(self) -> str:
-        """Label and unit, as in ``held-out rms [mm]``."""
+        """Label and unit, as ``held-out rms [mm]``."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
@@ -54,11 +54,11 @@ class Series:
     band : array, shape (n,), or None
         Half width of a band about y.
     style : int
-        Number of its colour and mark. One arm or stage has one number, whichever chart it is in.
+        Number of its colour and mark. An arm or stage has the same number in all charts.
     mark : str
-        One character that stands at every point, instead of the mark of the style.
+        A character drawn at every point instead of the mark of the style.
     hints : tuple of str, length n or 0
-        What the page shows under the pointer beside the coordinates of each point.
+        Texts that the page shows under the pointer, beside the coordinates of each point.
     """
 
     name: str
@@ -79,13 +79,13 @@ class Series:
 
     @property
     def edges(self) -> list[Array]:
-        """Lower and upper edge of the band, each (n,); y where there is none."""
+        """Lower and upper edge of the band, (n,) each; y if there is no band."""
         return [self.y] if self.band is None else [self.y - self.band, self.y + self.band]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A line across the chart at one value of an axis: a noise floor, a tolerance."""
+    """A line across the chart at one value of an axis, as a noise floor or a tolerance."""
 
     name: str
     value: float
@@ -99,17 +99,17 @@ class Chart:
     Attributes
     ----------
     message : str
-        The chart in one or two sentences, for those who do not see it; where there is nothing to draw, why.
+        The chart in one or two sentences, for those who cannot see it; of an empty chart, why it is empty.
     categories : tuple of str
-        Names of the bars at x = 0, 1, ..., if the x axis has no numbers.
+        Names of the bars at x = 0, 1, ...; empty if the x axis has numbers.
     bar_texts : tuple of str
-        Their values as texts.
+        Values of the bars as texts.
     equal : bool
-        A map: one unit has the same length along both axes.
+        Whether one unit has the same length along both axes, as in a map.
     by_stage : bool
-        The styles are those of stages (``STAGE_STYLES``), not of arms: the page has colours for either.
+        Whether the styles are those of stages (``STAGE_STYLES``), not of arms: the page has other colours for them.
     y_range : tuple of float, or None
-        The part of the y axis that is drawn, where a few far points would flatten all others; None: all values.
+        The drawn part of the y axis, if a few far points would flatten all others; None for all values.
     """
 
     title: str
@@ -141,39 +141,40 @@ def series(
     mark: str = "",
     hints: Iterable[str] = (),
 ) -> Series:
-    """A series from anything that numpy takes as an array."""
+    """Build a series from anything that numpy accepts as an array."""
     as_array = np.asarray(x, dtype=np.float64)
     width = None if band is None else np.asarray(band, dtype=np.float64)
     return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark, tuple(hints))
 
 
 def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:
-    """One bar for each name, with its value and that value as a text."""
+    """Build a chart with one bar for each name, labelled with its value as a text."""
     values, texts = [value for value, _ in bars.values()], tuple(text for _, text in bars.values())
     drawn = (series(title, np.arange(float(len(bars))), values, "bars"),) if bars else ()
     return Chart(title, Axis(""), axis, drawn, message, categories=tuple(bars), bar_texts=texts)
 
 
 def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str = "noise floor") -> tuple[Limit, ...]:
-    """The limit at a noise floor [mm]; none where it is not known."""
+    """Return the limit at a noise floor [mm]; none if it is unknown."""
     return () if floor_mm is None else (Limit(name, floor_mm, axis),)
 
 
 def drawable_mm(errors_mm: ArrayLike) -> Array:
-    """Errors [mm] for a logarithmic axis."""
+    """Return errors [mm] of at least ``SMALLEST_MM``, for a logarithmic axis."""
     return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
 
 
 def error_counts(
     errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
 ) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
-    """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
+    """Return bin edges (bins + 1,) [mm] from ``low`` to ``high``, even on a logarithmic axis, and the errors in
+    each."""
     edges = np.geomspace(low, high, bins + 1)
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 
 
 def mm(value: float) -> str:
-    """A length [mm] with two or three significant digits, and no more than four decimals."""
+    """Format a length [mm] with two or three significant digits, and at most four decimals."""
     if not np.isfinite(value):
         return "unknown"
     decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
@@ -181,11 +182,11 @@ def mm(value: float) -> str:
 
 
 def enumerated(parts: Iterable[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Join words: ``a``, ``a and b``, ``a, b and c``."""
     words = list(parts)
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def styles(names: Sequence[str]) -> dict[str, int]:
-    """Style of each arm or reference, by its place in the profile or the data."""
+    """Number the arms or references by their order: the styles that they have in charts."""
     return {name: number for number, name in enumerate(dict.fromkeys(names))}

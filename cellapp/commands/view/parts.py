@@ -1,7 +1,7 @@
-"""What a view is made of: sentences, tables, charts, and sections that hold such parts under a title.
+"""Parts of a view: sentences, tables, charts, and sections that hold such parts under a title.
 
-A view lists them in the order in which a terminal prints them. The page and the terminal application have room beside
-and below: within a section they show sentences, then charts, then tables, then the sections inside.
+A view lists them in the order of a terminal. The page and the terminal application have room beside and below: they
+show the sentences of a section first, then its charts, tables and inner sections.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cellapp.commands.view.scene import CellScene
 
 Part = Union[str, "Facts", "Chart", "CellScene", Table, "Section"]
-"""Charts load numpy, which a terminal that draws none needs not."""
+"""Charts load numpy, which a terminal without charts does not need."""
 Parts = Sequence[Part]
 _WIDTH = 80
 """Columns of a terminal."""
@@ -26,27 +26,27 @@ _WIDTH = 80
 
 @dataclass(frozen=True)
 class Facts:
-    """Pairs of a title and a text; a title that is empty goes on with the one before."""
+    """Pairs of a title and a text; an empty title continues the pair before."""
 
     rows: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Section:
-    """Parts that belong together.
+    """Parts that belong together under a title.
 
     Attributes
     ----------
     parts : sequence of Part
-        What it shows.
+        Its contents.
     message : str
-        The section in one sentence, shown while it is folded, too.
+        The section in one sentence, also shown while it is folded.
     about : str
-        What it shows and how it is to be read, for those who do not know.
+        What it shows and how to read it, for newcomers.
     folded : bool
-        Whether it holds details, which an interface shows when they are asked for.
+        Whether it holds details, which an interface shows on request.
     key : str
-        Its anchor on a page; empty: none.
+        Its anchor on a page; none if empty.
     outdated : str
         Why its results no longer hold; empty if they do.
     """
@@ -61,9 +61,9 @@ class Section:
 
 
 def printed(parts: Parts, depth: int = 0) -> Iterator[Table | str]:
-    """Lines and tables in their order, as plain text shows them: without charts, details, and what explains them.
+    """Yield lines and tables in their order for plain text: without charts, details and explanations.
 
-    What stands in a section is indented below its title, and wrapped for a terminal of 80 columns.
+    The contents of a section are indented below its title and wrapped for a terminal of 80 columns.
     """
     for part in parts:
         if isinstance(part, Section):
@@ -85,12 +85,12 @@ def _indented(text: str, depth: int) -> list[str]:
 
 
 def sentence(text: str) -> str:
-    """Words as a sentence: with a capital letter and a full stop."""
+    """Make a sentence of words: add a capital letter and a full stop."""
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
 def section_of(title: str, parts: Parts, *, message: str = "", about: str = "", key: str = "") -> Section:
-    """A section whose message, where none is given, is the first line of its parts."""
+    """Build a section; its default message is the first sentence of its parts."""
     if not message:
         first = next(place for place, part in enumerate(parts) if isinstance(part, str))
         message, parts = str(parts[first]), [*parts[:first], *parts[first + 1 :]]

@@ -1,4 +1,4 @@
-"""What happens in a running job, in one line each, for the log of a screen."""
+"""Events of a running job, in one line each, for the log of a screen."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from cellapp.ground.progress import Detail, LogReport, Notice, ReferenceReport, 
 
 
 def detail_words(detail: Detail) -> str:
-    """What happened, in one line; empty for the steps of a stop, which a screen draws and a log leaves out."""
+    """Describe an event in one line; empty for steps of a stop, which a screen draws and a log omits."""
     match detail:
         case StateChange(state, reason):
             return f"{state.upper()}: {reason}"
@@ -24,5 +24,5 @@ def detail_words(detail: Detail) -> str:
 
 
 def stop_words(report: StopReport) -> str:
-    """The newest residual and the standard error of one arm."""
+    """State the newest residual and standard error of one arm."""
     return f"{report.arm}: residual {report.residual_mm:.3f} mm, standard error {report.standard_error_mm:.4f} mm"

@@ -1,4 +1,4 @@
-"""Recordings of motion as a table: counts, rates, gaps, clocks that are not steady."""
+"""Recordings of motion as a table: counts, rates, gaps, unsteady clocks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
-    """A table with two rows for each recording; none without one."""
+    """Build a table with two rows for each recording; no table without recordings."""
     rows: list[tuple[Cell, ...]] = []
     for one in states:
         for kind, its in (("joints", one.joints), ("points", one.points)):

@@ -15,7 +15,7 @@ from cellapp.commands.view.words import STAGE_WORDS
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """The bodies of one arm: axes from ``start`` to ``end`` (m, 3) [m] with ``radius`` (m,) [m]."""
+    """The bodies of one arm: capsules with axes from ``start`` to ``end`` (m, 3) [m] and ``radius`` (m,) [m]."""
 
     start: Array
     end: Array
@@ -39,8 +39,8 @@ class ErrorVectors:
 
 @dataclass(frozen=True, eq=False)
 class SceneArm:
-    """One arm: its bodies and its chain (k, 3) from base to SMR at one measured stop, measured ``points`` (n, 3) [m] at
-    ``stops`` (n,), and its errors before and after."""
+    """One arm: its bodies and its chain (k, 3) [m] from base to SMR at one measured stop, measured ``points`` (n, 3)
+    [m] at ``stops`` (n,), and its errors before and after."""
 
     name: str
     base: Array
@@ -55,8 +55,8 @@ class SceneArm:
 class CellScene:
     """The cell in the tracker frame, rotated so that z points up; the tracker is at the origin.
 
-    ``obstacles`` are points (n, 3) [m] whose convex hulls are the obstacles, by name. ``enlarged`` is the factor by
-    which errors are drawn longer than they are.
+    ``obstacles`` are points (n, 3) [m] by name, drawn as their convex hulls. ``enlarged`` is the factor by which errors
+    are drawn larger.
     """
 
     arms: tuple[SceneArm, ...]
@@ -65,13 +65,13 @@ class CellScene:
 
     @cached_property
     def points(self) -> Array:
-        """Everything that a picture has to show: points (n, 3) [m] of arms, stops and tracker."""
+        """Points (n, 3) [m] of arms, stops and tracker: what a picture must show."""
         parts = [part for arm in self.arms for part in (arm.points, arm.chain, arm.bodies.start, arm.bodies.end)]
         return np.vstack([np.zeros((1, 3)), *parts])
 
     @property
     def message(self) -> str:
-        """How far the arms are from the tracker, and how much shorter the errors became."""
+        """Sentence on the distances of the arms from the tracker, and on how much smaller the errors became."""
         sentences = []
         for arm in self.arms:
             words = f"Arm {arm.name} stands {float(np.linalg.norm(arm.base)):.1f} m from the tracker"

@@ -1,4 +1,4 @@
-"""Tables as typed data, and the one formatter that turns their cells into text.
+"""Tables as typed data, and the one formatter that converts their cells to text.
 
 Terminal, TUI, HTML and Markdown draw the same ``Table``.
 """
@@ -13,12 +13,12 @@ from typing import Any, Literal, TypeAlias, TypeVar
 R = TypeVar("R")
 
 MOST_ROWS = 60
-"""Rows that a person reads of a table that may have thousands; the JSON and the run file have all."""
+"""Most rows that are shown of a table that may have thousands; the JSON and the run file have all."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number with its own decimals and unit, for rows that differ in precision or unit from their column."""
+    """A number with its own decimals and unit, for rows that differ from their column."""
 
     value: float
     decimals: int
@@ -27,7 +27,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Interval:
-    """Limits of an interval; ``decimals`` replaces the number format of the column."""
+    """Limits of an interval; ``decimals`` replaces the column's number format."""
 
     low: float
     high: float
@@ -35,7 +35,7 @@ class Interval:
 
 
 Cell = str | int | float | Number | Interval | None
-"""None is an empty cell."""
+"""Contents of a cell; None is an empty cell."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Column:
 
 
 def number_column(title: str, number_format: str, unit: str = "") -> Column:
-    """A column of numbers or intervals."""
+    """Build a column of numbers or intervals."""
     return Column(title, "number", number_format, unit)
 
 
@@ -88,14 +88,14 @@ class Table:
         return tuple(column.heading for column in self.columns)
 
     def text_rows(self) -> tuple[tuple[str, ...], ...]:
-        """All cells as text."""
+        """Return all cells as text."""
         return tuple(
             tuple(format_cell(cell, column.number_format) for cell, column in zip(row, self.columns, strict=True))
             for row in self.rows
         )
 
     def shown_and_exact(self) -> tuple[tuple[tuple[str, str], ...], ...]:
-        """All cells as text, each with its number in full precision; that is empty where the text says as much."""
+        """Return all cells as text, each with its number in full precision; empty if the text is already exact."""
         return tuple(
             tuple((text, exact_cell(cell, text)) for cell, text in zip(row, texts, strict=True))
             for row, texts in zip(self.rows, self.text_rows(), strict=True)
@@ -103,13 +103,13 @@ class Table:
 
 
 Source: TypeAlias = str | Callable[[Any], Cell]
-"""Where a cell comes from: the attribute of a row, or what is made of the row."""
+"""Source of a cell: the name of a row's attribute, or a function of the row."""
 Field: TypeAlias = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Source, str, str]
-"""A column: heading, source of its cells, and of numbers their format and unit. Shares are shown in %."""
+"""A column: heading, source of its cells, and for numbers their format and unit. Shares are shown in %."""
 
 
 def table_of(title: str, rows: Iterable[Any], *fields: Field, count: int | None = None) -> Table:
-    """A table with a row for each object; these are some of ``count`` ones, where that is given."""
+    """Build a table with a row for each object; ``count`` is their total number if ``rows`` are only some of them."""
     columns = tuple(number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0]) for one in fields)
     sources = [attrgetter(one[1]) if isinstance(one[1], str) else one[1] for one in fields]
     cells = tuple(
@@ -119,7 +119,7 @@ def table_of(title: str, rows: Iterable[Any], *fields: Field, count: int | None 
 
 
 def with_rows(*tables: Table) -> list[Table]:
-    """Those tables that have a row."""
+    """Return the tables that have rows."""
     return [table for table in tables if table.rows]
 
 
@@ -128,7 +128,7 @@ def _shown(value: Any, unit: str) -> Any:
 
 
 def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:
-    """The rows with the largest urgency, in their own order."""
+    """Return the ``most`` rows with the largest urgency, in their original order."""
     if len(rows) <= most:
         return list(rows)
     chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:most]
@@ -136,24 +136,24 @@ def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MO
 
 
 def part_title(title: str, shown: int, count: int) -> str:
-    """The title of a table that shows some of ``count`` rows; it says so where rows are missing."""
+    """Return the title of a table of some of ``count`` rows; it says if rows are missing."""
     return title if shown == count else f"{title}: {shown} of {count}, --json has all"
 
 
 def part_table(title: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cell, ...]], count: int) -> Table:
-    """A table of some of ``count`` rows."""
+    """Build a table of some of ``count`` rows."""
     return Table(part_title(title, len(rows), count), columns, tuple(rows))
 
 
 def without_empty(table: Table) -> Table:
-    """The table without columns that have no cell."""
+    """Return the table without empty columns."""
     kept = [place for place in range(len(table.columns)) if any(row[place] not in (None, "") for row in table.rows)]
     rows = tuple(tuple(row[place] for place in kept) for row in table.rows)
     return Table(table.title, tuple(table.columns[place] for place in kept), rows)
 
 
 def format_cell(cell: Cell, number_format: str = "") -> str:
-    """A cell as text."""
+    """Format a cell as text."""
     if cell is None:
         return ""
     if isinstance(cell, str):
@@ -167,7 +167,7 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
 
 
 def exact_cell(cell: Cell, text: str) -> str:
-    """The shortest text that gives back the same numbers, in the unit of ``text``; empty if that is ``text`` itself."""
+    """Return the shortest text that reproduces the numbers exactly, in the unit of ``text``; empty if ``text`` does."""
     if isinstance(cell, Number) and not cell.unit:
         cell = cell.value
     if isinstance(cell, Interval):
@@ -179,7 +179,7 @@ def exact_cell(cell: Cell, text: str) -> str:
 
 
 def markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:
-    """Tables as Markdown, and the sentences as a paragraph at the end."""
+    """Format tables as Markdown, and the sentences as a paragraph at the end."""
     parts = []
     for table in tables:
         lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]

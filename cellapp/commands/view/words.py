@@ -23,17 +23,17 @@ _UNITS = {
     "1/(N m^2)": (1e6, "1e-6/(N m²)"),
 }
 _MILLIMETRES = 1e-3
-"""Lengths from here on are shown in mm [m]."""
+"""Lengths from this one on are shown in mm [m]."""
 _NEARLY_CERTAIN = 0.99
-"""Probability beyond which only the limit is stated."""
+"""Probability beyond which only this limit is stated."""
 TWO_SIDED = 1.959964
 """Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
 
 def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
-    """The effect's own words for a law of a stored result; the law's name where this version does not know it.
+    """Describe a stored law in its effect's own words; by the law's name if this version does not know it.
 
-    ``joints`` (from 1) are those whose constants are included, such as knee torques.
+    ``joints`` (from 1) are the joints whose constants are included, such as knee torques.
     """
     try:
         known = EFFECTS[effect].law(law.name, law.constants)
@@ -43,7 +43,7 @@ def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
 
 
 def place_words(where: Place) -> str:
-    """Where an effect acts: ``joints 1-3, 6``, or the names of frames."""
+    """Say where an effect acts: ``joints 1-3, 6``, or names of frames."""
     joints = where.joints
     if not joints and all(place.startswith("joint ") for place in where.acts_on):
         joints = tuple(int(place.removeprefix("joint ")) for place in where.acts_on)
@@ -53,7 +53,7 @@ def place_words(where: Place) -> str:
 
 
 def ranges(numbers: Sequence[int]) -> str:
-    """``1-3, 6`` for 1, 2, 3, 6."""
+    """Format numbers as ranges: ``1-3, 6`` for 1, 2, 3, 6."""
     parts: list[list[int]] = []
     for number in sorted(numbers):
         if parts and number == parts[-1][-1] + 1:
@@ -66,9 +66,9 @@ def ranges(numbers: Sequence[int]) -> str:
 
 
 def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
-    """Value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
+    """Return value, 95 % interval and display unit of a parameter, with two significant digits of its standard error.
 
-    The interval is None where there is no standard error.
+    The interval is None without a standard error.
     """
     factor, unit = _UNITS.get(estimate.unit, (1.0, estimate.unit))
     if estimate.unit == "m" and abs(estimate.value) >= _MILLIMETRES:
@@ -83,7 +83,7 @@ def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
 
 
 def probability_words(probability: float | None) -> str:
-    """``97 %``; ``> 99 %`` and ``< 1 %`` near the ends, where rounding would claim certainty; empty for None."""
+    """Format a probability: ``97 %``; ``> 99 %`` and ``< 1 %`` where rounding would claim certainty; empty for None."""
     if probability is None:
         return ""
     if probability > _NEARLY_CERTAIN:
@@ -92,12 +92,12 @@ def probability_words(probability: float | None) -> str:
 
 
 def geometry_unit(unit: str) -> tuple[float, str]:
-    """Factor and display unit of a geometric parameter stored in m or rad: mm and degrees."""
+    """Return factor and display unit of a geometric parameter in m or rad: mm and degrees."""
     return (1e3, "mm") if unit == "m" else (math.degrees(1.0), "deg")
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """Factor and display unit of a parameter of any kind: micrometres, microradians and the like."""
+    """Return factor and display unit of a parameter of any kind: micrometres, microradians and the like."""
     return _UNITS.get(unit, (1.0, unit))
 
 
@@ -117,7 +117,7 @@ METHOD_WORDS: Mapping[Method, str] = {
 
 
 def short_reason(reason: str) -> str:
-    """The reason why an effect cannot be seen, without the words of the table heading."""
+    """Return why an effect cannot be seen, without the words that the table heading has already."""
     for prefix in ("not testable: ", "invisible: "):
         reason = reason.removeprefix(prefix)
     return reason.removesuffix(" under this plan")

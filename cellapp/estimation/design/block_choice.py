@@ -1,10 +1,10 @@
-"""Greedy choice of stops with exchange, in random subsets of the candidates; the order of the chosen ones.
+"""Greedy choice of stops with exchange, in random subsets of the candidates; order of the chosen stops.
 
 Sources: Fedorov, Theory of Optimal Experiments (1972), chapter 3 (exchange); Mirzasoleiman et al., Lazier than lazy
 greedy, AAAI 2015 (random subsets lose little).
 
-All candidates are looked at in single precision and to first order only, a few hundred of them exactly, and the best of
-these are followed in double precision from change to change: gains change slowly.
+All candidates are screened in single precision and to first order only, a few hundred of them exactly. The best of
+these are updated in double precision after each change, as gains change slowly.
 """
 
 from __future__ import annotations
@@ -20,43 +20,43 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _SMALLEST_BATCH = 20
-"""Stops of a batch of the first choice: with fewer the fresh subset costs more than the choice."""
+"""Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
 _FIRST_BATCH = 5
-"""The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
+"""Batch size at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
 updates lose as many digits."""
 _SAMPLED = 4000
-"""Candidates at least of which the mean information is taken: errors are then known to a percent."""
+"""Least number of candidates for the mean information: its errors are then about a percent."""
 _ORDERED_AT_ONCE = 100
-"""Stops that are put in order until gains are computed afresh."""
+"""Batch size of ordering, after which gains are computed anew."""
 _FOLLOWED_IN_ORDER = 400
-"""Candidates that are followed while they are put in order: the first stops change all gains."""
+"""Number of candidates tracked during ordering: the first stops change all gains."""
 _LEAST_FOLLOWED = 80
-"""Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
+"""Least number of tracked candidates: with fewer, the best for a later stop of the batch may be missing."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How long a choice may take; the result improves slowly with all of these.
+    """Limits on the computing time of a choice; the result improves slowly with all of them.
 
     Attributes
     ----------
     subset : int
-        Candidates that are looked at together: in the first choice drawn anew for every batch.
+        Candidates in a subset; the first choice draws a new one for every batch.
     promising : int
-        In an exchange the candidates that promise most in the whole pass, beside as many as are chosen.
+        Most promising candidates of the whole pass in an exchange, in addition to the number of chosen ones.
     shortlist : int
-        Of these the best for each stop of a batch are followed from change to change, 80 at least in all.
+        Best of these for each stop of a batch, tracked from change to change, 80 at least in total.
     batches : int
-        Batches in which the first choice is made, of at least 20 stops.
+        Number of batches of the first choice, of at least 20 stops each.
     batch : int
-        Exchanges with the same subset.
+        Number of exchanges with the same subset.
     exchanges : int
-        Exchanges in all, in one or more passes with new weights W before each; in a pass stops of the least
+        Total number of exchanges, in one or more passes with new weights W before each; in a pass the stops of least
         information come first.
     passes : int
-        Passes at most.
+        Largest number of passes.
     ordered : int
-        Stops at the beginning that are put in order.
+        Number of stops at the beginning that are ordered.
     """
 
     subset: int = 1000
@@ -71,7 +71,7 @@ class Effort:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before."""
+    """Candidates: whitened ``rows`` (m, 3, p), and the prior information (p, p)."""
 
     rows: Array
     prior: Array
@@ -81,16 +81,16 @@ class Candidates:
 
     @cached_property
     def mean_information(self) -> Array:
-        """Mean information (p, p) of a candidate, of many a sample."""
+        """Mean information (p, p) of a candidate, from a sample if there are many."""
         some = self.rows[:: max(1, len(self.rows) // _SAMPLED)]
         return information_of(some) / max(len(some), 1)
 
     def information(self, chosen: Rows) -> Array:
-        """Information (p, p) of a design."""
+        """Return the information (p, p) of a design."""
         return self.prior + information_of(self.rows[chosen])
 
     def covariance(self, chosen: Rows) -> Array:
-        """Covariance (p, p) of a design."""
+        """Return the covariance (p, p) of a design."""
         return inverse_psd(self.information(chosen))
 
 
@@ -102,7 +102,7 @@ def choose_blocks(
     effort: Effort = Effort(),
     cancel: CancelToken | None = None,
 ) -> Rows:
-    """Numbers of ``count`` candidates that tell most; all of them where there are no more."""
+    """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more."""
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
@@ -112,14 +112,14 @@ def choose_blocks(
     for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
         exchanged = _exchanged(candidates, chosen, criterion, effort, cancel)
         value = criterion.value(candidates.covariance(exchanged))
-        if value >= best:  # the linear criterion became better, the true one did not
+        if value >= best:  # only the linear criterion improved
             break
         chosen, best = exchanged, value
     return chosen
 
 
 def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
-    """The chosen candidates in greedy order from the first one on; behind ``Effort.ordered`` of them as they are."""
+    """Sort the chosen candidates in greedy order; after the first ``Effort.ordered`` leave them as they are."""
     effort = Effort()
     if len(chosen) < 2:
         return chosen
@@ -137,12 +137,12 @@ def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Crit
 
 
 def _batch(asked: int, chosen: int) -> int:
-    """Stops until gains are computed afresh: fewer at the beginning, where each of them changes most of all gains."""
+    """Return the batch size until gains are computed anew: smaller at the beginning, where gains change most."""
     return min(asked, max(_FIRST_BATCH, chosen))
 
 
 def _best(candidates: Candidates, information: Array, W: Array, among: Rows, number: int, followed: int) -> list[int]:
-    """The best of some candidates one after the other beside others of some information (p, p)."""
+    """Return the best candidates in greedy order, beside others with some information (p, p)."""
     design = BlockDesign(information, W)
     among = among[design.largest(candidates.rows[among], followed)]
     rows = candidates.rows[among].astype(np.float64, copy=False)
@@ -160,7 +160,7 @@ def _best(candidates: Candidates, information: Array, W: Array, among: Rows, num
 def _greedy(
     candidates: Candidates, count: int, W: Array, rng: np.random.Generator, effort: Effort, cancel: CancelToken
 ) -> Rows:
-    """Stop after stop the largest gain among a subset."""
+    """Choose stop by stop the largest gain in a subset."""
     free = np.ones(len(candidates), dtype=bool)
     size = max(_SMALLEST_BATCH, -(-count // effort.batches))
     information, before = candidates.prior, 0
@@ -176,7 +176,7 @@ def _greedy(
 
 
 def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort, cancel: CancelToken) -> Rows:
-    """Each chosen stop, the one of the least information first, against the best of the others, or itself."""
+    """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
     information = candidates.information(chosen)
     W = criterion.weights(inverse_psd(information))
     design = BlockDesign(information, W)
@@ -207,5 +207,5 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
 
 
 def _followed(effort: Effort, batch: int) -> int:
-    """Candidates that are followed while a batch of stops is chosen."""
+    """Return the number of candidates to track while a batch of stops is chosen."""
     return max(effort.shortlist * batch, _LEAST_FOLLOWED)

@@ -1,19 +1,19 @@
-"""Choice of n of m candidates (blocks of three rows each): optimal for parameters, for predictions, nearly minimax.
+"""Choice of n of m candidates (blocks of three rows each): optimal for parameters and predictions, nearly minimax.
 
 With whitened rows x_i (3, p) of each candidate and prior information P, a design D has the covariance
 C = (P + sum_{i in D} x_i^T x_i)^-1. It is judged by
 
     J(C) = a ln mean_k (s_k / r_k) + b ln mean_j u_j + c ln (mean_j u_j^h)^(1/h),
 
-s_k the standard errors of the wanted parameters and r_k those of a random design of the same size, u_j the standard
-uncertainties of predictions at points of the workspace; the high power h stands for the worst point. At a given
-design dJ = tr(W dC) with W positive semidefinite: an L-criterion, which greedy choice and exchange reduce (Fedorov,
-Theory of Optimal Experiments, 1972, chapter 2). A candidate x that is added changes it by
+with s_k the standard errors of the wanted parameters and r_k those of a random design of the same size, and u_j the
+standard uncertainties of predictions at points of the workspace; the high power h approximates the worst point. At a
+given design dJ = tr(W dC) with W positive semidefinite: an L-criterion, which greedy choice and exchange reduce
+(Fedorov, Theory of Optimal Experiments, 1972, chapter 2). Adding a candidate x changes it by
 
     tr(C W) - tr(C' W) = tr((I + V)^-1 U),    V = x C x^T,    U = x C W C x^T    (both 3 by 3),
 
-one that is removed by -tr((I - V)^-1 U). V and U of many candidates follow every change of the design by products
-with matrices of rank three (Woodbury), O(p) for each. Both are computed afresh, and W is taken anew, from time to time.
+removing one by -tr((I - V)^-1 U). After every change of the design, V and U of many candidates are updated by products
+with matrices of rank three (Woodbury), O(p) for each. From time to time both are computed anew, with a new W.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
-"""h: with it the largest of some hundred uncertainties decides, and those within a few per cent of it count too."""
+"""h: with it the largest of some hundred uncertainties dominates, and those within a few per cent of it count too."""
 _ROWS_AT_ONCE = 6000
-"""Rows that are brought to another precision, or multiplied, at once."""
+"""Batch size of rows for conversion of precision and products."""
 _LEFT_OUT = 0.02
-"""Share of the trace of C W C that is left out in the first look at all candidates."""
+"""Share of the trace of C W C that the screening of all candidates neglects."""
 _FIRST_ORDER = 2
-"""Candidates of the largest gains to first order that are looked at for each that is asked for."""
+"""Candidates with the largest first-order gains that are computed exactly, for each one requested."""
 _APART = 40
-"""Changes after which C and C W C are changed: until then products with narrow matrices stand for them."""
+"""Number of changes after which C and C W C are updated: until then products with narrow matrices represent them."""
 Rows = NDArray[np.intp]
-"""Numbers of candidates."""
+"""Indices of candidates."""
 Floats = NDArray[np.floating[Any]]
-"""In single or double precision."""
+"""Array in single or double precision."""
 
 
 class Shares(NamedTuple):
     """Exponents a, b, c of the three errors in the criterion.
 
-    The worst point gains from a larger share what the two others hardly lose: at 1 a design of 100 stops is worth 205
+    A larger share improves the worst point while the two others hardly lose: at 1 a design of 100 stops is worth 205
     random ones there, at 3 or more 245, with the parameters at 142 throughout.
     """
 
@@ -59,7 +59,7 @@ class Shares(NamedTuple):
 
 
 class DesignErrors(NamedTuple):
-    """Mean ratio of standard errors to those of reference; mean and largest uncertainty of a prediction."""
+    """Mean ratio of standard errors to the reference ones; mean and largest uncertainty of a prediction."""
 
     parameters: float
     mean: float
@@ -68,14 +68,14 @@ class DesignErrors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """What a design is judged by.
+    """Criterion for the quality of a design.
 
     Attributes
     ----------
     reference : array, shape (k,)
         Standard errors of the first k of p parameters with a random design; the others are nuisance parameters.
     points : array, shape (s, 3, p)
-        Derivatives of predictions by the parameters.
+        Derivatives of predictions with respect to the parameters.
     shares : Shares
     """
 
@@ -84,12 +84,12 @@ class Criterion:
     shares: Shares = field(default_factory=Shares)
 
     def errors(self, covariance: Array) -> DesignErrors:
-        """The three errors of a design with a covariance (p, p)."""
+        """Return the three errors of a design with a covariance (p, p)."""
         ratios, points = self._parts(covariance)
         return DesignErrors(float(np.mean(ratios)), float(np.mean(points)), float(points.max()))
 
     def value(self, covariance: Array) -> float:
-        """J; the difference of two designs does not depend on units."""
+        """Return J; the difference between two designs does not depend on units."""
         ratios, points = self._parts(covariance)
         largest = points.max()
         worst = math.log(largest) + math.log(np.mean((points / largest) ** WORST_POWER)) / WORST_POWER
@@ -97,7 +97,7 @@ class Criterion:
         return sum(share * term for share, term in zip(self.shares, terms, strict=True))
 
     def weights(self, covariance: Array) -> Array:
-        """W = dJ / dC (p, p)."""
+        """Return W = dJ / dC (p, p)."""
         ratios, points = self._parts(covariance)
         high = (points / points.max()) ** (WORST_POWER - 1.0)
         # ds = dC_kk / (2 s) of a standard error, du = tr(F dC F^T) / (2 u) of a prediction
@@ -109,7 +109,7 @@ class Criterion:
         return np.asarray(W)
 
     def _parts(self, covariance: Array) -> tuple[Array, Array]:
-        """Ratios (k,) of standard errors, uncertainties (s,) of predictions."""
+        """Return ratios (k,) of standard errors and uncertainties (s,) of predictions."""
         ratios = np.sqrt(np.diag(covariance)[: len(self.reference)]) / self.reference
         rows = self.points.reshape(-1, len(covariance))
         squares = np.einsum("rp,rp->r", rows @ covariance, rows)
@@ -117,7 +117,7 @@ class Criterion:
 
 
 def information_of(rows: Array) -> Array:
-    """Information matrix (p, p) of blocks of rows (n, 3, p), in double precision."""
+    """Return the information matrix (p, p) of blocks of rows (n, 3, p), in double precision."""
     flat = rows.reshape(-1, rows.shape[2])
     total = np.zeros((rows.shape[2], rows.shape[2]))
     for first in range(0, len(flat), _ROWS_AT_ONCE):
@@ -127,13 +127,13 @@ def information_of(rows: Array) -> Array:
 
 
 def reference_errors(mean_information: Array, count: int, prior: Array, wanted: int) -> Array:
-    """Standard errors (wanted,) of a design of ``count`` random candidates with a mean information (p, p)."""
+    """Return standard errors (wanted,) of a design of ``count`` random candidates with a mean information (p, p)."""
     covariance = inverse_psd(prior + mean_information * count)
     return np.asarray(np.sqrt(np.diag(covariance)[:wanted]))
 
 
 class _Change(NamedTuple):
-    """C became C - sign G G^T, and C W C became C W C - G B^T - B G^T: the three columns of G and of B (6, p)."""
+    """Change of C to C - sign G G^T, and of C W C to C W C - G B^T - B G^T: the three columns of G and of B (6, p)."""
 
     columns: Array
     sign: float
@@ -141,10 +141,10 @@ class _Change(NamedTuple):
 
 @dataclass(eq=False)
 class _Tracked:
-    """Candidates with the six elements (6, s) of V and of U while the design changes; ``rows`` are (p, 3 s).
+    """Candidates with the six elements (6, s) of V and of U, updated as the design changes; ``rows`` are (p, 3 s).
 
-    In double precision where they are compared: in single precision the last digits of the processor's BLAS decide
-    between nearly equal candidates, and the same seed gives other plans on other processors.
+    Comparisons use double precision: in single precision the last digits of the processor's BLAS decide between nearly
+    equal candidates, and the same seed gives other plans on other processors.
     """
 
     rows: Floats
@@ -153,12 +153,12 @@ class _Tracked:
 
     @classmethod
     def of(cls, rows: Floats, C: Floats, CWC: Floats) -> _Tracked:
-        """Of candidates (s, 3, p)."""
+        """Build from candidates (s, 3, p)."""
         flat = np.ascontiguousarray(rows.transpose(2, 1, 0)).reshape(rows.shape[2], -1)
         return cls(flat, *(_products(rows, _ahead(rows, matrix)) for matrix in (C, CWC)))
 
     def follow(self, changes: Sequence[_Change]) -> None:
-        """Follow changes one after the other; what takes time, reading the rows, is done once for all of them."""
+        """Apply changes one after the other; the slow part, reading the rows, is done once for all of them."""
         if not changes or not self.rows.size:
             return
         products = np.concatenate([change.columns for change in changes]) @ self.rows
@@ -169,23 +169,23 @@ class _Tracked:
             self.U -= np.einsum("cem,cem->em", B, G_other)
 
     def traces(self, sign: float) -> Array:
-        """tr((I + sign V)^-1 U) (s,)."""
+        """Return tr((I + sign V)^-1 U) (s,)."""
         return trace_of_solution(self.V, self.U, sign)
 
 
 def _ahead(rows: Floats, matrix: Floats) -> Floats:
-    """``x C`` (s, 3, p) of candidates."""
+    """Return ``x C`` (s, 3, p) of candidates."""
     return np.asarray((rows.reshape(-1, rows.shape[2]) @ matrix).reshape(rows.shape))
 
 
 def _products(rows: Floats, ahead: Floats) -> Array:
-    """The elements (6, s) of ``x C x^T`` of candidates x and ``x C``."""
+    """Return the elements (6, s) of ``x C x^T`` of candidates x, given ``x C``."""
     whole = np.einsum("sap,sbp->abs", ahead, rows)
     return np.asarray(whole[ROW, COLUMN])
 
 
 def _inverse_root(matrix: Array) -> Array:
-    """The inverse of the Cholesky factor of a matrix (3, 3); by numbers, which takes a tenth of the time of calls."""
+    """Return the inverse Cholesky factor of a matrix (3, 3), in scalar arithmetic: a tenth of the time of calls."""
     (a, _, _), (b, d, _), (c, e, f) = matrix.tolist()
     i = 1.0 / math.sqrt(a)
     b, c = b * i, c * i
@@ -196,7 +196,7 @@ def _inverse_root(matrix: Array) -> Array:
 
 
 class BlockDesign:
-    """A design that changes by one candidate at a time.
+    """Design that changes by one candidate at a time.
 
     Parameters
     ----------
@@ -212,34 +212,34 @@ class BlockDesign:
         self._tracked = _Tracked(np.empty((len(information), 0)), np.empty((6, 0)), np.empty((6, 0)))
         self._apart = np.empty((3, 3 * _APART, len(information)))
         self._columns = 0
-        """G, G with the sign of the change, and B of changes that are not in the two matrices yet, as rows."""
+        """G, G with the sign of the change, and B of changes not yet in the two matrices, as rows."""
         self._unfollowed: list[_Change] = []
-        """Changes since gains or losses were asked for."""
+        """Changes since the last request of gains or losses."""
 
     @property
     def covariance(self) -> Array:
-        """C (p, p) of the design as it is now."""
+        """C (p, p) of the present design."""
         return self._matrices()[0]
 
     def largest(self, rows: Array, count: int) -> Rows:
-        """Numbers of the ``count`` candidates of the largest gains among ``rows`` (s, 3, p), in no order.
+        """Return the indices of the ``count`` largest gains among candidates ``rows`` (s, 3, p), unsorted.
 
-        In single precision: to tell the best from each other, track them.
+        In single precision: to rank the best candidates, track them.
         """
         if count >= len(rows):
             return np.arange(len(rows))
         C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
         ahead = _ahead(rows, CWC)
-        first_order = np.einsum("sap,sap->s", ahead, rows)  # tr(U), the gain to first order: a third of the time
+        first_order = np.einsum("sap,sap->s", ahead, rows)  # tr(U), the first-order gain: a third of the time
         looked_at = np.argpartition(-first_order, min(_FIRST_ORDER * count, len(rows) - 1))[: _FIRST_ORDER * count]
         near = rows[looked_at].astype(np.float32, copy=False)
         V, U = _products(near, _ahead(near, C)), _products(near, ahead[looked_at])
         return looked_at[np.argpartition(-trace_of_solution(V, U, 1.0), count)[:count]]
 
     def promising(self, rows: Array, count: int) -> Rows:
-        """Numbers of the ``count`` candidates of the largest tr(U) among ``rows`` (s, 3, p): their gain to first order.
+        """Return the indices of the ``count`` largest tr(U), the first-order gain, among candidates ``rows`` (s, 3, p).
 
-        Of C W C the largest eigenvalues count, which have all of its trace but a few per cent.
+        Only the largest eigenvalues of C W C are used, which hold all but a few per cent of its trace.
         """
         if count >= len(rows):
             return np.arange(len(rows))
@@ -256,19 +256,19 @@ class BlockDesign:
         return np.argpartition(-score, count)[:count]
 
     def track(self, rows: Array) -> None:
-        """Follow the gains and losses of candidates ``rows`` (s, 3, p) from now on, in place of those before."""
+        """Track the gains and losses of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones."""
         self._tracked, self._unfollowed = _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices()), []
 
     def gains(self) -> Array:
-        """What the criterion tr(C W) would lose by each tracked candidate that is added (s,)."""
+        """Return the decrease of the criterion tr(C W) by adding each tracked candidate (s,)."""
         return self._followed().traces(1.0)
 
     def gains_of(self, rows: Array) -> Array:
-        """The same of other candidates ``rows`` (s, 3, p)."""
+        """Return ``gains`` of other candidates ``rows`` (s, 3, p)."""
         return _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices()).traces(1.0)
 
     def losses(self) -> Array:
-        """What it would gain by each tracked candidate that is removed (s,); valid for those in the design."""
+        """Return the increase by removing each tracked candidate (s,); valid for those in the design."""
         return self._followed().traces(-1.0)
 
     def add(self, row: Array) -> None:
@@ -280,13 +280,13 @@ class BlockDesign:
         self._change(row, -1.0)
 
     def _followed(self) -> _Tracked:
-        """The tracked candidates after all changes."""
+        """Apply all pending changes to the tracked candidates and return them."""
         self._tracked.follow(self._unfollowed)
         self._unfollowed = []
         return self._tracked
 
     def _matrices(self) -> tuple[Array, Array]:
-        """C and C W C of the design as it is now."""
+        """Return C and C W C of the present design."""
         G, signed, B = self._apart[:, : self._columns]
         self._C -= signed.T @ G
         half = G.T @ B

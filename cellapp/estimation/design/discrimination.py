@@ -1,7 +1,7 @@
-"""Which further stops discriminate between two models: T-optimality (Atkinson, Fedorov, Biometrika 62 (1975) 57, 289).
+"""Choice of stops that discriminate between two models: T-optimality (Atkinson, Fedorov, Biometrika 62 (1975) 57, 289).
 
 The true model predicts the whitened signal ``a`` of an effect at every stop. The rival model (geometry, other accepted
-effects, another effect in its place) with columns X and prior precisions P is fitted to that signal. What it leaves,
+effects, another effect in its place) with columns X and prior precisions P is fitted to that signal. The minimum
 
     lambda = min over eta of  |a - X^T eta|^2 + eta^T P eta,
 
@@ -9,7 +9,7 @@ is the non-centrality of the test between the two. A further stop with columns x
 
     (a_x - x^T eta)^T (I + x^T G^-1 x)^-1 (a_x - x^T eta),    G = X X^T + P.
 
-All candidates are judged at once; measuring one updates G^-1 by a matrix of rank three (Woodbury).
+All candidates are evaluated together; adding one updates G^-1 by a matrix of rank three (Woodbury).
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 _RIDGE = 1e-11
-"""Added to the diagonal of the scaled normal matrix (unit columns): makes directions that the run does not determine
-nearly free, with an inverse accurate to five digits."""
+"""Added to the diagonal of the scaled normal matrix (unit columns): directions that the run does not determine stay
+nearly free, and the inverse is accurate to five digits."""
 HOPELESS = 0.02
-"""A comparison is ignored while all remaining stops together would add less than this share of the lambda it needs:
-stops for it would be lost to the others."""
+"""Share of the needed lambda: a comparison to which all remaining stops together would add less is ignored, as stops
+for it would be wasted."""
 _MAXIMIN_POWER = 3.0
-"""Weight (lambda / least lambda)^-power of each comparison: at 3, twice the lambda (relative to its need) has an
-eighth of the weight. The worst one dominates, as in a maximin design; the others break ties."""
+"""Exponent of the weight (lambda / least lambda)^-power of each comparison: at 3, twice the lambda (relative to its
+need) has an eighth of the weight. The worst one dominates, as in a maximin design; the others break ties."""
 _LAMBDA_OFFSET = 1e-3
-"""Added to lambda over its need before that ratio is taken, as lambda is zero where nothing discriminates yet."""
+"""Added to lambda over its need before that ratio, as lambda is zero while nothing discriminates."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Scaled:
-    """The rival's columns of unit size on run (p, d) and candidates (p, m, 3), normal matrix and prior precisions."""
+    """The rival's columns scaled to unit size, on run (p, d) and candidates (p, m, 3); normal matrix, precisions."""
 
     run: Array
     candidates: Array
@@ -80,7 +80,7 @@ class Discrimination:
         return _Scaled(run, candidates * scale[:, None, None], run @ run.T + np.diag(prior), prior)
 
     def noncentrality(self, chosen: NDArray[np.intp]) -> float:
-        """Lambda of the run together with the candidates ``chosen``."""
+        """Return lambda of the run together with the candidates ``chosen``."""
         scaled = self._scaled()
         columns = scaled.candidates[:, chosen].reshape(len(scaled.run), -1)
         signals = self.candidate_signals[:, chosen].reshape(len(self.run_signals), -1)
@@ -91,7 +91,7 @@ class Discrimination:
         return (left + float(np.einsum("pk,p,pk->", eta, scaled.prior, eta))) / len(self.run_signals)
 
     def start_design(self) -> SequentialDesign:
-        """The state before the first further stop."""
+        """Return the state before the first further stop."""
         scaled = self._scaled()
         inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(scaled.gram, lower=True), np.eye(len(scaled.gram)))
         eta = inverse @ (scaled.run @ self.run_signals.T)
@@ -132,7 +132,7 @@ class SequentialDesign:
     noncentrality: float
 
     def gains(self) -> Array:
-        """Increase of lambda by each candidate, (m,)."""
+        """Return the increase of lambda by each candidate, (m,)."""
         squares = np.einsum("kme,kme->em", self.error[:, :, ROW], self.error[:, :, COLUMN]) / len(self.error)
         return trace_of_solution(self.variance[:, ROW, COLUMN].T, squares, 1.0)
 
@@ -149,7 +149,7 @@ class SequentialDesign:
 
 
 def joint_gains(designs: Sequence[SequentialDesign], needed: Sequence[float], stops_left: int) -> Array:
-    """Gain of each candidate (m,) over several comparisons, nearly maximin, scaled to a largest value of 1.
+    """Return the gain of each candidate (m,) over several comparisons, nearly maximin, scaled to a largest value of 1.
 
     Parameters
     ----------

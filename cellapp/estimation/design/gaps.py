@@ -1,7 +1,7 @@
-"""Phase coverage: no part of a joint's range without a stop that is longer than a limit, at the least loss.
+"""Phase coverage: close gaps without stops in a joint's range that exceed a limit, at the least loss of information.
 
-An error with many periods a turn shows only where stops fall on all of its phases. What the information matrix does
-not know of such an error, gaps do.
+An error with many periods a turn shows only if stops fall on all of its phases. Gaps measure this coverage; the
+information matrix does not.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 GAP_OF_EVEN_STOPS = 4.0
-"""Largest gap in units of that of evenly spread stops, where none is asked for. With stops at random it is about the
-natural logarithm of their number: 4.6 of 100, 6 of 400."""
+"""Default limit of a gap, in units of the gap of evenly spread stops. With random stops the largest gap is about the
+natural logarithm of their number: 4.6 for 100, 6 for 400."""
 _EMPTY_SHARE = 0.02
-"""Share of a joint's range above which a part without any candidate counts as one that cannot be reached."""
+"""Share of a joint's range above which a part without any candidate counts as unreachable."""
 _EMPTY_SPACINGS = 10.0
-"""The same for few candidates, in mean distances between them: longer gaps do not come by chance."""
+"""The same limit for few candidates, in mean distances between them: longer gaps do not occur by chance."""
 _IMMOVABLE = 1e-12
-"""Replaces a limit of zero, of a joint that does not move [rad]."""
+"""Replacement of a zero limit, for a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
-"""Candidates for one gap that are looked at: more of them differ little."""
+"""Most candidates examined for one gap: more of them differ little."""
 _FOLLOWED = 200
-"""Stops whose losses are followed, those of the least loss first."""
+"""Number of stops whose losses are tracked, those of least loss first."""
 _COMPARED = 8
-"""Of these the best are compared in double precision."""
+"""Number of the best of these that are compared in double precision."""
 
 
 def largest_gaps(q: Array) -> Array:
-    """Largest part of each joint's travelled range without a stop (N,), for configurations ``q`` (n, N) [rad]."""
+    """Return the largest gap between stops of each joint (N,), for configurations ``q`` (n, N) [rad]."""
     return np.asarray(np.diff(np.sort(q, axis=0), axis=0).max(axis=0, initial=0.0))
 
 
 def without_turns(q: Array, candidates: Array) -> Array:
-    """``q`` (n, N) [rad] less the whole turns by which it is away from the middle of the ``candidates`` (m, N).
+    """Subtract from ``q`` (n, N) [rad] the whole turns between it and the middle of the ``candidates`` (m, N).
 
     A plan may reach a candidate with joints turned once more: the phase of an error with a period of one turn or less
     is the same.
@@ -48,7 +48,7 @@ def without_turns(q: Array, candidates: Array) -> Array:
 
 
 def gap_limits(q: Array, count: int, asked: float | None) -> Array:
-    """Limit of each joint's gaps (N,) [rad]: ``asked``, or what ``count`` stops allow in the range of ``q`` (m, N)."""
+    """Return the limit of each joint's gaps (N,) [rad]: ``asked``, else from ``count`` stops and ``q`` (m, N)."""
     if asked is not None:
         return np.full(q.shape[1], asked)
     steps = np.diff(np.sort(q, axis=0), axis=0)
@@ -67,7 +67,7 @@ def close_gaps(
     rng: np.random.Generator,
     cancel: CancelToken,
 ) -> Rows:
-    """Exchange stops until no gap is left that a candidate can close.
+    """Exchange stops until no candidate can close another gap.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def close_gaps(
         Their joint positions [rad].
     chosen : array, shape (n,)
     criterion : Criterion
-        Of the candidates that close a gap the one of the largest gain comes, and of the stops that are not needed for
-        any gap the one of the least loss goes.
+        The candidate with the largest gain among those that close a gap is added; the stop with the least loss among
+        those not needed for any gap is removed.
     limits : array, shape (N,)
         [rad]
     kept : array, shape (k, N)
@@ -85,7 +85,7 @@ def close_gaps(
     """
     design = BlockDesign(candidates.information(chosen), criterion.weights(candidates.covariance(chosen)))
     design.track(candidates.rows[chosen])
-    easy = np.argsort(design.losses(), kind="stable")  # losses change slowly: only the first ones are followed
+    easy = np.argsort(design.losses(), kind="stable")  # losses change slowly: only the first ones are tracked
     easy, later = easy[:_FOLLOWED], easy[_FOLLOWED:]
     design.track(candidates.rows[chosen[easy]])
     staying, added = np.ones(len(chosen), dtype=bool), list[int]()
@@ -115,8 +115,8 @@ def close_gaps(
 
 
 def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, float]]) -> Rows | None:
-    """Candidates that close the longest gap of ``stops`` and the ends of the range, or a good part of it; None where
-    no gap can be closed.
+    """Return the candidates that close the longest gap of ``stops`` (ends included), or a good part of it; None if none
+    can.
 
     ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
     """
@@ -137,7 +137,7 @@ def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, flo
 
 
 def _dispensable(stops: Array, limits: Array, staying: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask of the first stops (those ``staying``) whose loss opens no gap beyond the limits in any joint."""
+    """Return a mask of the first stops (those ``staying``) whose removal opens no gap beyond any limit."""
     order = np.argsort(stops, axis=0)
     ordered = np.take_along_axis(stops, order, axis=0)
     without = np.zeros_like(ordered, dtype=bool)

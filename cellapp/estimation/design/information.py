@@ -1,4 +1,4 @@
-"""Information about effects beside nuisance parameters: projection, visible share, smallest detectable size.
+"""Information about effects with nuisance parameters eliminated: projection, visible share, smallest detectable size.
 
 Let X (d, p) be the whitened columns of the nuisance parameters (geometry, effects in the model), P their prior
 precisions, and B (m, d) the whitened rows of an effect. Eliminating the nuisance parameters leaves
@@ -23,10 +23,10 @@ from cellapp.estimation.calibration.linear import orthonormal_basis
 from cellapp.robot.kinematics.transforms import Array
 
 VISIBLE = 1e-3
-"""Least share (in norm) of a direction that the nuisance parameters must leave for it to count as visible. If geometry
-errors of 0.1 mm to 1 mm explain the rest, the visible part is below 1 um: a laser tracker does not resolve it."""
+"""Least share (in norm) of a visible direction outside the span of the nuisance parameters. If geometry errors of 0.1
+mm to 1 mm explain the rest, the visible part is below 1 um: a laser tracker does not resolve it."""
 SMALLEST = 1e-300
-"""Guards divisions by a norm of zero; far below any datum, above the smallest float."""
+"""Guard against division by a zero norm; far below any datum, above the smallest float."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class NuisanceProjector:
 
     @classmethod
     def of(cls, rows: Array, precision: Array | None = None, gram: Array | None = None) -> NuisanceProjector:
-        """From the whitened columns X^T as rows (p, d) and their prior precisions (p,), zero where not given.
+        """Build from the whitened columns X^T as rows (p, d) and their prior precisions (p,), zero if None.
 
-        ``gram`` (p, p) is X^T X, where it is known.
+        ``gram`` (p, p) is X^T X, None if it is not yet known.
         """
         return cls(orthonormal_basis(rows, precision, gram))
 
@@ -50,11 +50,11 @@ class NuisanceProjector:
 
     @cached_property
     def freedom(self) -> float:
-        """Coordinates less the parameters that the data determine; at least 1."""
+        """Number of coordinates less the parameters that the data determine; at least 1."""
         return max(len(self.basis) - self.effective_parameters, 1.0)
 
     def project(self, rows: Array) -> Array:
-        """``rows`` (..., d) times M."""
+        """Return ``rows`` (..., d) times M."""
         coordinates, size = self.basis.shape
         if 2 * size > coordinates and rows.size > coordinates * size:  # M itself has fewer numbers than Q and Q^T
             return np.asarray(rows @ self._matrix)
@@ -67,9 +67,9 @@ class NuisanceProjector:
         return np.asarray(np.eye(len(self.basis)) - self.basis @ self.basis.T)
 
     def kernel(self, first: Array, second: Array | None = None) -> Array:
-        """K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g of n points that move these by u and v (a, n).
+        """Return K (n, n) with ``(f u) M (g v)^T = f K g^T`` for functions f, g and motions u, v (a, n) of n points.
 
-        ``second`` is v; u itself if not given. Many functions share one motion, so that K spares their projections.
+        ``second`` is v, u itself if None. Many functions share one motion, so K saves their projections.
         """
         second = first if second is None else second
         n = first.shape[1]
@@ -77,23 +77,23 @@ class NuisanceProjector:
         return np.asarray(np.einsum("aij,ai->ij", of_second.reshape(len(first), n, n), first))
 
     def behind(self, rows: Array) -> Behind:
-        """Rows (m, d) behind the parameters."""
+        """Return rows (m, d) in the complement of the parameters."""
         return Behind(rows, rows @ self.basis)
 
 
 @dataclass(frozen=True, eq=False)
 class Behind:
-    """Rows B (m, d) behind a model's parameters by ``explained`` B Q (m, k): M B^T, as large as B, is not kept."""
+    """Rows B (m, d) in the complement of a model's parameters, by ``explained`` B Q (m, k); M B^T is not stored."""
 
     rows: Array
     explained: Array
 
     def take(self, places: slice | NDArray[np.intp]) -> Behind:
-        """Some of the rows."""
+        """Return some of the rows."""
         return Behind(self.rows[places], self.explained[places])
 
     def gram(self, other: Behind | None = None) -> Array:
-        """B M C^T of these rows (..., m, d) and other ones; of these alone if not given."""
+        """Return B M C^T of these rows (..., m, d) and other ones, by default these themselves."""
         other = other or self
         products = self.rows @ other.rows.swapaxes(-1, -2)
         products -= self.explained @ other.explained.swapaxes(-1, -2)
@@ -107,7 +107,7 @@ class Behind:
 
 
 def visible_root(gram: Array, norms: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Root R with R^T gram R = I on the visible directions and zero on the others, and the number of visible ones.
+    """Return R with R^T gram R = I on the visible directions and zero on the others, and the number of visible ones.
 
     Parameters
     ----------
@@ -129,10 +129,10 @@ def visible_root(gram: Array, norms: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def visible_squares(gram: Array, norms: Array, moments: Array) -> tuple[Array, NDArray[np.intp]]:
-    """m^T G^-1 m (...,) of ``moments`` m (..., k) over the visible directions, and the number of these.
+    """Return m^T G^-1 m (...,) of ``moments`` m (..., k) over the visible directions, and the number of these.
 
-    As by ``visible_root``; where a Cholesky factor of G less the limit shows that all are visible, up to five times as
-    fast.
+    The result is that of ``visible_root``, but up to five times as fast if a Cholesky factor of G less the limit shows
+    that all directions are visible.
     """
     scale = 1.0 / np.maximum(norms, SMALLEST)
     scaled, along = gram * scale[..., :, None] * scale[..., None, :], moments * scale
@@ -147,5 +147,5 @@ def visible_squares(gram: Array, norms: Array, moments: Array) -> tuple[Array, N
 
 
 def detectable_size(visible_norm: float, needed: float) -> float:
-    """Size of a parameter at which its non-centrality (size^2 b^T M b) reaches ``needed``."""
+    """Return the size of a parameter at which its non-centrality (size^2 b^T M b) reaches ``needed``."""
     return math.sqrt(needed) / visible_norm

@@ -1,4 +1,4 @@
-"""Bound of a choice of stops: the best weights of all candidates, of which a choice is a special case.
+"""Bounds of a choice of stops: optimal weights of all candidates, of which a choice is a special case.
 
 A design with weights w_i in [0, 1], sum w_i = n, has the information P + sum_i w_i x_i^T x_i. Each of the three
 errors of the criterion is convex in it, so that its tangent bounds it from below at every other design (Fedorov 1972,
@@ -24,15 +24,16 @@ from cellapp.robot.kinematics.transforms import Array
 
 _ONLY = (Shares(1.0, 0.0, 0.0), Shares(0.0, 1.0, 0.0), Shares(0.0, 0.0, 1.0))
 _CAPPINGS = 10
-"""Rounds in which what exceeds a weight of 1 is spread over the others; few candidates reach it."""
+"""Most rounds of redistributing weight in excess of 1 to the other candidates; few candidates reach it."""
 
 
 def least_errors(
     candidates: Candidates, count: int, criterion: Criterion, rounds: int, cancel: CancelToken
 ) -> DesignErrors:
-    """Errors below which no choice of ``count`` candidates gets, each bounded alone; the sharper, the more rounds.
+    """Return lower bounds of the errors of any choice of ``count`` candidates; more ``rounds`` make them sharper.
 
-    That of the worst point bounds the power mean, which is below the largest.
+    Each error is bounded alone. The bound for the worst point is that of the power mean, which is below the largest
+    value.
     """
     return DesignErrors(*(_least(candidates, count, replace(criterion, shares=only), rounds, cancel) for only in _ONLY))
 
@@ -54,7 +55,7 @@ def _least(candidates: Candidates, count: int, criterion: Criterion, rounds: int
 
 
 def _capped(weights: Array, count: int) -> Array:
-    """Weights of at most 1 with the sum ``count``, in proportion to the given ones where they are below 1."""
+    """Limit weights to at most 1 with the sum ``count``, in proportion to the given ones where they are below 1."""
     for _ in range(_CAPPINGS):
         full = weights >= 1.0
         weights = np.where(full, 1.0, weights * ((count - full.sum()) / max(weights[~full].sum(), 1e-300)))

@@ -1,4 +1,4 @@
-"""Accepted effects: reviewed terms of the final model with their evidence, as results hold them."""
+"""Accepted effects: reviewed terms of the final model with their evidence, as stored in results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from cellapp.robot.model import ArmModel
 def accepted_effects(
     found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
 ) -> tuple[tuple[EffectTerm, ...], tuple[AcceptedEffect, ...]]:
-    """The reviewed terms of the final model, in order, and their evidence with the held-out error without each.
+    """Return the reviewed terms of the final model, in order, and their evidence with the held-out error without each.
 
     ``after_mm`` is the held-out rms error with all of them. Terms of data-driven effects carry their description.
     """
@@ -87,9 +87,9 @@ def accepted_effect(
     correlated_with: Correlation | None = None,
     **details: Any,
 ) -> AcceptedEffect:
-    """An accepted term with its evidence; ``details`` are further fields of ``AcceptedEffect``.
+    """Build an accepted effect from a term and its evidence; ``details`` are further fields of ``AcceptedEffect``.
 
-    ``posterior`` is NaN where it was not computed.
+    ``posterior`` is NaN if it was not computed.
     """
     effect, shared = EFFECTS[term.slug], term_to_json(term)
     indistinguishable = (rival.effect for rival in runners_up if not rival.distinguishable)
@@ -112,7 +112,7 @@ def accepted_effect(
 
 
 def contradictions(terms: Sequence[EffectTerm], accepted: Sequence[AcceptedEffect]) -> tuple[Contradiction, ...]:
-    """Accepted effects that look like an effect of the library with impossible values."""
+    """Return the accepted effects that look like an effect of the library with impossible values."""
     return tuple(
         Contradiction(
             effect=contradicted_effect(term.law).slug,
@@ -126,13 +126,13 @@ def contradictions(terms: Sequence[EffectTerm], accepted: Sequence[AcceptedEffec
 
 
 def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
-    """Dominant cycles per revolution of a periodic term, by the values of the final model."""
+    """Return the dominant cycles per revolution of a periodic term, by the values of the final model."""
     here = fit.layout.parameters(number)
     return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
 
 
 def _most_correlated(fit: JointFit, number: int) -> Correlation | None:
-    """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
+    """Find the geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
     if fit.terms[number].smooth is not None:
         return None
     covariance, size = fit.identification.covariance, len(fit.identification.parameter_set.columns)

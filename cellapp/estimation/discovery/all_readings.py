@@ -1,8 +1,8 @@
-"""Smooth terms fitted to all readings, where only some of them were searched.
+"""Fit of smooth terms to all readings, if only some of them were searched.
 
-The Gram matrix of all columns is gathered over chunks of readings, so that memory does not grow with their number. From
-it follow hyperparameters of the structured process (more readings show more components), then all values and their
-covariance: a Gauss-Newton step from the fit to the searched readings, and a second one from there.
+The Gram matrix of all columns is accumulated over chunks of readings, so memory does not grow with their number. From
+it follow the hyperparameters of the structured process (more readings show more components), then all values and their
+covariance: one Gauss-Newton step from the fit to the searched readings, and a second one from there.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.posterior import PosteriorDraws
 
 _CHUNK = 1024
-"""Readings at once: 2000 columns of them take 50 MB."""
+"""Readings in a chunk: 2000 columns of them take 50 MB."""
 _EVALUATIONS = 25
-"""Evaluations of the evidence, from the values that the searched readings gave."""
+"""Most evaluations of the evidence, starting from the values of the searched readings."""
 _STEPS = 2
-"""Gauss-Newton steps: the second corrects some per cent of the first."""
+"""Number of Gauss-Newton steps: the second corrects some per cent of the first."""
 _DRAW_SEED = 0xA117
-"""Beside the profile's seed: these draws are then independent of all other draws."""
+"""Combined with the profile's seed, so that these draws are independent of all other draws."""
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:
-    """The outcome of a search with smooth terms that all readings need, and the model fitted to all of them.
+    """Refit the smooth terms of a search to all readings; return the outcome and the model fitted to all of them.
 
-    ``data`` are all readings; ``needed`` is the gain of the score from which a component stays. The outcome keeps the
-    readings that were searched, for pictures and reviews.
+    ``data`` are all readings; ``needed`` is the gain of the score at which a component is kept. The outcome keeps the
+    searched readings, for pictures and reviews.
     """
     smooth = smoothness_of(found.fit.terms)
     assert smooth is not None
@@ -70,7 +70,7 @@ def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[Searc
 
 
 def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:
-    """The structured process of all readings beside the named terms."""
+    """Fit the structured process to all readings beside the named terms."""
     base = fit_terms(found.data.at(found.fit.model), named)
     had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
@@ -85,7 +85,7 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
 
 
 def _amplitudes(component: Component, term: ModelTerm | None) -> Array:
-    """Where the search for amplitudes begins: those of the searched readings, else small ones."""
+    """Return start values of the amplitudes: those from the searched readings, else small ones."""
     known = {} if term is None else term.law.constants
     return np.array([known.get(key, 0.1 * component.start) for key in component.amplitude_keys])
 
@@ -98,7 +98,7 @@ def _length(component: Component, term: ModelTerm | None) -> float:
 
 
 def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
-    """Columns of components at some readings."""
+    """Return the columns of components at some readings."""
     found: list[EffectColumn] = []
     for one in chosen:
         law = one.law(np.ones(len(one.amplitude_keys)), 1.0 if one.lengths is None else one.lengths.start)
@@ -109,9 +109,9 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
 def _gathered(
     data: ArmData, fit: JointFit, further: Sequence[Component] = (), gram: Array | None = None
 ) -> NormalMatrix:
-    """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there.
+    """Accumulate the normal matrix of a fit and of further components over all readings, linearised there.
 
-    ``gram`` is X^T X of a model nearby if it is known: most of the time goes into it, and it hardly changes.
+    ``gram`` is X^T X of a nearby model, None if unknown: it takes most of the time and hardly changes.
     """
     count = sum(len(one.columns) for one in further)
     total = fit.layout.total + count
@@ -138,13 +138,13 @@ def _gathered(
 
 
 def _chunks(data: ArmData) -> Iterator[ArmData]:
-    """The readings in parts."""
+    """Split the readings into chunks."""
     for first in range(0, len(data), _CHUNK):
         yield data.take(np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp))
 
 
 def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
-    """The model with values and uncertainty from all readings."""
+    """Return the model with values and uncertainty from all readings."""
     model, flat = fit.model, fit.layout.geometric
     columns = list(fit.identification.estimated.columns)
     gram = None

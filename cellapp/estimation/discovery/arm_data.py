@@ -1,4 +1,4 @@
-"""Readings of one arm for discovery, with measurement conditions, columns of effects, and weights."""
+"""Readings of one arm for discovery, with measurement conditions, effect columns and weights."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
 
 TOLERANCE = 1e-6
-"""Step [m at arm's length] at which a fit ends: a twentieth of what a tracker resolves."""
+"""Step [m at arm's length] at which a fit ends: a twentieth of a tracker's resolution."""
 LEAST_SCATTER_M = 1e-7
-"""No instrument scatters less [m]; readings computed without noise would have weights that rounding makes singular."""
+"""Least scatter of any instrument [m]; the weights of readings computed without noise would be singular by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmData:
     """Readings of one arm, their measurement conditions, and the weights in use.
 
-    The parameter set is fixed once: if each joint refit selected it again, an effect could make redundant directions
+    The parameter set is selected once. If each joint fit selected it again, an effect could make redundant directions
     appear identifiable.
 
     Attributes
@@ -44,24 +44,24 @@ class ArmData:
     profile, model, readings, known
         ``model`` has geometry only; ``conditions`` are those of the readings.
     stated : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
-        Uncertainty that the readings state.
+        Stated uncertainty of the readings; None if they state none.
     sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
-        The one that weighs them: stated or estimated, with the scatter beyond it.
+        Uncertainty that defines the weights: stated or estimated, including the scatter beyond it.
     parameter_set : ParameterSet
         Geometric parameters that are fitted.
     prior_sigma : mapping
-        Standard deviations of the priors of these [m, rad], about nominal.
+        Standard deviations of their priors [m, rad], about nominal.
     start : mapping
-        Values of an earlier fit by effect and column, from which the next fit begins.
+        Values of an earlier fit, by effect and column, as a start of the next fit.
     true_q : array, shape (n, N), or None
-        Joint positions with the offsets of known effects [rad]; None is the controller's positions.
+        Joint positions with the offsets of known effects [rad]; None means the controller's positions.
     points : PointColumns, optional
-        Of a ball in sockets: the unknown points, whose guesses stand for measured positions in ``readings``.
+        For a ball in sockets: the unknown points, whose estimates replace measured positions in ``readings``.
     reading : array, shape (n,), or None
-        The reading of each row, where orientations were measured and are rows of their own
-        (``calibration.quantities``); None where rows are readings.
+        Index of the reading of each row, if orientations were measured and are rows of their own
+        (``calibration.quantities``); None if rows are readings.
     cache : dict
-        Columns that were computed before, by effect, law and names; None for all names.
+        Computed columns by effect, law and names (None for all names).
     """
 
     profile: Profile
@@ -87,7 +87,7 @@ class ArmData:
         conditions: MeasurementConditions,
         prior_sigma: Mapping[str, float] | None = None,
     ) -> ArmData:
-        """Take the weights from the stated uncertainty, and select the geometric parameters.
+        """Set the weights from the stated uncertainty, and select the geometric parameters.
 
         ``prior_sigma`` [m, rad] replaces the profile's, about ``robot.model.nominal``.
         """
@@ -133,7 +133,7 @@ class ArmData:
         conditions: MeasurementConditions,
         prior_sigma: Mapping[str, float] | None,
     ) -> ArmData:
-        """Of a ball in sockets: the points are fitted with the geometry, and stand for measured positions."""
+        """Prepare readings of a ball in sockets: fit points with the geometry; they replace measured positions."""
         settings = profile.calibration
         stated = prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma
         parameters, priors = estimated_in_sockets(settings.parameter_set, model.nominal, stated)
@@ -157,7 +157,7 @@ class ArmData:
 
     @cached_property
     def turned(self) -> NDArray[np.bool_] | None:
-        """Rows (n,) of orientations; None where there are none."""
+        """Mask (n,) of the rows that are orientations; None if there are none."""
         return self.conditions.turned
 
     @cached_property
@@ -166,7 +166,7 @@ class ArmData:
         return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
 
     def at(self, model: ArmModel) -> ArmData:
-        """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
+        """Return the same readings, with effects at the geometry and the true joint positions of ``model``."""
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
         kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
         here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
@@ -177,7 +177,7 @@ class ArmData:
         return here.beginning_at(model)
 
     def take(self, rows: NDArray[np.intp]) -> ArmData:
-        """Some of the rows; not of a ball in sockets, whose points all readings determine."""
+        """Return some of the rows; not for a ball in sockets, whose points depend on all readings."""
         return replace(
             self,
             readings=self.readings.take(rows),
@@ -190,7 +190,7 @@ class ArmData:
         )
 
     def beginning_at(self, model: ArmModel) -> ArmData:
-        """The same readings and columns; the next fit begins from the effects' values in ``model``."""
+        """Return the same data; the next fit starts from the effects' values in ``model``."""
         values = {
             (term.slug, name): value
             for term in model.effects
@@ -199,7 +199,7 @@ class ArmData:
         return replace(self, start=values)
 
     def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
-        """Columns of a law, all or those of ``names`` in that order."""
+        """Return the columns of a law, all or those of ``names`` in that order."""
         described = f"{law.name} {sorted(law.constants.items())}"
         key = (slug, described, None if names is None else tuple(names))
         if key not in self.cache:
@@ -213,7 +213,7 @@ class ArmData:
         return self.cache[key]
 
     def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
-        """Columns of some terms, one term after the other: of the law, then of its free part."""
+        """Return the columns of the terms in order: for each those of the law, then those of its free part."""
         found: list[EffectColumn] = []
         for term in terms:
             columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)
@@ -223,11 +223,11 @@ class ArmData:
 
 
 def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
-    """Whether columns are the same at every geometry: offsets of joints that follow measured joint angles."""
+    """Return whether columns are the same at every geometry: joint offsets by measured joint angles only."""
     return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
 
 
 def whitening(sigma: Array) -> Array:
-    """Matrices (3, 3, n) [1/m] that turn errors of n points into units of their standard uncertainty."""
+    """Return matrices (3, 3, n) [1/m] that scale errors of n points to units of their standard uncertainty."""
     white = whitener(sigma)
     return np.asarray(np.eye(3)[:, :, None] * white) if white.ndim == 1 else white

@@ -1,4 +1,4 @@
-"""Candidate laws: an effect's law on the data at hand, with the whitened SMR displacement of each of its parameters."""
+"""Candidate laws: an effect's law on the data at hand, with the whitened SMR displacement of each parameter."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cellapp.robot.effects import EffectColumn, Law
 from cellapp.robot.kinematics.transforms import Array
 
 BOUND_ERRORS = 4.0
-"""Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
-of a joint that an effect hardly loads is often negative."""
+"""Standard errors by which a value may exceed its physical bound: by chance one in 30 000 does. The estimate of a joint
+that an effect hardly loads is often negative."""
 
 Block = tuple[int, ...]
-"""Places of the columns of one block, which enter a model together."""
+"""Indices of the columns of one block, which enter a model together."""
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateLaw:
-    """A law of an effect: its columns, and their whitened displacements ``rows`` (m, d)."""
+    """A law of an effect: its columns and their whitened displacements ``rows`` (m, d)."""
 
     slug: str
     law: Law
@@ -37,18 +37,18 @@ class CandidateLaw:
         return [tuple(places) for places in found.values()]
 
     def refines(self, block: Sequence[int]) -> bool:
-        """Whether a block only refines others and is no effect alone."""
+        """Return whether a block only refines others and is no effect alone."""
         return self.columns[block[0]].refines
 
     def keep(self, places: Sequence[int]) -> CandidateLaw:
-        """The law with some of its columns only."""
+        """Return the law with some of its columns only."""
         chosen = list(places)
         return CandidateLaw(self.slug, self.law, tuple(self.columns[k] for k in chosen), self.rows[chosen])
 
 
 @dataclass(frozen=True)
 class LawScore:
-    """How well a law explains a residual.
+    """Score of a law on a residual.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class LawScore:
     value : float
         Gain of the BIC less the price of choosing the law.
     chosen : tuple of int
-        Places of the columns that are needed.
+        Indices of the needed columns.
     explained_share : float
         R^2.
     """
@@ -78,17 +78,17 @@ class LawScore:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns that are needed."""
+        """Names of the needed columns."""
         return tuple(self.candidate.columns[place].name for place in self.chosen)
 
     @property
     def rows(self) -> Array:
-        """Whitened displacements of these columns."""
+        """Whitened displacements of the needed columns."""
         return self.candidate.rows[list(self.chosen)]
 
 
 def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors: Array) -> set[str]:
-    """Blocks with a value (m,) outside its column's physical bounds by more than its standard error (m,) allows."""
+    """Return the blocks with a value (m,) outside its column's bounds by more than its standard error (m,) allows."""
     return {
         column.block
         for column, value, error in zip(columns, values.tolist(), errors.tolist(), strict=True)
@@ -97,13 +97,13 @@ def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors:
 
 
 def whitened_displacements(columns: Sequence[EffectColumn], by_joint: Array, white: Array) -> Array:
-    """Whitened SMR displacements (m, 3 n) per unit of each column's parameter.
+    """Compute whitened SMR displacements (m, 3 n) per unit of each column's parameter.
 
     Parameters
     ----------
     columns : sequence of EffectColumn, length m
     by_joint : array, shape (3, N, n)
-        Derivatives of the SMR position by the joints, WHITENED [1/rad].
+        Derivatives of the SMR position with respect to the joint angles, WHITENED [1/rad].
     white : array, shape (3, 3, n)
         Whitening of each point [1/m].
     """

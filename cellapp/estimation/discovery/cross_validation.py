@@ -1,11 +1,11 @@
-"""K-fold cross-validation of a new term on left-out readings, linear about a joint fit.
+"""K-fold cross-validation of a new term, linear about a joint fit.
 
-Each fold is predicted by the least-squares solution of the others (with priors),
+Each fold is predicted by the least-squares solution of the other folds (with priors),
 
     beta = (X_in X_in^T + P)^-1 X_in y_in,
 
-from the normal matrix of all readings less that of the fold. The hat matrix of the fit would spare these solutions, but
-I - H is nearly singular where few readings are left: a direction that they do not determine then counts as predicted.
+from the normal matrix of all readings less that of the fold. The hat matrix of the fit would save these solutions, but
+I - H is nearly singular if few readings are left: a direction that they do not determine would then count as predicted.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from cellapp.estimation.discovery.normal_matrix import Factored, NormalMatrix
 from cellapp.robot.kinematics.transforms import Array
 
 _FOLD_SEED = 0xF01D
-"""Beside the profile's seed: the folds are then independent of all other draws."""
+"""Combined with the profile's seed, so that the folds are independent of all other draws."""
 
 _FEWEST_PLACEMENTS = 4
-"""Placements from which one can be left out and the arm still be determined by the others."""
+"""Least number of placements to leave one out: the others must determine the arm."""
 
 
 def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:
-    """Decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit.
+    """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit.
 
-    Of a ball in sockets whole placements are left out, and what counts is the scatter within each point: nothing says
-    where a point is that was not learnt from, and a place where the arm was is no test of a place where it was not.
+    For a ball in sockets whole placements are left out and the scatter within each point is compared: the position of a
+    left-out point is unknown, and a known place is no test for an unknown one.
     """
     if data.points is not None:
         return float(placement_gains(data, fit, new_rows).sum())
@@ -48,15 +48,15 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
 
 
 def may_leave_placements_out(data: ArmData) -> bool:
-    """Whether a ball rested at enough placements to determine an arm without any one of them."""
+    """Return whether a ball rested at enough placements to determine an arm without any one of them."""
     points = data.points
     return points is not None and int(points.contacts.placements(points.at).max()) + 1 >= _FEWEST_PLACEMENTS
 
 
 def placement_gains(data: ArmData, fit: JointFit, new_rows: Array) -> Array:
-    """Decrease of the whitened sum of squares (m,) at each left-out placement of sockets when columns join a fit.
+    """Return the decrease of the whitened sum of squares (m,) at each left-out placement by columns that join a fit.
 
-    With few placements it is at each left-out point.
+    With few placements, single points are left out instead.
     """
     points = data.points
     assert points is not None
@@ -71,7 +71,7 @@ def placement_gains(data: ArmData, fit: JointFit, new_rows: Array) -> Array:
 
 
 def _within_points(point: NDArray[np.intp], left: Array) -> Array:
-    """Residuals (3 k,) of k readings less the mean of each coordinate over the readings of the same point."""
+    """Subtract from residuals (3 k,) of k readings the mean of each coordinate over the readings of the same point."""
     _, point, counts = np.unique(point, return_inverse=True, return_counts=True)
     axes = left.reshape(3, -1)
     means = np.stack([np.bincount(point, axis) / counts for axis in axes])
@@ -81,7 +81,7 @@ def _within_points(point: NDArray[np.intp], left: Array) -> Array:
 def _left_out(
     fit: JointFit, new_rows: Array, fold: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.bool_], Array, Array]]:
-    """For each fold the coordinates that are left out, and what the fit leaves of them without and with new columns."""
+    """Yield for each fold the mask of left-out coordinates and their residuals without and with the new columns."""
     scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
     new, target = new_rows * scale[:, None], fit.target
     for one in _folds(fit, fold):
@@ -91,7 +91,7 @@ def _left_out(
         taken = one.learnt.solve(cross)
         factor = cholesky(gram - cross.T @ taken)
         if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
-            # the fit determines some of them by others
+            # the new columns are not independent of each other or of the fit
             rows = np.concatenate([fit.rows, new])
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
             of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
@@ -105,9 +105,9 @@ def _left_out(
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit to all readings but those of one fold, which are left ``out`` (3 n,); what it leaves of these.
+    """A fit without the readings of one fold: the mask ``out`` (3 n,) of these, and their residuals ``left``.
 
-    ``learnt`` and ``moment`` are its equations: a matrix a fold, not three.
+    ``learnt`` and ``moment`` are its factored equations: one matrix a fold, not three.
     """
 
     out: NDArray[np.bool_]
@@ -117,7 +117,7 @@ class _Fold:
 
 
 def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
-    """The fits without each fold, kept with the whole fit: many columns are tried beside one."""
+    """Return the fits without each fold, cached in the whole fit: many columns are tried beside it."""
     key = fold.tobytes()
     if key not in fit.derived:
         rows, target, found = fit.rows, fit.target, []

@@ -1,4 +1,4 @@
-"""Description of a data-driven term: channel, variables, its curve, and a short formula where one fits as well."""
+"""Description of a data-driven term: channel, variables, curve, and a short formula if one fits as well."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 
 _POINTS = 60
-"""Points of a curve in the description."""
+"""Number of points of a curve in the description."""
 _AS_GOOD = 0.95
-"""Share of what the curve explains that a formula of fewer parameters must explain to describe it."""
+"""Share of what the curve explains at which a formula with fewer parameters describes it."""
 
 
 def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
     """Describe a data-driven term of a fit, or one with a law of the library.
 
-    ``size_um`` is without the part that the other parameters can explain.
+    ``size_um`` excludes the part that the other parameters can explain.
     """
     term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
     formula, gain = "", None
@@ -68,16 +68,16 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
 
 
 def _visible_rms(fit: JointFit, number: int) -> float:
-    """Rms displacement [m] by a term, without the part that the other parameters of the model can explain.
+    """Return the rms displacement [m] by a term, without the part that the other parameters of the model can explain.
 
-    That part is arbitrary: a shift of the base pose cancels a constant in a slow drift.
+    That part is arbitrary: for instance a shift of the base pose cancels a constant in a slow drift.
     """
     visible = fit.residual_without(number).projector.project(fit.signal(number))
     return rms_length(fit, visible)
 
 
 def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], ...]:
-    """Points of a joint offset [rad] over its variable."""
+    """Return points of a joint offset [rad] over its variable."""
     offset = np.zeros(len(x))
     for column, value in zip(fit.term_columns(number), fit.term_values(number).tolist(), strict=True):
         if column.offset is not None:
@@ -95,9 +95,9 @@ def _formula(
     variables: Sequence[Variable],
     values: Sequence[Array],
 ) -> tuple[str, float | None]:
-    """The best short formula and its gain over the curve; no text where it does not describe the term as well.
+    """Return the best short formula and its gain over the curve; no text if it describes the term less well.
 
-    It does where its score is higher, as it has fewer parameters, or where it explains nearly as much.
+    It is good enough if its score is higher, having fewer parameters, or if it explains nearly as much.
     """
     if any(not np.isfinite(one).all() for one in values):
         return "", None
@@ -121,7 +121,7 @@ def _formula(
 
 
 def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
-    """Columns of a formula in the channel of ``basis``, all in one block; of a shift one for each direction."""
+    """Return the columns of a formula in the channel of ``basis``, all in one block; for a shift one a direction."""
     common = ("", text, -np.inf, np.inf, basis.channel, basis.index)
     if basis.channel is Channel.JOINT:
         return tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))

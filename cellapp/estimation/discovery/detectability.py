@@ -1,4 +1,4 @@
-"""Detectability: effects that these data cannot show, and the smallest size at which they would show the others."""
+"""Detectability: effects that the data cannot show, and the smallest detectable size of the others."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cellapp.robot.effects import EFFECTS
 
 _BARELY_VISIBLE = 0.03
 """Visible share below which an effect is reported as invisible under this plan: it would need to be 30 times as large
-as one that the geometry cannot imitate."""
+as an effect that the geometry cannot imitate."""
 _MOST_SIZES = 40
-"""Parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
+"""Most parameters of one effect whose smallest sizes are reported: all joints and axes, but not hundreds of lines."""
 
 
 @dataclass(frozen=True)
 class _Detectable:
-    """An effect's largest visible share, smallest size of each parameter, and the least rms displacement (whitened)."""
+    """An effect's largest visible share, smallest size of each parameter, and least rms displacement (whitened)."""
 
     visible_share: float
     sizes: dict[str, SmallestSize]
@@ -32,13 +32,13 @@ class _Detectable:
 
 
 def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffect, ...], tuple[AbsentEffect, ...]]:
-    """Effects that the data cannot show, and effects that were not found, with their smallest detectable sizes.
+    """Return effects that the data cannot show, and effects that were not found with their smallest detectable sizes.
 
-    ``scan`` is that of all effects that the final model does not have.
+    ``scan`` covers all effects that the final model lacks.
     """
     fit = found.fit if found.fit.terms else found.geometry_only
     noise_mm = 1e3 * (1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.positions]) ** 2))))
-    # the score of a name that is as likely there as not
+    # score of a name with even odds
     needed = found.threshold + (SCORE_MARGIN if found.data.points is None else 0.0)
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
@@ -67,9 +67,10 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
 
 
 def _detectable(scan: LawScan, slug: str, needed: float) -> _Detectable:
-    """Visible share and smallest sizes of one effect, over the laws of its simplest form that the data allow.
+    """Return visible share and smallest sizes of one effect, over the laws of its simplest form that the data allow.
 
-    A refined form may show where the effect itself does not: a scale error that bends with the range of the beam.
+    A refined form may be visible although the effect itself is not: a scale error that bends with the range of the
+    beam.
     """
     own = [candidate.law.form for candidate in scan.candidates if candidate.slug == slug]
     simplest = next((form for form in EFFECTS[slug].forms if form in own), None)

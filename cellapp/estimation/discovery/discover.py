@@ -1,4 +1,4 @@
-"""Discovery for a calibrated cell: search every arm, judge on held-out readings, extend the model by what was found."""
+"""Discovery for a calibrated cell: search every arm, judge on held-out readings, add the effects found to the model."""
 
 from __future__ import annotations
 
@@ -58,22 +58,22 @@ from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 
 _MOST_SEARCHED = 400
-"""Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
+"""Largest number of readings to search. The cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
 _SUBSET_SEED = 0x5EA
-"""Beside the profile's seed: the draw of these readings is then independent of all other draws."""
+"""Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
 
 
 @dataclass(frozen=True)
 class _PairArm:
-    """An arm for the calibration of the pair after discovery."""
+    """Arm for the calibration of the pair after discovery."""
 
     model: ArmModel
     tracker_frame_network: None = None
 
 
 class ArmSearch(Protocol):
-    """Searches one calibrated arm, as ``discover_arm`` does."""
+    """Search of one calibrated arm, with the signature of ``discover_arm``."""
 
     def __call__(
         self,
@@ -118,7 +118,7 @@ def discover_cell(
 
 
 def _total_steps(profile: Profile, arms: int) -> int:
-    """Steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
+    """Count the steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
     training = learning_steps(profile.network) if _may_train(profile) else 0
     return (SEARCH_STEPS + training) * arms + 1
 
@@ -177,11 +177,11 @@ def discover_arm(
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
-    Readings of any split that are gross errors for the geometry are left out, as ``calibrate`` leaves them out.
+    Gross errors of the geometry are left out of all splits, as ``calibrate`` leaves them out.
 
-    ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
-    ``report`` takes the steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
-    parameters about ``robot.model.nominal``; those of the profile if not given.
+    ``conditions`` are those of ``readings``; if None, they are derived from the readings of this arm alone. ``report``
+    takes the number of steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
+    parameters about ``robot.model.nominal``; if None, those of the profile.
     """
     started = time.perf_counter()
     cancel = cancel or CancelToken()
@@ -195,7 +195,7 @@ def discover_arm(
 
 
 def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
-    """Which readings (n,) are gross errors for the geometry alone."""
+    """Return a mask (n,) of the readings that are gross errors for the geometry alone."""
     if in_sockets(readings):
         return gross_errors_in_sockets(model.geometry, model.nominal, readings)
     its = measured_quantities(readings)
@@ -204,9 +204,9 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
 
 
 def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, started: float) -> Discovery:
-    """The discovery that a search found, with its evidence and the errors at held-out readings.
+    """Build the discovery from a search: evidence of the effects and errors on held-out readings.
 
-    ``model`` is the calibrated arm; ``started`` is when the search began, by ``time.perf_counter`` [s].
+    ``model`` is the calibrated arm; ``started`` is the start of the search by ``time.perf_counter`` [s].
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
@@ -217,8 +217,8 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     if result.harmful:
-        word = "unknown effect"  # something is there: the search fitted it, though not by what it is
-    # as it was calibrated where nothing was found
+        word = "unknown effect"  # the search fitted something real, but not by its true cause
+    # if nothing was found, the arm stays as it was calibrated
     final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
     invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
     evaluated = ArmDiscoveryResult(
@@ -251,7 +251,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
 
 
 def _noise(data: ArmData) -> Noise:
-    """Rms length of the noise: as stated, else as the final fit estimated it, with all of the scatter."""
+    """Return the rms length of the noise: the stated one, else that estimated by the final fit (all of its scatter)."""
     points = slice(None) if data.turned is None else ~data.turned
     if data.stated is None or states_nothing(data.stated[points]):
         return Noise(rms=rms_length_mm(data.sigma[points]), source="estimated")
@@ -260,11 +260,11 @@ def _noise(data: ArmData) -> Noise:
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """The outcome of a search, and the model fitted to all readings.
+    """Outcome of a search, and the model fitted to all readings.
 
-    ``judged`` holds the searched readings; ``found`` those of the final fit. ``fitted`` is the number of all readings
-    if not all were searched, ``left_out`` are the configurations of gross errors, ``harmful`` the effects that were
-    found but predict held-out readings worse than geometry alone.
+    ``judged`` is the result on the searched readings, ``found`` that of the final fit. ``fitted`` is the number of all
+    readings, None if all were searched. ``left_out`` are the configurations of gross errors. ``harmful`` are effects
+    that were found but made the prediction of held-out readings worse than geometry alone.
     """
 
     judged: SearchResult
@@ -285,9 +285,10 @@ def _search_and_refit(
     report: Report,
     prior_sigma: Mapping[str, float] | None,
 ) -> Searched:
-    """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them.
+    """Search at most ``_MOST_SEARCHED`` readings of the identify and train splits, then fit to all of these readings.
 
-    ``gross`` (n,) are those of the geometry; others show beside the effects that are found.
+    ``gross`` (n,) masks the gross errors of the geometry. Further ones, which show only beside the effects found, are
+    removed in rounds.
     """
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     rows = rows[~gross[rows]]
@@ -311,13 +312,13 @@ def search_rows(
     report: Report = ignore_report,
     prior_sigma: Mapping[str, float] | None = None,
 ) -> Searched:
-    """Search some of the readings to learn from, at most ``_MOST_SEARCHED``, and fit to all of them.
+    """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, and fit to all of them.
 
     ``prior_sigma`` as for ``discover_arm``.
     """
     rows = np.arange(len(readings), dtype=np.intp)
     some = rows
-    if len(rows) > _MOST_SEARCHED and not in_sockets(readings):  # a part of them would hardly show the points
+    if len(rows) > _MOST_SEARCHED and not in_sockets(readings):  # a subset would hardly determine the points
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
@@ -327,7 +328,7 @@ def search_rows(
         return Searched(found, found, with_posterior(found.data, found.fit), None)
     cancel.check()
     report(SEARCH_STEPS - 1, f"fit to all {counted(len(rows), 'reading')}")
-    give_back()  # what the search tried
+    give_back()  # memory of the search
     everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
     if smoothness_of(found.fit.terms) is None:
         to_all = refit_to_all(found, everything)
@@ -337,9 +338,9 @@ def search_rows(
 
 
 def _without_harm(result: Searched, held_out: HeldOut) -> Searched:
-    """The result, without its terms where they predict held-out readings worse than geometry alone does.
+    """Remove all terms if they predict held-out readings worse than geometry alone does.
 
-    Few readings can be fitted by effects that are not there. The rise must be more than sampling explains.
+    Effects that are not there can fit few readings. The error must rise by more than sampling explains.
     """
     found = result.found
     if not found.fit.terms or not len(held_out):
@@ -358,7 +359,7 @@ def _without_harm(result: Searched, held_out: HeldOut) -> Searched:
 
 
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:
-    """The sentence of the verdict, with effects that were left out, and with the readings that were left out."""
+    """Append to the sentence of the verdict which effects and which readings were left out."""
     said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
     improbable = {slug: p for slug, p in result.found.improbable.items() if slug not in said}
     if improbable:
@@ -372,14 +373,14 @@ def _with_what_was_left_out(sentence: str, result: Searched) -> str:
 
 
 def _titles(slugs: Sequence[str]) -> str:
-    """Titles of effects, joined by commas."""
+    """Join the titles of effects by commas."""
     return ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in slugs)
 
 
 def _gap_steps(
     found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
 ) -> tuple[GapStep, ...]:
-    """The held-out error after each step of the search, and after the review."""
+    """Return the held-out error after each step of the search, and after the review."""
     errors = [("geometry alone", "", before_mm)]
     errors += [(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None]
     if found.dropped:

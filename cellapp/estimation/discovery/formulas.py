@@ -1,4 +1,4 @@
-"""Short formulas that may describe a data-driven term: functions of its one or two variables, with a free factor."""
+"""Short formulas that may describe a data-driven term: functions of one or two variables with a free factor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.robot.kinematics.transforms import Array
 _PERIOD_COUNTS = np.arange(0.5, 24.25, 0.25)
 """Numbers of periods of an oscillation in the run, in steps of a quarter: finer than a run of few periods resolves."""
 _DECAY_SHARES = (0.05, 0.1, 0.2, 0.4, 0.8)
-"""Time constants of a decay as shares of the run: below, too few stops are in it; above, it is a straight line."""
+"""Time constants of a decay as shares of the run: shorter ones cover too few stops, longer ones are straight lines."""
 _HARMONICS = 8
 """Highest harmonic of an angle."""
 _ABSOLUTE_HARMONICS = 4
@@ -35,7 +35,7 @@ class Formula:
 
 
 def formulas(variables: Sequence[Variable], values: Sequence[Array]) -> list[Formula]:
-    """Formulas of one or two variables with values (n,) that are finite and vary."""
+    """Generate formulas of one or two variables whose values (n,) are finite and vary."""
     found: list[Formula] = []
     for variable, x in zip(variables, values, strict=True):
         name = variable.name
@@ -48,7 +48,7 @@ def formulas(variables: Sequence[Variable], values: Sequence[Array]) -> list[For
 
 
 def _of_time(t: Array) -> Iterator[Formula]:
-    """Oscillations and decays."""
+    """Generate oscillations and decays."""
     run_s = float(np.ptp(t)) or 1.0
     for count in _PERIOD_COUNTS:
         period = run_s / float(count)
@@ -59,7 +59,7 @@ def _of_time(t: Array) -> Iterator[Formula]:
 
 
 def _of_one(variable: Variable, x: Array) -> Iterator[Formula]:
-    """Harmonics of an angle and their absolute values; smooth steps of any variable."""
+    """Generate harmonics of an angle and their absolute values; smooth steps of any variable."""
     name, is_angle = variable.name, variable.is_angle
     for k in range(1, _HARMONICS + 1 if is_angle else 1):
         yield Formula(f"c sin({_times(k, name)} + phase)", _waves(k * x))
@@ -74,7 +74,7 @@ def _of_one(variable: Variable, x: Array) -> Iterator[Formula]:
 
 
 def _of_two(v: str, w: str, x: Array, y: Array) -> Iterator[Formula]:
-    """Waves and smooth steps of sums, and products."""
+    """Generate waves and smooth steps of sums, and products."""
     for a, b in _PAIR_FACTORS:
         total = a * x + b * y
         text = f"{_times(a, v)} {'+' if b > 0 else '-'} {_times(abs(b), w)}"
@@ -88,7 +88,7 @@ def _of_two(v: str, w: str, x: Array, y: Array) -> Iterator[Formula]:
 
 
 def _waves(phase: Array) -> Array:
-    """Cosine and sine (n, 2)."""
+    """Return cosine and sine (n, 2)."""
     return np.stack([np.cos(phase), np.sin(phase)], axis=1)
 
 

@@ -29,7 +29,7 @@ class HeldOut:
 
     @classmethod
     def of(cls, readings: Readings, conditions: MeasurementConditions) -> HeldOut:
-        """The validate split."""
+        """Take the validate split."""
         rows = readings.in_split("validate")
         return cls(readings.take(rows), conditions.take(rows))
 
@@ -37,20 +37,20 @@ class HeldOut:
         return len(self.readings)
 
     def rms_mm(self, model: ArmModel) -> float:
-        """Rms position error of a model."""
+        """Return the rms position error of a model [mm]."""
         return self.position_mm(model).rms
 
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
-        """Statistics of the position error of a model."""
+        """Return statistics of the position error of a model [mm]."""
         return _statistics(self.errors_m(model) * 1e3)
 
     def errors_m(self, model: ArmModel) -> Array:
-        """Position errors (n,) of a model [m]."""
+        """Return the position errors (n,) of a model [m]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
         return position_errors(measured_positions(self.readings, computed), computed)
 
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
-        """Statistics of the orientation error of a model [mrad]; None where no orientation was measured."""
+        """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""
         its = self._quantities
         if its.turned is None:
             return None
@@ -59,7 +59,7 @@ class HeldOut:
         return _statistics(np.linalg.norm(turns, axis=1) * 1e3)
 
     def turned_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
-        """``orientation_mrad`` of two models; None where no orientation was measured."""
+        """Return ``orientation_mrad`` of two models; None if no orientation was measured."""
         errors = [self.orientation_mrad(model) for model in (before, after)]
         if errors[0] is None or errors[1] is None:
             return None
@@ -70,17 +70,17 @@ class HeldOut:
         return measured_quantities(self.readings, self.conditions)
 
     def evaluate(self, model: ArmModel) -> StageErrors:
-        """Position, orientation and distance errors of a model."""
+        """Return the position, orientation and distance errors of a model."""
         its = self._quantities
         return evaluate_quantities(its, model.predict(its.readings.q, conditions=its.conditions))
 
     def noise_floor_mm(self) -> float:
-        """Rms length of the stated noise; NaN where the readings state none."""
+        """Return the rms length of the stated noise [mm]; NaN if the readings state none."""
         sigma = stated_uncertainty(self.readings)
         return math.nan if sigma is None else rms_length_mm(sigma)
 
     def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
-        """Median and largest uncertainty that a model predicts of itself here; None where it predicts none."""
+        """Return the median and largest uncertainty that a model predicts here [mm]; None if it predicts none."""
         predicted = model.uncertainty(self.readings.q, self.conditions)
         if not predicted.any():
             return None
@@ -88,7 +88,7 @@ class HeldOut:
 
 
 def _statistics(errors: Array) -> HeldOutPosition:
-    """Mean, rms, median and maximum of errors (n,)."""
+    """Return mean, rms, median and maximum of errors (n,)."""
     return HeldOutPosition(
         mean=float(errors.mean()),
         rms=float(np.sqrt(np.mean(errors**2))),

@@ -1,7 +1,7 @@
 """Joint fit of geometry and effect terms, and its linearisation.
 
-With W the whitening, the rows of the design are W [J, A]: derivatives of the SMR position by the geometric parameters
-and by those of the terms. The residual y and these rows define the linear models of scan, review and proposals.
+With W the whitening, the rows of the design are W [J, A]: derivatives of the SMR position with respect to the geometric
+parameters and to those of the terms. The residual y and these rows are the linear model for scan, review and proposals.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
 
 _WEIGHING_ROUNDS = 3
-"""Rounds of fitting and estimating the excess variance at most: the fit depends on its root only, and weakly."""
+"""Most rounds of fitting and estimating the excess variance: the fit depends on its root only, and weakly."""
 _EXCESS_CHANGE = 0.02
-"""Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
+"""Relative change of the excess variance at which its estimate has converged: weights then change by 1 %."""
 _SAME_COLUMNS = 1e-3
-"""Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
-much, relatively, an effect of 0.3 mm by 0.3 µm."""
+"""Step of a fit [m at arm's length] up to which the effects' columns are kept. They change relatively by about as much:
+an effect of 0.3 mm by 0.3 µm."""
 _DRAW_SEED = 0xD4A7
-"""Beside the profile's seed: the draws of parameters are then independent of all other draws."""
+"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Whitened derivatives of the SMR positions of n readings at one geometry.
+    """Whitened derivatives of the SMR positions of n readings, linearised at one geometry.
 
     Attributes
     ----------
     by_joint : array, shape (3, N, n)
-        By the joints.
+        With respect to the joint angles.
     rows : array, shape (p, 3 n)
-        By geometric parameters, then by those of effect columns.
+        With respect to the geometric parameters, then to those of effect columns.
     """
 
     by_joint: Array
@@ -70,8 +70,8 @@ class LinearModel:
         effects: Sequence[EffectColumn] = (),
         R_M_S: Array | None = None,
     ) -> LinearModel:
-        """At configurations ``q`` (n, N) [rad] with whitening ``white`` (3, 3, n), by some geometric parameters and the
-        columns of effects; where an orientation ``R_M_S`` (n, 3, 3) was measured, of that."""
+        """Linearise at configurations ``q`` (n, N) [rad], whitened by ``white`` (3, 3, n), for some geometric
+        parameters and columns of effects; where ``R_M_S`` (n, 3, 3) was measured, for the orientation."""
         angles = JointAngles.of(q, R_M_S)
         _, J = jacobian(geometry, angles, parameters)
         _, by_joint = joint_jacobian(geometry, angles)
@@ -89,25 +89,25 @@ class JointFit:
     ----------
     terms : ModelTerms
     layout : TermLayout
-        Where the parameters of each term stand.
+        Indices of the parameters of each term.
     identification : Identification
-        Geometric parameters first, then those of the terms in their order.
+        Geometric parameters first, then those of the terms in order.
     columns : tuple of EffectColumn
-        Columns of all terms in their order.
+        Columns of all terms, in order.
     model : ArmModel
         The fitted arm.
     white : array, shape (3, 3, n)
         Whitening of each point [1/m].
     by_joint : array, shape (3, N, n)
-        Whitened derivatives of the SMR position by the joints.
+        Whitened derivatives of the SMR position with respect to the joint angles.
     rows : array, shape (p, 3 n)
         Whitened derivatives with respect to all fitted parameters.
     precision : array, shape (p,)
-        Prior precisions, zero without a prior.
+        Prior precisions; zero where there is no prior.
     residual : array, shape (3 n,)
         Whitened.
     derived : dict
-        What others computed from this fit and need again: folds of the cross-validation, the whole of a field.
+        Cache of what others derive from this fit: folds of the cross-validation, the whole of a field, a scan.
     """
 
     terms: ModelTerms
@@ -125,13 +125,13 @@ class JointFit:
 
     @property
     def positions(self) -> slice | NDArray[np.bool_]:
-        """Readings of positions: all, unless orientations were measured too."""
+        """Mask of the rows that are positions; a full slice if no orientation was measured."""
         turned = self.identification.turned
         return slice(None) if turned is None else ~turned
 
     @cached_property
     def normal(self) -> NormalMatrix:
-        """Normal matrix of all columns and ``target``: projectors, criterion and cross-validation share it."""
+        """Normal matrix of all columns and ``target``, shared by projectors, criterion and cross-validation."""
         return NormalMatrix.of(self.rows, self.target)
 
     @cached_property
@@ -140,20 +140,20 @@ class JointFit:
         return NuisanceProjector.of(self.rows, self.precision, self.normal.gram)
 
     def projector_of(self, kept: NDArray[np.bool_]) -> NuisanceProjector:
-        """Projector onto the complement of some of the fitted parameters."""
+        """Return the projector onto the complement of the parameters in the mask ``kept``."""
         return NuisanceProjector.of(self.rows[kept], self.precision[kept], self.normal.take(kept).gram)
 
     @cached_property
     def projected_residual(self) -> ProjectedResidual:
-        """The residual in the complement of all that was fitted."""
+        """The residual in the complement of all fitted parameters."""
         return ProjectedResidual(self.projector, self.residual)
 
     @cached_property
     def information_criterion(self) -> float:
-        """Minus twice the log marginal likelihood, parameters with a smooth prior integrated out.
+        """Minus twice the log marginal likelihood, with the parameters that have a smooth prior integrated out.
 
-        The others cost ln f each, as in the Bayesian information criterion; f are the coordinates behind the geometry,
-        which all models share: so many say how large the scatter is (restricted likelihood).
+        Each other parameter costs ln f, as in the Bayesian information criterion. f is the number of coordinates less
+        the parameters of the geometry, which all models share: so many determine the scatter (restricted likelihood).
         """
         first = self.layout.geometric
         smooth = np.zeros(len(self.precision), dtype=bool)
@@ -171,50 +171,50 @@ class JointFit:
         return square + scatter + price + rest.log_occam(1.0 / self.precision[smooth])
 
     def residual_without(self, term: int) -> ProjectedResidual:
-        """Residual of the model without one term, in the complement of that model's parameters."""
+        """Return the residual of the model without one term, in the complement of that model's parameters."""
         if term not in self._behind:
             projector = self.projector_of(self.layout.all_but(term))
             self._behind[term] = ProjectedResidual(projector, self.residual + self.signal(term))
         return self._behind[term]
 
     def removed_square(self, term: int) -> float:
-        """Sum of squares that only this term explains: its signal in the complement of all other parameters."""
+        """Compute the sum of squares that only this term explains: its signal in the complement of all others."""
         kept, signal = self.layout.all_but(term), self.signal(term)
         others = self.rows[kept]
-        # one solution: a projector of hundreds of smooth columns costs ten times as much
+        # one linear solution: a projector of hundreds of smooth columns costs ten times as much
         values = self.normal.take(kept).with_priors(self.precision[kept]).solve(others @ signal)
         return float(np.sum((signal - values @ others) ** 2))
 
     def term_rows(self, term: int) -> Array:
-        """Whitened columns of a term (m, 3 n)."""
+        """Return the whitened columns of a term (m, 3 n)."""
         return self.rows[self.layout.parameters(term)]
 
     def law_rows(self, term: int) -> Array:
-        """Whitened columns of a term's law (m, 3 n), without those of its free part."""
+        """Return the whitened columns of a term's law (m, 3 n), without those of its free part."""
         return self.term_rows(term)[: len(self.terms[term].names)]
 
     def law_misfit(self, term: int) -> float:
-        """Rms displacement by a term's free part over that by its law."""
+        """Return the ratio of the rms displacement by a term's free part to that by its law."""
         values, size = self.term_values(term), len(self.terms[term].names)
         by_law = float(np.linalg.norm(values[:size] @ self.law_rows(term)))
         by_free_part = float(np.linalg.norm(values[size:] @ self.term_rows(term)[size:]))
         return by_free_part / by_law if by_law > 0.0 else 0.0
 
     def term_values(self, term: int) -> Array:
-        """Fitted values of a term's parameters (m,)."""
+        """Return the fitted values of a term's parameters (m,)."""
         return self.identification.effect_values[self.layout.columns(term)]
 
     def term_columns(self, term: int) -> tuple[EffectColumn, ...]:
-        """Columns of a term."""
+        """Return the columns of a term."""
         return self.columns[self.layout.columns(term)]
 
     def signal(self, term: int) -> Array:
-        """Displacement that a term predicts, whitened (3 n,)."""
+        """Return the whitened displacement that a term predicts (3 n,)."""
         return np.asarray(self.term_values(term) @ self.term_rows(term))
 
     @cached_property
     def target(self) -> Array:
-        """Residual plus prediction of the terms with priors, whitened (3 n,): data of linear refits with priors."""
+        """Whitened residual plus prediction of the terms with priors (3 n,): the data of linear refits with priors."""
         first = self.layout.geometric
         penalised = np.flatnonzero(self.precision[first:] > 0.0)
         if not len(penalised):
@@ -223,33 +223,33 @@ class JointFit:
         return np.asarray(self.residual + held)
 
     def candidate(self, data: ArmData, slug: str, law: Law) -> CandidateLaw:
-        """A law as a candidate beside this model."""
+        """Return a law as a candidate beside this model."""
         columns = data.columns(slug, law)
         return CandidateLaw(slug, law, tuple(columns), self.displacements(columns))
 
     def candidates(self, data: ArmData, slugs: Sequence[str]) -> list[CandidateLaw]:
-        """All laws of some effects that the data allow to test."""
+        """Return all laws of the effects ``slugs`` that the data allow to test, as candidates."""
         blind = OF_THE_TRACKER if data.points is not None else frozenset()
         testable = [slug for slug in slugs if slug not in blind and not EFFECTS[slug].missing_data(data.context)]
         return [self.candidate(data, slug, law) for slug in testable for law in EFFECTS[slug].laws(data.context)]
 
     def displacements(self, columns: Sequence[EffectColumn]) -> Array:
-        """Whitened SMR displacements (m, 3 n) of columns."""
+        """Return the whitened SMR displacements (m, 3 n) of columns."""
         return whitened_displacements(columns, self.by_joint, self.white)
 
     def blocks_beyond_bounds(self, term: int) -> set[str]:
-        """Blocks of a term with a value outside its physical bounds by more than chance allows."""
+        """Return the blocks of a term with a value outside its physical bounds by more than chance allows."""
         errors = self.identification.standard_errors[self.layout.parameters(term)]
         return blocks_beyond_bounds(self.term_columns(term), self.term_values(term), errors)
 
 
 def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:
-    """Fit geometry and terms to all readings and linearise there; from ``near``, if a fit of these terms is known."""
+    """Fit geometry and terms to all readings and linearise there; start from ``near``, a fit of the same terms."""
     return _linearised(data, terms, *_identify(data, terms, near))
 
 
 def fitted_model(data: ArmData, terms: ModelTerms, near: Identification) -> ArmModel:
-    """The model of ``fit_terms`` alone."""
+    """Return only the model of ``fit_terms``, without linearising."""
     found, _ = _identify(data, terms, near)
     return _fitted_model(data, found, terms, _layout(data, found, terms))
 
@@ -281,7 +281,7 @@ def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns
 
 
 def _with_points(data: ArmData, rows: Array, white: Array, geometric: int) -> Array:
-    """Rows (p, 3 n) with those of unknown points behind the geometric ones."""
+    """Insert the rows of unknown points after the geometric ones; return rows (p, 3 n)."""
     if data.points is None:
         return rows
     of_points = np.einsum("acn,kcn->kan", white, data.points.shifts).reshape(len(data.points), -1)
@@ -289,13 +289,13 @@ def _with_points(data: ArmData, rows: Array, white: Array, geometric: int) -> Ar
 
 
 def _with_misfits(fit: JointFit) -> JointFit:
-    """The fit whose model states how far each law is off."""
+    """Set in the fit's model the misfit of each law, see ``JointFit.law_misfit``."""
     stated = [replace(effect, law_misfit=fit.law_misfit(number)) for number, effect in enumerate(fit.model.effects)]
     return replace(fit, model=replace(fit.model, effects=tuple(stated)))
 
 
 def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
-    """The fitted model with draws of its parameters, and the scatter of the readings."""
+    """Return the fitted model with draws of its parameters and the scatter of the readings."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
     draws = PosteriorDraws.of_covariance(
@@ -309,12 +309,12 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
 
 
 def noise_of(data: ArmData, scale: float = 1.0) -> ReadingsNoise:
-    """The noise that weighs the readings, times a scale."""
+    """Return the noise by which the readings are weighted, times a scale."""
     return readings_noise(data.sigma, data.turned, scale)
 
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
-    """Fit terms with weights of their own; effects are evaluated at the geometry that this finds, or very near it."""
+    """Fit terms with re-estimated weights; evaluate effects at the geometry found, or very near it."""
     here, near = reweighted(data, terms)
     found, columns = _identify(here, terms, near)
     if sum(found.steps) > _SAME_COLUMNS:
@@ -327,8 +327,9 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
 def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identification | None]:
     """Return the data with weights that include the scatter of a model with ``terms`` beyond the stated uncertainty.
 
-    The estimate begins from the weights of the data. Where no uncertainty is stated, all of the scatter is estimated.
-    With smooth terms the scatter is the one that maximised their evidence. Also the last fit that this took, if any.
+    The estimate starts from the weights of the data. If no uncertainty is stated, all of the scatter is estimated. With
+    smooth terms the scatter is the one that maximised their evidence. The second value is the last fit made on the way;
+    None if there was none.
     """
     smooth, found = smoothness_of(terms), None
     if smooth is not None:
@@ -351,7 +352,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
 
 
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
-    """Standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]: the stated ones, with a scatter added."""
+    """Add a scatter to the stated uncertainty: standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
     if data.stated is None:
         return np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
     return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
@@ -360,9 +361,9 @@ def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
 def _identify(
     data: ArmData, terms: ModelTerms, near: Identification | None = None
 ) -> tuple[Identification, tuple[EffectColumn, ...]]:
-    """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns.
+    """Identify geometry and terms jointly, with effect parameters in the order of the terms' columns.
 
-    ``near`` is one of the same terms, from whose values it begins.
+    ``near`` is an identification of the same terms, whose values are the start.
     """
     columns = data.term_columns(terms)
     order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
@@ -387,7 +388,7 @@ def _identify(
 
 
 def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], start: Array, n: int) -> EffectColumns:
-    """Columns at n readings as the identification takes them, joint offsets first, from values ``start`` (m,)."""
+    """Arrange columns at n readings for the identification: joint offsets first, start values ``start`` (m,)."""
     of_joints = [columns[place] for place in order if columns[place].joint is not None]
     of_smr = [columns[place] for place in order if columns[place].joint is None]
     sd = prior_sd(columns)
@@ -403,7 +404,7 @@ def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], st
 
 
 def identification_without(fit: JointFit, term: int) -> Identification:
-    """Where a fit without one term begins: the other values given that its are zero, by their covariance."""
+    """Predict the fit without one term, as a start: its values set to zero, the others conditioned on that."""
     found, own = fit.identification, fit.layout.parameters(term)
     values = np.concatenate([found.values[: fit.layout.geometric], found.effect_values])
     of_term = solve_psd(found.covariance[own, own], values[own])
@@ -418,14 +419,14 @@ def identification_without(fit: JointFit, term: int) -> Identification:
 
 
 def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array:
-    """Values (m,) of an earlier fit; zero for columns that it had not."""
+    """Return start values (m,) of an earlier fit; zero for columns that it lacked."""
     slugs = (term.slug for term in terms for _ in range(term.size))
     pairs = zip(slugs, columns, strict=True)
     return np.array([data.start.get((slug, column.name), 0.0) for slug, column in pairs])
 
 
 def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
-    """The identification with its effect parameters at places ``effects``, behind those that are not among them."""
+    """Put the effect parameters into the order ``effects``, after those of unknown points."""
     size, count = len(found.parameter_set.columns), len(found.effect_values)
     others = np.arange(len(effects), count)  # unknown points
     place = np.concatenate([np.arange(size), size + others, size + effects]).astype(np.intp)
@@ -441,7 +442,7 @@ def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identificati
 
 
 def _precision(data: ArmData, found: Identification, layout: TermLayout, columns: Sequence[EffectColumn]) -> Array:
-    """Prior precisions (p,) of all that was fitted, zero without a prior."""
+    """Return the prior precisions (p,) of all fitted parameters; zero where there is no prior."""
     precision = np.zeros(layout.total)
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
@@ -455,7 +456,7 @@ def _precision(data: ArmData, found: Identification, layout: TermLayout, columns
 
 
 def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> ArmModel:
-    """The arm with the fitted terms; the covariance is kept without the many coefficients with priors."""
+    """Return the arm with the fitted terms; its covariance omits the many coefficients with smooth priors."""
     fitted = []
     kept = list(range(len(found.parameter_set.columns)))
     for number, term in enumerate(terms):

@@ -1,4 +1,4 @@
-"""How far an effect moves the SMR by what it acts on: the order in which people read its parameters and pictures."""
+"""Displacement of the SMR by each joint or frame of an effect: it orders the parameters and pictures for the reader."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
-    """Rms displacement of the SMR at the readings by each joint or frame that a term acts on, the largest first.
+    """Return the rms displacement of the SMR at the readings by each joint or frame that a term acts on, largest first.
 
-    Parameters are those of the term's law; its free part moves the SMR too, but has no names.
+    Parameters are those of the term's law. Its free part also moves the SMR, but has no named parameters.
     """
     columns, named = fit.term_columns(number), len(fit.terms[number].names)
     signals = fit.term_values(number)[:, None] * fit.term_rows(number)
@@ -27,7 +27,7 @@ def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
 
 
 def rms_length(fit: JointFit, whitened: Array) -> float:
-    """Rms length [m] of whitened displacements (3 n,) at the readings of a fit, of those that are positions."""
+    """Return the rms length [m] of whitened displacements (3 n,) over those readings of a fit that are positions."""
     here = fit.positions
     moved = np.linalg.solve(fit.white.transpose(2, 0, 1)[here], whitened.reshape(3, -1).T[here, :, None])[..., 0]
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))

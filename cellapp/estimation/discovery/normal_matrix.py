@@ -1,9 +1,9 @@
-"""Normal equations of a linear model with priors: gathered over parts of the readings, solved, eliminated in part.
+"""Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated.
 
     (X^T X + P) b = X^T y
 
-X are whitened columns, P prior precisions. Fits to all readings, the evidence of free functions and the folds of the
-cross-validation take them from here.
+X are whitened columns, P prior precisions. Used by fits to all readings, the evidence of free functions and the folds
+of the cross-validation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True, eq=False)
 class NormalMatrix:
-    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual and what the values at hand predict."""
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the present prediction."""
 
     gram: Array
     moment: Array
@@ -32,52 +32,52 @@ class NormalMatrix:
 
     @classmethod
     def of(cls, rows: Array, target: Array) -> NormalMatrix:
-        """Of columns X^T as rows (p, d) and y (d,)."""
+        """Compute the products from columns as rows X^T (p, d) and y (d,)."""
         return cls(rows @ rows.T, rows @ target, float(target @ target))
 
     def __add__(self, other: NormalMatrix) -> NormalMatrix:
-        """With further readings."""
+        """Add further readings."""
         return NormalMatrix(self.gram + other.gram, self.moment + other.moment, self.square + other.square)
 
     def __sub__(self, other: NormalMatrix) -> NormalMatrix:
-        """Without some of the readings."""
+        """Remove some of the readings."""
         return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
 
     def take(self, places: NDArray[np.intp] | NDArray[np.bool_]) -> NormalMatrix:
-        """Of some of the columns."""
+        """Return the equations of some of the columns."""
         return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
 
     def log_occam(self, variance: Array) -> float:
-        """``ln det(I + V^1/2 X^T X V^1/2)`` of columns with prior variances V (p,): what their freedom costs."""
+        """Return ``ln det(I + V^1/2 X^T X V^1/2)`` for prior variances V (p,): the Occam factor of the columns."""
         root = np.sqrt(variance)
         gram = self.gram * (root[:, None] * root)
         gram.flat[:: len(gram) + 1] += 1.0
         try:
             return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
-        except np.linalg.LinAlgError:  # of readings without noise, rounding is larger than the priors' share
+        except np.linalg.LinAlgError:  # without noise, rounding exceeds the share of the priors
             return float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(gram), 1.0))))
 
     @property
     def scale(self) -> Array:
-        """Size (p,) of each parameter whose column has unit norm."""
+        """Scale (p,) of each parameter that gives its column unit norm."""
         return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST)))
 
     def with_priors(self, precision: Array, scale: Array | None = None) -> Solver:
-        """The equations with prior precisions (p,).
+        """Return the equations with prior precisions (p,).
 
-        A part of the readings takes the ``scale`` of all: what it does not determine is then zero but for rounding.
+        For a subset of the readings pass the ``scale`` of all: what it does not determine is then zero up to rounding.
         """
         scale = self.scale if scale is None else scale
         return Solver(self, precision, scale)
 
     def determined(self, precision: Array) -> float:
-        """How many parameters the readings determine beside prior precisions (p,)."""
+        """Return the effective number of parameters that the readings determine beside prior precisions (p,)."""
         return len(precision) - float(np.sum(precision * np.diag(self.with_priors(precision).covariance)))
 
     def behind(self, flat: int, precision: Array) -> tuple[NormalMatrix, float]:
-        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given.
+        """Eliminate the first ``flat`` columns, with prior precisions (flat,); return the equations of the others.
 
-        Also how many parameters of the first ones the readings determine.
+        The second value is the effective number of the eliminated parameters that the readings determine.
         """
         first = NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square).with_priors(precision)
         inverse = first.covariance
@@ -121,7 +121,7 @@ class Solver:
         return Factored(scaled if factor is None else factor, self.scale, is_factor=factor is not None)
 
     def _scaled(self) -> Array:
-        """X^T X + P with each parameter in its scale; not kept, as it is large."""
+        """Return X^T X + P with each parameter in its scale; not cached, as it is large."""
         A = self.normal.gram * (self.scale[:, None] * self.scale)
         A.flat[:: len(A) + 1] += self.precision * self.scale**2
         return A

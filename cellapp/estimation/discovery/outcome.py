@@ -1,4 +1,4 @@
-"""Outcome of discovery: its result as it is stored, with the model that has the accepted effects."""
+"""Outcome of discovery: the stored result, and the model with the accepted effects."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Discovery:
     Attributes
     ----------
     result : ArmDiscoveryResult
-        Accepted effects with their evidence, errors, tests of what is left, and the verdict.
+        Accepted effects with their evidence, errors, tests of the residuals, and the verdict.
     terms : tuple of EffectTerm
         Terms of the accepted effects, in the same order.
     model : ArmModel
-        With these terms.
+        The arm with these terms.
     scatter_m : float
         Standard deviation of a coordinate beyond the stated uncertainty in the final model [m].
     """
@@ -35,7 +35,7 @@ class Discovery:
     scatter_m: float = 0.0
 
     def with_model(self, model: ArmModel, held_out: HeldOut, **changes: Any) -> Discovery:
-        """The same with another final model, its errors at the held-out readings, and other changes of the result."""
+        """Return the outcome with another final model, its errors on held-out readings, and changes of the result."""
         result = self.result
         before, after = result.heldout_position_mm, held_out.position_mm(model)
         turned, turned_after = result.heldout_orientation_mrad, held_out.orientation_mrad(model)
@@ -53,7 +53,7 @@ class Discovery:
 class CellDiscovery:
     """Outcome of discovery in the data of every arm.
 
-    ``model`` is the cell with the accepted effects; ``pair`` the cooperative errors with them, None where no effect was
+    ``model`` is the cell with the accepted effects; ``pair`` the cooperative errors with them, None if no effect was
     accepted or there is no pair.
     """
 

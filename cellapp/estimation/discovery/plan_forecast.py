@@ -1,9 +1,9 @@
-"""What measurements at planned stops can show, before anything is measured: standard errors, effects, smallest sizes.
+"""Forecast of what planned stops can show, before any measurement: standard errors, effects, smallest sizes.
 
-The arms are taken at their nominal geometry, and the readings as the plan expects them: the order and the steps of the
-plan, expected times, the uncertainty that the profile states for the tracker. The question whether an effect would be
-seen is then put as a search puts it: by the score of its laws beside the geometry, against a threshold from simulated
-noise (see ``search.scan``). Sizes are exact where the noise is the tracker's alone; any scatter of the arms adds to it.
+The arms have their nominal geometry. The readings are as the plan expects them: its order and steps, expected times,
+the uncertainty that the profile states for the tracker. Whether an effect would be seen is decided as in a search: by
+the score of its laws beside the geometry, against a threshold from simulated noise (see ``search.scan``). Sizes are
+exact if the noise is the tracker's alone; any scatter of the arms adds to it.
 """
 
 from __future__ import annotations
@@ -50,21 +50,22 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
 
 _SEED = 0xF0CA
-"""Beside the profile's seed: the simulated noise is then independent of all other draws."""
+"""Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedReadings:
-    """What is expected of the readings of a plan.
+    """Expected conditions of the readings of a plan.
 
     Attributes
     ----------
     time_s, dwell_s : arrays, shape (n,)
-        Times from the first motion, and at rest before each measurement [s].
+        Times since the first motion, and at rest before each measurement [s].
     step : mapping, optional
-        Arm -> last motion of each joint with its sign (n, N) [rad]; None: straight from stop to stop, from home.
+        Arm -> last motion of each joint with its sign (n, N) [rad]; None if straight from stop to stop, starting at
+        home.
     load : array, shape (n,), int, optional
-        Load of the plan that the arms carry; None: the first.
+        Index of the plan's load that the arms carry; None for the first.
     """
 
     time_s: Array
@@ -76,9 +77,9 @@ class PlannedReadings:
 def expected_readings(
     profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings
 ) -> tuple[dict[str, ArmModel], dict[str, Readings]]:
-    """Nominal models of all arms, and the readings that a plan (arm -> q (n, N) [rad]) expects of them.
+    """Return nominal models of all arms, and the readings expected from a plan (arm -> q (n, N) [rad]).
 
-    Their noise is drawn, so that fits weigh residuals as they will; no result depends on the draw beyond rounding.
+    Their noise is simulated, so that fits get realistic weights; no result depends on the draw beyond rounding.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def expected_readings(
 
 
 def nominal_model(profile: Profile, name: str) -> ArmModel:
-    """The published arm, with its base where the profile says, in the tracker frame.
+    """Return the published arm, with its base from the profile, in the tracker frame.
 
     Raises
     ------
@@ -133,7 +134,8 @@ def nominal_model(profile: Profile, name: str) -> ArmModel:
 
 
 def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
-    """Covariance (n, 3, 3) [m^2] of points ``p_M`` (n, 3) [m]: half of each maximum permissible error is a sigma."""
+    """Return covariances (n, 3, 3) [m^2] of points ``p_M`` (n, 3) [m]: sigma is half of each maximum permissible
+    error."""
     distance = np.linalg.norm(p_M, axis=1)
     beam = p_M / distance[:, None]
     across, along = (
@@ -154,34 +156,34 @@ class ArmDesign:
     def of(
         cls, profile: Profile, name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions
     ) -> ArmDesign:
-        """From what ``expected_readings`` and ``conditions_of_arms`` return."""
+        """Build the design from the results of ``expected_readings`` and ``conditions_of_arms``."""
         stated = prior_sigmas(model.nominal, profile.calibration.priors)
         wanted = profile.calibration.parameter_set
         try:
             estimated, _ = estimated_parameters(wanted, model.nominal, stated)
         except ValueError as error:
             raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
-        # without typical spreads, parameters of "full" that the stops cannot tell apart would have no error at all
+        # without typical spreads, parameters of "full" that the stops cannot distinguish would have no standard error
         priors = {**typical_spreads(model.nominal.joints), **stated}
         covariance = readings.covariance_M
         assert covariance is not None
         return cls(name, ArmData(profile, model, readings, conditions, covariance, covariance, estimated, priors))
 
     def with_scatter(self, scatter_m: float) -> ArmDesign:
-        """The same with a scatter of every coordinate [m] beside the tracker's noise."""
+        """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""
         assert self.data.stated is not None
         return replace(self, data=replace(self.data, sigma=with_excess(self.data.stated, scatter_m**2)))
 
 
 def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
-    """Designs of all arms of a plan. Raises as ``expected_readings``, or if a parameter set is not for its arm."""
+    """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
     models, readings = expected_readings(profile, plan, expected)
     conditions = conditions_of_arms(models, readings)
     return {name: ArmDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}
 
 
 def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
-    """Standard errors of predicted SMR positions at the stops, and of the parameters that the readings determine.
+    """Compute standard errors of predicted SMR positions at the stops, and of the determined parameters.
 
     ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
     """
@@ -196,8 +198,8 @@ def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
 def accuracy_of(
     nominal: Geometry, estimated: ParameterSet, priors: Array, information: Array, J: Array, scatter_m: float
 ) -> PlannedAccuracy:
-    """Standard errors from ``information`` (k, k) on the ``estimated`` parameters and their ``priors`` (k,): of SMR
-    positions with the columns ``J`` (3, k, n), and of the parameters as the table will have them."""
+    """Compute standard errors from ``information`` (k, k) on the ``estimated`` parameters and their ``priors`` (k,): of
+    SMR positions with the columns ``J`` (3, k, n), and of the parameters as the result table lists them."""
     covariance = covariance_with_priors(information, priors)
     variance = np.einsum("ckn,kl,cln->n", J, covariance, J)
     chosen = determined_set(estimated, information, priors) if estimated.name == "auto" else estimated
@@ -218,7 +220,7 @@ def accuracy_of(
 
 
 def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
-    """For each effect of the library whether the stops can show it, and from which sizes on.
+    """Return for each effect of the library whether the stops can show it, and from which sizes on.
 
     Raises
     ------
@@ -239,7 +241,7 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
 
 
 def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
-    """Whether each effect could be seen, and its smallest sizes, in the order of the library."""
+    """Return whether each effect could be seen, and its smallest sizes, in the order of the library."""
     data, settings = design.data, design.data.profile.discovery
     too_few = (
         f"arm '{design.name}': {counted(len(data), 'stop is', 'stops are')} too few to look for effects beside the"

@@ -1,58 +1,58 @@
 """Posterior probabilities of effects, from the final set of effects and the sets next to it.
 
-The sets are the final one S, S without one effect, S with a rival in an effect's place, and S with one further effect.
-A score is a gain of the Bayesian information criterion, twice the log of a Bayes factor, so that beside S
+The sets are the final set S; S without one effect; S with a rival in an effect's place; and S with one further effect.
+A score is a gain of the Bayesian information criterion, twice the log of a Bayes factor. So relative to S
 
     ln weight = 0                            S,
                 -(score - threshold) / 2     S without an effect that has ``score`` beside all others,
                 -penalty / 2                 S with a rival in its place,
                 (score - threshold) / 2      S with a further effect.
 
-The threshold is the prior: with log prior odds of -threshold / 2 for each effect, a score at the threshold leaves it
-open whether the effect is there. The threshold is the score that noise exceeds with the wanted chance of a false alarm,
-over all that was tried: one who wants fewer false alarms holds that effects are rarer. A name of S was the best of all
-that could be added, and few effects are so small that they score just above the threshold: its score counts less the
-margin of very strong evidence, 10. Of six names within that above the threshold none was right, of thirteen within the
-next 50 eight were (seeds 20261226, 20261227). Sets that differ from S by more have far smaller weights unless two
-differences are likely each; they are left out.
+The threshold acts as the prior. With log prior odds of -threshold / 2 for each effect, an effect with a score at the
+threshold is as probable as not. The threshold is the score that noise exceeds with the wanted chance of a false alarm,
+over all laws tried: whoever wants fewer false alarms assumes that effects are rarer. A name in S was the best of all
+that could be added, and few effects are so small that they score just above the threshold. Its score is therefore
+reduced by the margin of very strong evidence, 10. Of six names within that margin above the threshold none was right;
+of thirteen within the next 50 eight were (seeds 20261226, 20261227). Sets that differ from S by more have far smaller
+weights unless two differences are likely each; they are left out.
 
     p(e) = sum of the weights of sets that hold e / sum of all weights.
 
-Laws are nearly right, not right, which is more than noise can tell apart. A rival that scores less by D leaves a share
-m^2 of the sum of squares that the effect explains. This is either noise that happened, at a penalty of D, or an error
-of the rival's law, at a penalty of m^2 / t^2 if the errors of laws that look so are N(0, t^2) of their size:
+Laws are only nearly right, and enough readings show that. A rival that scores less by D leaves a share m^2 of the sum
+of squares that the effect explains. This is either chance in the noise, at a penalty of D, or an error of the rival's
+law, at a penalty of m^2 / t^2 if the errors of laws in that direction are N(0, t^2) relative to their size:
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
-A look-alike of the effect is what all errors of its law look like. There t is the share that a free part of the law may
-have, 0.3, but no more than the readings would have shown: 10 over the effect's score, and where the law is off, so that
-a free part was kept, the share that this may miss, as an error of t scores t^2 times as much as the effect and 5 is
-needed.
+For a look-alike of the effect, every error of its law has that direction. There t is the share that a free part of the
+law may have, 0.3, but no more than the readings would have shown: 10 over the effect's score. If the law is off, so
+that a free part was kept, t is the share that this part may miss: an error of t scores t^2 times as much as the effect,
+and 5 is needed.
 
-What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts, and
-what it leads the threshold by is limited in the same way where a larger effect depends on the same variables.
-Rivals that tie share the probability.
+The residuals of other laws in S may likewise look like an effect. Its score is therefore taken beside their free parts,
+and its lead over the threshold is limited in the same way if a larger effect depends on the same variables. Rivals that
+tie share the probability.
 
-The library may also lack the cause, and a name stand in for it. Before a search that has odds of 1 to 9. A law that is
-right leaves little of what it removes: the share w = left / (left + removed) of sums of squares, left being what is
-left beyond the stated noise, has the density (k + 1)(1 - w)^k with k = 5. What stands in for something else leaves any
-share, w is uniform. So beside each named effect stands the set in which another cause is in its place, with
+The library may also lack the cause, and a name stand in for it. Before a search the odds of that are 1 to 9. A law that
+is right leaves little of what it removes. Let w = left / (left + removed) be the share of sums of squares, where left
+is what remains beyond the stated noise; its density is (k + 1)(1 - w)^k with k = 5. A law that stands in for something
+else leaves any share: w is uniform. So each named effect has a set in which another cause is in its place, with
 
     ln weight = -ln 9 - ln(k + 1) - k ln(1 - w).
 
-A free function that has a name leaves little whatever the cause is, and so does a row of a joint's lowest cycles, which
-is a Fourier series. They are taken where no law of the effect has the shape: of effects that are there one in three is
-so, of others every one, hence ln weight = ln 3 - ln 9.
+A named free function leaves little whatever the cause is, and so does a series of a joint's lowest cycles, which is a
+Fourier series. They are taken if no law of the effect has the shape: one in three of the effects that are there, and
+every one of the others. Hence ln weight = ln 3 - ln 9.
 
-Of readings too few for laws of its own the search names what stands in for something else, as nothing takes its place.
-There such laws have priors on their values, and the best one an evidence G, twice the logarithm less the price of
-choosing it; what beats the score of the effect by the same measure as nothing does, G / 2 instead of 0, is in its place
-with
+With too few readings for data-driven laws the search names what stands in for something else, as nothing competes.
+There such laws get priors on their values, and the best one has an evidence G: twice the logarithm less the price of
+choosing it. A law that beats the effect's score by the same measure has G / 2 in place of 0, and takes its place with
 
     ln weight = -ln 9 - (score - threshold - G) / 2.
 
-So no name is surer than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes factors:
-Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
+So no name is more probable than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes
+factors: Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999)
+382.)
 """
 
 from __future__ import annotations
@@ -88,27 +88,26 @@ from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.periodic import LINES
 
 _LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
-"""Error of a law, as a share of its effect, that looks like what one given rival explains better, which is no
-look-alike. Laws hold to some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is
-one of them."""
+"""Error of a law, as a share of its effect, in the direction of one given rival that is no look-alike. Laws hold to
+some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
-"""Error of a law that may look like another effect of the same variables, with whatever values that has."""
+"""Error of a law, as a share of its effect, that may look like another effect of the same variables with any values."""
 _ODDS_OUTSIDE = 1.0 / 9.0
-"""Prior odds that the library lacks a cause that shows. With ``_LEAVES``, from 92 names of the blind runs of seed
-20261126; those that are reported have other seeds."""
+"""Prior odds that the library lacks a visible cause. Estimated together with ``_LEAVES`` from 92 names of the blind
+runs of seed 20261126; the reported runs have other seeds."""
 _FREE_FORM = 3.0
-"""How much more often something else needs a free function than an effect whose name that has: of seven such names, of
-no single joint's angle, five were right (seeds 20261226 to 20261128)."""
+"""Odds that a named free function stands in for something else, relative to other names. Of seven such names, not
+counting functions of a single joint's angle, five were right (seeds 20261226 to 20261128)."""
 _ROW, _SERIES = 8, 4
-"""Lines of a joint below so many cycles a turn, and how many of them are a series: a gear has lines at few counts."""
+"""``_SERIES`` lines of a joint below ``_ROW`` cycles a turn are a Fourier series: a gear has lines at few counts."""
 _LEAVES = 5.0
-"""Power of the density of the share that a right law leaves. The mean there was 0.06, which would be 15; a second cause
-may be left, and scatter that nobody stated, so that it has a longer tail."""
+"""Power of the density of the share that a right law leaves. The mean there was 0.06, which would give 15; but a second
+cause or unstated scatter may be left, so the tail is made longer."""
 
 
 @dataclass(frozen=True)
 class _Set:
-    """A set of effects: the log of its weight, which effect of the final set it lacks, and which it has beside them."""
+    """A set of effects: log of its weight, the effect of the final set that it lacks, and the effect that it adds."""
 
     log_weight: float
     lacks: str | None = None
@@ -116,7 +115,7 @@ class _Set:
 
 
 def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
-    """Probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
+    """Compute the probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
     further, reviews = further_scores(found, scan), cautious_reviews(found)
     if found.data.points is not None:
         reviews, further = _at_few_places(reviews, further, found.threshold)
@@ -126,8 +125,8 @@ def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
 def _at_few_places(
     reviews: Sequence[Review], further: Mapping[str, float], threshold: float
 ) -> tuple[tuple[Review, ...], dict[str, float]]:
-    """Scores of a ball in sockets: an effect was taken for what it predicts elsewhere, and not for its score; a rival
-    that scores more where it was fitted is as probable, and no more."""
+    """Limit the scores of a ball in sockets. There an effect was accepted for its prediction elsewhere, not for its
+    score, so a rival with a larger score is as probable but not more."""
     return (
         tuple(
             replace(one, alternatives={slug: min(score, one.score) for slug, score in one.alternatives.items()})
@@ -144,11 +143,11 @@ def posteriors(
     coordinates: float,
     outside: Mapping[str, float] | None = None,
 ) -> Posteriors:
-    """Probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside it.
+    """Compute probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects.
 
-    The scores come from ``coordinates`` behind the parameters of the final set. Several terms of one effect count as
-    one, whose score is the sum of theirs; each data-driven term is an effect of its own. ``outside`` are effect -> log
-    odds that a cause which the library lacks is in its place.
+    ``coordinates`` is the number of coordinates less the parameters of the final set. Several terms of one effect count
+    as one, whose score is their sum; each data-driven term is an effect of its own. ``outside`` maps an effect to the
+    log odds that a cause which the library lacks is in its place.
     """
     keys = [_key(review, number) for number, review in enumerate(reviews)]
     sets = [_Set(0.0), *(_Set((score - threshold) / 2.0, has=slug) for slug, score in further.items())]
@@ -175,7 +174,7 @@ def posteriors(
 
 
 def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
-    """Penalty of a rival in an effect's place, by its score there; negative where the rival scores more."""
+    """Return the penalty of a rival in an effect's place, from its score there; negative if the rival scores more."""
     if math.isinf(rival):
         return math.inf
     less, more = sorted((own.score, rival))
@@ -191,10 +190,10 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
 
 
 def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
-    """Named effect -> log odds that its cause is one that the library lacks: by what it removes and what all leave.
+    """Return for each named effect the log odds that the library lacks its cause, from the squares removed and left.
 
-    Of few readings also by the evidence of such a cause beside that of the effect, whose scores are in ``reviews``. A
-    ball in sockets is judged by what it predicts elsewhere.
+    With few readings the evidence of such a cause counts too, relative to the effect's score in ``reviews``. Empty for
+    a ball in sockets, which is judged by its prediction elsewhere.
     """
     if found.data.points is not None:
         return {}
@@ -215,7 +214,7 @@ def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[st
 
 
 def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
-    """Named effect -> evidence of a law outside the library over its own, where readings are too few for the search."""
+    """Return for each named effect the evidence of a law outside the library over its own; empty if data suffice."""
     data, fit = found.data, found.fit
     named = [number for number, term in enumerate(fit.terms) if term.is_library_effect]
     if not named or not too_few_to_compete(data, fit):
@@ -228,7 +227,7 @@ def _of_another_cause(found: SearchResult, reviews: Sequence[Review]) -> dict[st
 
 
 def is_free_function(fit: JointFit, number: int) -> bool:
-    """Whether a named term is a free function: smooth by its prior, or a Fourier series of a joint's lowest cycles."""
+    """Return whether a named term is a free function: smooth by prior, or a Fourier series of a joint's low cycles."""
     term = fit.terms[number]
     if term.law.form != LINES:
         return term.smooth is not None and term.slug != UNKNOWN
@@ -242,9 +241,9 @@ def _key(review: Review, number: int) -> str:
 
 
 def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
-    """The reviews with scores behind the free parts of all other laws, which may be slightly off.
+    """Return the reviews with scores beside the free parts of all other laws, which may be slightly off.
 
-    Rivals lose as much as the effect whose place they take.
+    Rivals lose as much as the effect they would replace.
     """
     fit, cautious = found.fit, []
     parts = [possible_free_parts(found.data, fit, number) for number in range(len(fit.terms))]
@@ -264,9 +263,9 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
 
 
 def _share_of_a_larger(fit: JointFit, number: int) -> float:
-    """Least share of a term's sum of squares in that of a larger one with common variables; infinite without one.
+    """Return the least ratio of a term's squares to those of a larger term with common variables; infinite if none.
 
-    Such a term may be what the law of the larger one leaves over. That both depend on the configuration says nothing.
+    Such a term may be a residual of the larger one's law. The joint angles do not count as a common variable.
     """
     own, least = fit.terms[number], math.inf
     if not own.is_library_effect:
@@ -283,7 +282,7 @@ def _share_of_a_larger(fit: JointFit, number: int) -> float:
 
 
 def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> float:
-    """Score that a term loses beside free parts of the other laws."""
+    """Return the score that a term loses beside free parts of the other laws."""
     kept, rows = fit.layout.all_but(number), fit.law_rows(number)
     share = CAUTIOUS_SHARE / math.sqrt(len(free_parts))
     nuisance = np.concatenate([fit.rows[kept], *(part.rows for part in free_parts)])
@@ -294,16 +293,16 @@ def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> 
 
 
 def remaining_scan(found: SearchResult) -> LawScan:
-    """Scan of all effects of the library that the final model does not have."""
+    """Scan all effects of the library that are not in the final model."""
     return SearchState(found.data, found.fit).scan(found.absent)
 
 
 def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
-    """Score beside the final model of every effect that the data can show and that is not in it.
+    """Return the score of every testable effect that is not in the final model, beside that model.
 
-    An effect that the search refused counts with the least of what is for it: its score with possible values, behind
-    the free parts of the laws in the model, on left-out readings, and the threshold, as it is then no more probable
-    than not.
+    For an effect that the search refused take the least of: its score with physically possible values, its score beside
+    the free parts of the laws in the model, its gain on left-out readings, and the threshold (not more probable than
+    not).
     """
     fit, residual = found.fit, found.fit.projected_residual
     best = scan.best_of_each_effect(residual)

@@ -383,7 +383,7 @@ class DiscoverResult(Result, schema="cellapp-discover"):
 
 
 def with_effects(calibrated: CalibrateResult, found: DiscoverResult) -> CalibrateResult:
-    """A calibration with the stage ``effects`` of a discovery beside the others, for showing them together."""
+    """Add the stage ``effects`` of a discovery to a calibration, for showing them together."""
     arms = {
         name: arm
         if name not in found.arms

@@ -1,4 +1,4 @@
-"""Residual network after discovery: size of its remaining correction, and a model of what has no name."""
+"""Residual network after discovery: size of its remaining correction, and a model of unnamed effects."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, ResidualNetwork
 
 _READINGS_A_FOLD = 2
-"""Readings that each fold of a network's training needs: one reading has no scatter."""
+"""Least number of readings for each fold of a network's training: one reading has no scatter."""
 
 
 def needs_network(profile: Profile, discovery: Discovery) -> bool:
-    """Whether the profile asks for a network beside the effects of this outcome.
+    """Return whether the profile asks for a network beside the effects of this outcome.
 
-    Beside effects that recordings show there is none: samples of motion hold what no pose at rest has.
+    There is none beside effects from recordings: samples of motion contain what no pose at rest has.
     """
     motion = discovery.result.motion
     if profile.network.kind == "none" or (motion is not None and motion.used):
@@ -42,10 +42,10 @@ def with_network(
     cancel: CancelToken,
     report: Report = ignore_report,
 ) -> Discovery:
-    """The outcome with the corrections of a network before and after the accepted effects.
+    """Add to the outcome the corrections of a network before and after the accepted effects.
 
-    The network joins the model only where an effect stays unknown and it predicts the left-out folds of its training
-    readings better than none. The held-out readings judge the result, they do not choose it.
+    The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its
+    training readings better than none. Held-out readings judge the result; they do not select it.
     """
     held_out = HeldOut.of(readings, conditions)
     network = discovery.model.network
@@ -71,7 +71,7 @@ def _train(
     cancel: CancelToken,
     report: Report,
 ) -> ResidualNetwork | None:
-    """A network for the residuals of ``model``; None where it does not predict left-out readings better than none."""
+    """Train a network on the residuals of ``model``; None if it does not predict left-out readings better than none."""
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
     residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
@@ -87,7 +87,7 @@ def _train(
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
-    """Rms length of a network's corrections."""
+    """Return the rms length of a network's corrections [mm]."""
     if network is None:
         return 0.0
     return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3

@@ -1,4 +1,4 @@
-"""Outcomes of tests in words: structure of what is left."""
+"""Outcomes of structure tests of the residuals, in words."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _KIND_WORDS: Mapping[StructureKind, str] = {
 
 
 def remaining_structure(p_values: Mapping[StructureKind, float], chance: float) -> RemainingStructure:
-    """The tests of what is left and their outcome in words.
+    """Return the tests of the residuals and their outcome in words.
 
-    Structure is stated where a p-value is at most ``chance`` divided by the number of tests (Bonferroni): the chance
-    that pure noise is said to have any structure is then at most ``chance``.
+    Structure is reported if a p-value is at most ``chance`` divided by the number of tests (Bonferroni). The
+    probability that pure noise is reported as structure is then at most ``chance``.
     """
     tests = tuple(StructureTest(against=kind, p_value=p) for kind, p in p_values.items())
     if not tests:

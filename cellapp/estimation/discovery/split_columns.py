@@ -1,11 +1,11 @@
-"""Whitened columns of many readings, in which those that offset joints stay functions of the reading.
+"""Whitened columns of many readings, with those of joint offsets kept as scalar functions of the reading.
 
-Such a column moves the SMR by f(i) u_j(i), u_j (3, n) the motion by joint j. Three coordinates make one in the products
-of two of them,
+Such a column moves the SMR by f(i) u_j(i), where u_j (3, n) is the motion by joint j. In products of two of them the
+three coordinates reduce to one factor,
 
     sum_i f(i) g(i) u_j(i) . u_k(i),
 
-so that they take a third of what products of whole columns take, and the columns themselves are not made.
+so these products take a third of the time, and the full columns are never formed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class _Offsets:
-    """Columns that offset one joint: their places among all, functions (m, n) and the whitened motion (3, n)."""
+    """Columns that offset one joint: their indices, functions (m, n) and the whitened motion (3, n)."""
 
     places: NDArray[np.intp]
     functions: Array
@@ -34,9 +34,9 @@ class _Offsets:
 
 @dataclass(frozen=True, eq=False)
 class SplitColumns:
-    """Columns of n readings: ``rows`` (r, 3, n) at ``places``, whitened, and those that offset joints.
+    """Whitened columns of n readings: ``rows`` (r, 3, n) at the indices ``places``, and those that offset joints.
 
-    ``total`` counts all.
+    ``total`` is the number of all columns.
     """
 
     places: NDArray[np.intp]
@@ -46,7 +46,7 @@ class SplitColumns:
 
     @classmethod
     def of(cls, geometric: LinearModel, effects: Sequence[EffectColumn], white: Array) -> SplitColumns:
-        """The rows of ``geometric``, then the columns of effects, with whitening ``white`` (3, 3, n)."""
+        """Arrange the rows of ``geometric``, then the columns of effects, whitened by ``white`` (3, 3, n)."""
         n, first = white.shape[2], len(geometric.rows)
         by_joint = grouped((one.joint, place) for place, one in enumerate(effects))
         shifts = by_joint.pop(None, [])
@@ -65,7 +65,7 @@ class SplitColumns:
         return cls(places, rows, offsets, first + len(effects))
 
     def gram(self) -> Array:
-        """X^T X (total, total)."""
+        """Return X^T X (total, total)."""
         found = np.empty((self.total, self.total))
         whole = self.rows.reshape(len(self.rows), -1)
         found[np.ix_(self.places, self.places)] = whole @ whole.T
@@ -78,7 +78,7 @@ class SplitColumns:
         return found
 
     def moment(self, left: Array) -> Array:
-        """X^T y (total,) of whitened residuals y (3, n)."""
+        """Return X^T y (total,) of whitened residuals y (3, n)."""
         found = np.empty(self.total)
         found[self.places] = self.rows.reshape(len(self.rows), -1) @ left.ravel()
         for one in self.offsets:
@@ -87,6 +87,6 @@ class SplitColumns:
 
 
 def _set(gram: Array, first: NDArray[np.intp], second: NDArray[np.intp], block: Array) -> None:
-    """Both blocks of a symmetric matrix (p, p) that columns ``first`` and ``second`` share."""
+    """Set both blocks of a symmetric matrix (p, p) that columns ``first`` and ``second`` share."""
     gram[np.ix_(first, second)] = block
     gram[np.ix_(second, first)] = block.T

@@ -1,13 +1,12 @@
-"""Whether what a model leaves still has structure: pairs of neighbouring readings with similar residuals.
+"""Tests whether the residuals of a model still have structure: whether neighbouring readings have similar residuals.
 
-With residuals y_i, the sum of products y_i y_k over pairs of neighbours is large where y follows the quantity in which
+With residuals y_i, the sum of products y_i y_k over pairs of neighbours is large if y depends on the quantity in which
 they are neighbours (Moran, Biometrika 37 (1950) 17). It is compared with its distribution under random signs of whole
-residual vectors (Fisher's randomisation test): noise is symmetric, and each vector keeps its length and its place, so
-that a scatter that differs over the workspace is not taken for structure. Under random signs the mean is zero and the
-variance is the sum of squared products; the skewness is simulated, and the tail is that of the Pearson type III
-distribution with these moments, which needs few simulations (Winkler et al., NeuroImage 141 (2016) 502).
-
-A fit makes neighbouring residuals slightly less alike, so that the one-sided test is on the safe side.
+residual vectors (Fisher's randomisation test). Noise is symmetric, and each vector keeps its length and its place; so a
+scatter that varies over the workspace is not taken for structure. Under random signs the mean is zero and the variance
+is the sum of squared products. The skewness is simulated. The tail is that of the Pearson type III distribution with
+these moments, which needs few simulations (Winkler et al., NeuroImage 141 (2016) 502). A fit makes neighbouring
+residuals slightly less alike, so the one-sided test is conservative.
 """
 
 from __future__ import annotations
@@ -28,30 +27,30 @@ from cellapp.robot.effects.time_functions import times_known
 from cellapp.robot.kinematics.transforms import Array
 
 CHANCE = 0.01
-"""Chance that pure noise is said to have structure, over all tests."""
+"""Probability that pure noise is reported as structure, over all tests."""
 _SIGNS = 200
-"""Draws of random signs: they determine the skewness to 0.17, enough for the tail."""
+"""Number of draws of random signs: they determine the skewness to 0.17, enough for the tail."""
 _SIGN_SEED = 0x516
-"""Beside the profile's seed: the signs are then independent of all other draws."""
+"""Combined with the profile's seed, so that the signs are independent of all other draws."""
 _NEIGHBOURS = 6
-"""Neighbours of each reading: fewer lose power against smooth structure, more against short periods."""
+"""Neighbours of each reading: fewer lose power against smooth structure, more lose power against short periods."""
 _MOST_PAIRS = 20_000
-"""Pairs that one test uses; of more, as many at random, which bounds time and memory for thousands of readings."""
+"""Largest number of pairs in one test, drawn at random. It bounds time and memory for many readings."""
 _LONGEST = 3.0
 """Residual vectors are shortened to this multiple of their median length: an outlier says nothing about structure."""
 _LEAST_SKEWNESS = 1.6e-5
-"""Below it the gamma distribution is the normal one to double precision, and its shape would lose digits."""
+"""Skewness below which the gamma distribution is normal to double precision and its shape would lose digits."""
 _LEAST_READINGS = 20
-"""Readings below which residuals are not tested: the tail of a sum of so few products is not known."""
+"""Least number of readings to test: the tail of a sum of fewer products is not known."""
 
 Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""First and second reading of each pair."""
+"""Indices of the first and second reading of each pair."""
 
 
 def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
-    """Tests of a fit's residuals against all that the readings say, and their outcome in words.
+    """Test a fit's residuals against all that the readings state; return the outcome in words.
 
-    Each kind has several tests; its p-value is the smallest of them times their number (Bonferroni), at most 1.
+    Each kind has several tests; its p-value is the smallest times their number (Bonferroni), at most 1.
     """
     if len(data) < _LEAST_READINGS:
         return remaining_structure({}, CHANCE)
@@ -67,7 +66,7 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
             "time": tests.against_time,
             "approach": tests.against_approach,
         }
-        if data.points is None and rows is not data.turned:  # sockets are few, and without a tracker
+        if data.points is None and rows is not data.turned:  # sockets are few and have no tracker
             kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
         for kind, test in kinds.items():
             found.setdefault(kind, []).extend(test())
@@ -76,21 +75,21 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
 
 
 def has_structure(found: RemainingStructure) -> bool:
-    """Whether some test shows structure, corrected for their number."""
+    """Return whether any test shows structure, corrected for their number."""
     return any(test.p_value <= CHANCE / len(found.tests) for test in found.tests)
 
 
 @dataclass(frozen=True, eq=False)
 class _Tests:
-    """Residuals of a fit and what they are tested against.
+    """Residuals of a fit and the quantities they are tested against.
 
     Attributes
     ----------
     data : ArmData
     residuals : array, shape (n, 3)
-        Whitened, without outliers.
+        Whitened, with outliers shortened.
     about_axes : array, shape (N, n)
-        Components along the motion by each joint, times the lever.
+        Components along the SMR motion by each joint, times the lever.
     generator : numpy Generator
     signs : array, shape (n, s)
         Random signs.
@@ -104,7 +103,7 @@ class _Tests:
 
     @classmethod
     def of(cls, data: ArmData, fit: JointFit, rows: NDArray[np.bool_]) -> _Tests:
-        """Of some rows (n,), all of them positions or orientations."""
+        """Prepare the rows in a mask (n,), all of them positions or all orientations."""
         generator = np.random.default_rng([data.profile.seed, _SIGN_SEED])
         residuals, by_joint = fit.residual.reshape(3, len(data)).T, fit.by_joint
         if not rows.all():
@@ -118,7 +117,7 @@ class _Tests:
         return cls(data, residuals, about_axes, generator, signs)
 
     def against_joints(self) -> list[float]:
-        """Every joint's motion against each angle and each pair of angles; vectors of neighbours in joint space."""
+        """Test the motion about each joint against angles and pairs of angles, and vectors in joint space."""
         q = _standardised(self.data.readings.q)
         moved = np.flatnonzero(np.ptp(q, axis=0) > 0.0).tolist()
         if not moved:
@@ -131,7 +130,7 @@ class _Tests:
         return found
 
     def against_order(self) -> list[float]:
-        """Stops in their order, by their numbers if no other is known; none where that is the order of time."""
+        """Test in the order of the stops, by number if unknown; no test if that is the order of time."""
         order, times = self.data.conditions.order, self._times
         if order is None:
             order = self.data.readings.configuration.astype(np.float64)
@@ -140,13 +139,13 @@ class _Tests:
         return self._against_sequence(order)
 
     def against_time(self) -> list[float]:
-        """Readings that follow each other."""
+        """Test readings that are neighbours in time."""
         return [] if self._times is None else self._against_sequence(self._times)
 
     def against_approach(self) -> list[float]:
-        """Mean motion about each joint's axis, towards the last motion of that joint.
+        """Test the mean motion about each joint's axis in the direction of that joint's last motion.
 
-        Under random signs the sum is nearly normal, as it has no largest summand.
+        Under random signs the sum is nearly normal, as no summand dominates.
         """
         if not varies(self.data.conditions.approach):
             return []
@@ -157,11 +156,11 @@ class _Tests:
         return found
 
     def against_position(self) -> list[float]:
-        """Vectors of neighbours in space."""
+        """Test residual vectors of neighbours in space."""
         return self._of_vectors(_nearest(self.data.readings.p_M))
 
     def against_tracker(self) -> list[float]:
-        """Components along and across the beam against distance, azimuth and elevation."""
+        """Test components along and across the beam against distance, azimuth and elevation."""
         context = self.data.context
         distance, beam = context.beam
         azimuth, elevation, horizontal, upward = context.across
@@ -182,12 +181,12 @@ class _Tests:
         return [*self._of_components(pairs, self.about_axes), *self._of_vectors(pairs)]
 
     def _of_vectors(self, pairs: Pairs) -> list[float]:
-        """Scalar products of whole residual vectors."""
+        """Test the scalar products of whole residual vectors."""
         i, k = self._some(pairs)
         return self._p_values((i, k), np.einsum("pc,pc->p", self.residuals[i], self.residuals[k])[None])
 
     def _of_components(self, pairs: Pairs, components: Array) -> list[float]:
-        """Products of each component (m, n)."""
+        """Test the products of each component (m, n)."""
         i, k = self._some(pairs)
         return self._p_values((i, k), components[:, i] * components[:, k])
 
@@ -199,7 +198,7 @@ class _Tests:
         return pairs[0][chosen], pairs[1][chosen]
 
     def _p_values(self, pairs: Pairs, products: Array) -> list[float]:
-        """One-sided p-values of the sums of products (m, pairs)."""
+        """Return one-sided p-values of the sums of products (m, pairs)."""
         size = np.sqrt(np.sum(products**2, axis=1))
         scaled = products[size > 0.0] / size[size > 0.0, None]
         simulated = scaled.astype(np.float32) @ (self.signs[pairs[0]] * self.signs[pairs[1]])
@@ -209,9 +208,9 @@ class _Tests:
 
 
 def pearson3_tail(values: Array, skewness: Array) -> Array:
-    """Probability of a larger value (m,) of a Pearson type III variable of mean 0, variance 1 and ``skewness`` >= 0.
+    """Return upper tail probabilities (m,) of a Pearson type III variable: mean 0, variance 1, ``skewness`` >= 0.
 
-    It is a gamma variable of the shape 4 / skewness^2, shifted and scaled; normal without skewness.
+    It is a shifted and scaled gamma variable of shape 4 / skewness^2, and normal for zero skewness.
     """
     skewed = np.maximum(skewness, _LEAST_SKEWNESS)
     shape = (2.0 / skewed) ** 2
@@ -220,24 +219,24 @@ def pearson3_tail(values: Array, skewness: Array) -> Array:
 
 
 def _along(values: Array) -> Pairs:
-    """Pairs of neighbours in the order of values (n,)."""
+    """Return pairs of neighbours in the order of values (n,)."""
     order = np.argsort(values, kind="stable")
     lags = range(1, min(_NEIGHBOURS, len(order) - 1) + 1)
     return np.concatenate([order[:-lag] for lag in lags]), np.concatenate([order[lag:] for lag in lags])
 
 
 def _nearest(points: Array) -> Pairs:
-    """Pairs of nearest neighbours among points (n, d), each pair once."""
+    """Return pairs of nearest neighbours among points (n, d), each pair once."""
     _, near = scipy.spatial.KDTree(points).query(points, k=_NEIGHBOURS + 1)
     first = np.repeat(np.arange(len(points)), _NEIGHBOURS)
     second = np.asarray(near[:, 1:], dtype=np.intp).ravel()
     code = np.unique(np.minimum(first, second) * len(points) + np.maximum(first, second))
     low, high = np.divmod(code, len(points))
-    different = low != high  # among equal points a reading may be its own neighbour
+    different = low != high  # among identical points a reading may be its own neighbour
     return low[different], high[different]
 
 
 def _standardised(points: Array) -> Array:
-    """Points (n, d) in units of their spread along each axis."""
+    """Scale points (n, d) to unit standard deviation along each axis."""
     spread = points.std(axis=0)
     return np.asarray(points / np.where(spread > 0.0, spread, 1.0))

@@ -1,4 +1,4 @@
-"""Terms of a model under test: which effects, by which laws, with which columns; and where their parameters stand."""
+"""Terms of a model under test: effects, laws, columns, and the indices of their parameters."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from cellapp.robot.kinematics.transforms import Array
 UNKNOWN = "unknown"
 """Slug of data-driven terms."""
 TRANSMISSION_ERROR = TransmissionError.slug
-"""Slug of the effect whose lines a free curve of the joint angle can replace."""
+"""Slug of the effect whose lines a free curve of the joint angle may replace."""
 _LEAST_PRIOR = 1e-9
-"""Least standard deviation of a coefficient [rad, m]: 1 nm at a metre, which keeps the normal matrix invertible."""
+"""Least prior standard deviation of a coefficient [rad, m]: 1 nm at a metre; keeps the normal matrix invertible."""
 
 
 @dataclass(frozen=True)
 class Excess:
-    """Standard deviation beyond the stated one of a coordinate [m], and of a component of an orientation [rad]."""
+    """Standard deviation beyond the stated one, of a coordinate [m] and of a component of an orientation [rad]."""
 
     m: float
     rad: float = 0.0
@@ -33,16 +33,16 @@ class Excess:
 
 @dataclass(frozen=True)
 class Smoothness:
-    """How a smooth term was found.
+    """Evidence and hyperparameters of a smooth term.
 
     Attributes
     ----------
     evidence : float
         Twice the gain of the log evidence by this term.
     hyperparameters : int
-        Amplitudes and length scales that were fitted.
+        Number of fitted amplitudes and length scales.
     scatter : Excess
-        Standard deviation beyond the stated uncertainty that goes with the prior.
+        Standard deviation beyond the stated uncertainty, estimated together with the prior.
     """
 
     evidence: float
@@ -59,15 +59,15 @@ class ModelTerm:
     slug, law
         Effect and law.
     names : tuple of str
-        Which of the law's columns.
+        Names of the law's columns in use.
     smooth : Smoothness, optional
-        Of a smooth free function, whose columns have priors.
+        Set for a smooth free function, whose columns have priors.
     note : str
         Description of a data-driven term.
     modulations : tuple of Modulation
-        Free part of the law: further columns, after those of the law.
+        Free part of the law: further columns, behind those of the law.
     modulation_sd : tuple of float
-        Standard deviation of the prior of each of these, in its unit.
+        Prior standard deviation of each modulation, in its unit.
     """
 
     slug: str
@@ -80,19 +80,19 @@ class ModelTerm:
 
     @property
     def size(self) -> int:
-        """Number of its columns: of the law and of its free part."""
+        """Number of columns: those of the law and of its free part."""
         return len(self.names) + len(self.modulations)
 
     @property
     def effect(self) -> Effect | None:
-        """The effect whose law it has, also without its name; None for what is free or data-driven."""
+        """The effect whose law the term has, even if unnamed; None for free functions and data-driven terms."""
         if isinstance(self.law.form, BorrowedForm) and self.smooth is None:
             return self.law.form.effect
         return EFFECTS[self.slug] if self.is_library_effect else None
 
     @property
     def is_library_effect(self) -> bool:
-        """Whether it has a name and a law with few parameters: neither a data-driven term nor a smooth function."""
+        """Whether the term has a name and a law of few parameters: neither a data-driven term nor a smooth function."""
         return self.slug != UNKNOWN and self.smooth is None
 
 
@@ -101,41 +101,41 @@ ModelTerms = tuple[ModelTerm, ...]
 
 
 def without_term(terms: ModelTerms, term: int) -> ModelTerms:
-    """All terms but one."""
+    """Return all terms but one."""
     return terms[:term] + terms[term + 1 :]
 
 
 def with_term(terms: ModelTerms, term: int, instead: ModelTerm) -> ModelTerms:
-    """The terms with one replaced."""
+    """Replace one of the terms."""
     return (*terms[:term], instead, *terms[term + 1 :])
 
 
 def smoothness_of(terms: ModelTerms) -> Smoothness | None:
-    """That of the first smooth term; None without one. Smooth terms of one model are found together."""
+    """Return the smoothness of the first smooth term; None if none. Those of one model are found together."""
     return next((term.smooth for term in terms if term.smooth is not None), None)
 
 
 def has_smooth_terms(terms: ModelTerms) -> bool:
-    """Whether some terms are smooth free functions."""
+    """Return whether any term is a smooth free function."""
     return smoothness_of(terms) is not None
 
 
 def prior_sd(columns: Sequence[EffectColumn]) -> Array | None:
-    """Standard deviation of the prior of each column, infinite without; None where no column has any."""
+    """Return the prior standard deviation of each column, infinite without a prior; None if no column has a prior."""
     sd = np.array([column.prior_sd for column in columns])
     return np.maximum(sd, _LEAST_PRIOR) if np.isfinite(sd).any() else None
 
 
 @dataclass(frozen=True)
 class TermLayout:
-    """Where the parameters of each term stand: first those of the geometry, then the terms in their order.
+    """Indices of the parameters of each term: those of the geometry first, then the terms in order.
 
     Attributes
     ----------
     geometric : int
         Number of geometric parameters.
     ends : tuple of int
-        For each term the end of its columns, counted from the first effect column.
+        End of the columns of each term, counted from the first effect column.
     """
 
     geometric: int
@@ -143,7 +143,7 @@ class TermLayout:
 
     @classmethod
     def of(cls, geometric: int, sizes: Sequence[int]) -> TermLayout:
-        """From the number of columns of each term."""
+        """Build the layout from the number of columns of each term."""
         return cls(geometric, tuple(accumulate(sizes)))
 
     @property
@@ -152,16 +152,16 @@ class TermLayout:
         return self.geometric + (self.ends[-1] if self.ends else 0)
 
     def columns(self, term: int) -> slice:
-        """Places of a term among the effect columns."""
+        """Return the slice of a term among the effect columns."""
         return slice(self.ends[term - 1] if term else 0, self.ends[term])
 
     def parameters(self, term: int) -> slice:
-        """Places of a term among all parameters."""
+        """Return the slice of a term among all parameters."""
         columns = self.columns(term)
         return slice(self.geometric + columns.start, self.geometric + columns.stop)
 
     def all_but(self, term: int) -> NDArray[np.bool_]:
-        """Mask of the parameters that are not of a term."""
+        """Return a mask of all parameters except those of a term."""
         kept = np.ones(self.total, dtype=bool)
         kept[self.parameters(term)] = False
         return kept

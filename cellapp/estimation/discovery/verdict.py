@@ -13,13 +13,13 @@ from cellapp.ground.results import Verdict
 from cellapp.robot.effects import EFFECTS
 
 _FLOOR = 1.05
-"""Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
-stops scatters it by 4 %."""
+"""Ratio of held-out rms error to noise floor up to which the gap counts as closed: with the twin's plan of a hundred
+held-out stops it scatters by 4 %."""
 _FAR = 5.0
-"""Scatter over the stated noise from which it is more than the repeatability of an arm: 75 µm of a coordinate beside
-the 15 µm of a tracker. Readings that are too few to show structure then lack something all the same."""
+"""Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
+a tracker. Readings too few to show structure then still lack an explanation."""
 _SAMPLING_ERRORS = 2.5
-"""Standard errors of the held-out rms by which it may pass the floor: a chance of 0.6 %."""
+"""Standard errors by which the held-out rms may exceed the floor: a probability of 0.6 %."""
 
 
 def verdict(
@@ -30,10 +30,10 @@ def verdict(
     scatter: Scatter | None,
     structure: RemainingStructure,
 ) -> tuple[Verdict, str]:
-    """Verdict and sentence.
+    """Return the verdict and its sentence.
 
-    ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of what is left. An error
-    at the stated noise counts as explained. Above it, and where none is stated, what is left must show no structure.
+    ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of the residuals. An error
+    at the stated noise counts as explained. Above it, or if none is stated, the residuals must show no structure.
     """
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.effect != UNKNOWN]
@@ -58,7 +58,7 @@ def verdict(
 def _left(
     floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
 ) -> str:
-    """What is left, in words."""
+    """Describe the residual error in words."""
     held_out = f"{after_mm * 1e3:.0f} µm rms held out"
     if scatter is None:
         return f"{structure.sentence}; {held_out}, and the readings state no uncertainty"
@@ -74,12 +74,12 @@ def _left(
 
 
 def _far_off(scatter: Scatter | None, structure: RemainingStructure) -> bool:
-    """Whether readings that are too few to show structure scatter more than an arm repeats."""
+    """Return whether readings too few to show structure scatter more than an arm's repeatability."""
     return scatter is not None and not structure.tests and scatter.ratio > _FAR
 
 
 def sampling_allowance(held_out: int) -> float:
-    """Factor by which the rms error of n held-out readings may pass another one by sampling alone.
+    """Return the factor by which the rms error of n held-out readings may exceed another one by sampling alone.
 
     The rms of 3 n coordinates has a relative standard error of ``1 / sqrt(6 n)``.
     """
@@ -87,7 +87,7 @@ def sampling_allowance(held_out: int) -> float:
 
 
 def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
-    """Whether the held-out error is at the noise floor, or what is left may be the stated noise."""
+    """Return whether the held-out error is at the noise floor, or the residuals may be the stated noise."""
     sampling = sampling_allowance(held_out)
     return (
         after_mm <= floor_mm * _FLOOR

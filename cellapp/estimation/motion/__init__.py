@@ -1,5 +1,5 @@
-"""Calibration in motion: recordings of joints and of points, each with a clock of its own. Arrays in, arrays out.
+"""Calibration in motion: recordings of joints and of points, each with its own clock. Arrays in, arrays out.
 
-``streams`` has what is recorded, ``identify`` the fit, ``effects`` the search for effects. Nothing is loaded from here:
-collecting needs the streams alone.
+``streams`` has the recorded data, ``identify`` the fit, ``effects`` the search for effects. This package imports none
+of them: collecting needs the streams alone.
 """

@@ -1,4 +1,4 @@
-"""A calibration of a cell of which arms were recorded in motion, with readings at rest or without."""
+"""Calibration of a cell with arms recorded in motion, with or without readings at rest."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 
 _SAMPLES = 1500
-"""Samples of an arm's recordings that stand for readings where none was taken at rest."""
+"""Number of samples of an arm's recordings that replace readings if none was taken at rest."""
 _APART_S = 0.3
-"""Least time between two samples in the mean: nearer neighbours err alike, and pass for a law that repeats."""
+"""Least mean time between two samples: correlated errors of nearer neighbours would pass for a law."""
 _PAST_PLAY_RAD = 1e-3
-"""Travel since a turn after which a joint has taken up any play: before, its side is none that a joint at rest has."""
+"""Travel since a reversal after which a joint has taken up any play: before, its side is none of a joint at rest."""
 _MOVES_RAD = 0.02
-"""A joint that moves by less has no sides to be told apart."""
+"""Range of motion below which a joint has no distinguishable sides."""
 _TRIED = 3
-"""Points that are looked at for each sample."""
+"""Number of candidate points for each sample."""
 
 
 @dataclass(frozen=True)
 class MotionCalibration:
-    """A calibration, and samples (as readings) of the arms that were recorded."""
+    """A calibration, and samples (as readings) of the recorded arms."""
 
     calibration: Calibration
     samples: Mapping[str, Readings]
@@ -64,8 +64,8 @@ def calibrate_with_motion(
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> MotionCalibration:
-    """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings whose splits are
-    drawn.
+    """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings with random
+    splits.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def calibrate_with_motion(
 def each_recorded(
     recordings: Mapping[str, Sequence[Recording]], listener: Listener, cancel: CancelToken
 ) -> Iterator[tuple[str, Sequence[Recording], Told]]:
-    """Each arm that was recorded, with what takes words about it, and raises ``Cancelled`` on request."""
+    """Yield each recorded arm with its recordings and a message callback, which raises ``Cancelled`` on request."""
     moved = {name: its for name, its in recordings.items() if its}
     for number, (name, its) in enumerate(moved.items()):
 
@@ -111,7 +111,7 @@ def each_recorded(
 
 
 def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording]) -> RecordedArm:
-    """An arm with its recordings and its readings at rest, of which those of the identify split are used."""
+    """Collect an arm's recordings and readings at rest; of the readings only the identify split is used."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
     stops, held_out_stops = _stops(readings)
@@ -132,7 +132,7 @@ def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Se
 def calibrate_arm_with_motion(
     profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], told: Told = ignore_words
 ) -> tuple[MotionFit, ArmCalibration]:
-    """One arm from its recordings and, where there are any, from the readings of its identify split."""
+    """Calibrate one arm from its recordings and, if there are any, from the readings of its identify split."""
     arm, recorded = profile.arms[name], recorded_arm(profile, name, readings, recordings)
     fit = identify_from_motion(recorded, told)
     found, some = fit.identification, samples_of(fit, len(arm.type.joints))
@@ -164,9 +164,9 @@ def calibrate_arm_with_motion(
 
 
 def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array], Array] | None = None) -> Readings:
-    """Some points of all recordings with the joint positions at their times, as readings: of what was learnt from, and
-    of the held-out blocks. ``at_rest`` gives the joint positions (n, N) at which an arm at rest has the points of times
-    (n,) of a path; without it, those of the path."""
+    """Return samples of all recordings, with the joint positions at their times, as readings: of the training points
+    and of the held-out blocks. ``at_rest`` maps a path and times (n,) to the joint positions (n, N) at which an arm at
+    rest has the points of these times; without it, those of the path are used."""
     parts = []
     for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
@@ -197,7 +197,7 @@ def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 
 def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Those of the points at which no joint has just turned round; all of them where there is none."""
+    """Return the points at which no joint has just reversed; all points if there is none."""
     path, time_s = one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)
     q = path.at(time_s)[0]
     moves = np.ptp(q, axis=0) > _MOVES_RAD if len(q) else np.zeros(q.shape[1], dtype=np.bool_)
@@ -206,7 +206,7 @@ def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _beside(times: Sequence[tuple[JointPath, Array]]) -> Array | None:
-    """Joint positions (n, K) of the other arm at times of paths; None where no recording has them."""
+    """Return the joint positions (n, K) of the other arm at times of paths; None if no recording has them."""
     found = [path.beside_at(time_s) for path, time_s in times]
     joints = max((q.shape[1] for q in found if q is not None), default=0)
     if not joints:
@@ -221,7 +221,7 @@ def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> A
 
 
 def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
-    """Readings at rest for a fit with recordings, and which of them it may not use; None where it may use none."""
+    """Return the readings at rest for a fit with recordings, and a mask of those held out; None if none may be used."""
     learnt = np.zeros(len(readings), dtype=bool)
     learnt[readings.in_split("identify")] = True
     if not learnt.any():
@@ -237,7 +237,7 @@ def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> d
 
 
 def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
-    """Errors at the points of the held-out blocks of all recordings."""
+    """Return the errors at the points of the held-out blocks of all recordings."""
     ones = fit.recordings.values()
     nominal, found = (np.concatenate(parts) for parts in zip(*((o.heldout_nominal_mm, o.heldout_mm) for o in ones)))
     if not len(found):
@@ -250,7 +250,7 @@ def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
 
 
 def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | None:
-    """Rms length of the stated noise [mm], of the readings, else of the recordings' points."""
+    """Return the rms length of the stated noise [mm] of readings, else of recorded points; None if not stated."""
     stated = stated_uncertainty(readings) if len(readings) else None
     if stated is None:
         sigmas = [one.points.sigma_m for one in recordings]

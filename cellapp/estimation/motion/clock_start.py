@@ -1,10 +1,10 @@
-"""Start of a clock: the delay between two recordings from how fast the SMR moved by each, and the base there.
+"""Start of a clock: the delay between two recordings by correlating SMR speeds, and the base there.
 
 The speed of the SMR by the tracker, ``|dp/dt|``, is compared with that of the nominal chain, ``|J qd|``, at all delays
-with enough overlap, by the correlation coefficient of what both have seen (Padfield, IEEE Trans. Image Process. 21
-(2012) 2706: masked normalised correlation by Fourier transforms). Speeds do not depend on the base. Periodic sweeps
-correlate at many delays: the best few are told apart by how well the nominal arm fits the points there, and where it
-fits alike, by the longer overlap.
+with enough overlap, by the correlation coefficient over common times (Padfield, IEEE Trans. Image Process. 21 (2012)
+2706: masked normalised correlation by Fourier transforms). Speeds do not depend on the base. Periodic sweeps correlate
+at many delays: among the best few, the fit of the nominal arm to the points decides, and if several fit alike, the
+longer overlap.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 
 _GRID_S = 0.02
-"""Step of the delays. A fit converges from ten times as far."""
+"""Step of the delays; a fit converges from ten times as far."""
 _MOST_STEPS = 2**18
-"""Longer recordings are compared on a coarser grid."""
+"""Most steps; longer recordings are compared on a coarser grid."""
 _LEAST_OVERLAP = 0.2
 """Share of the shorter recording, and seconds, that must overlap."""
 _LEAST_OVERLAP_S = 5.0
 _STILL_M_S = 1e-3
-"""A recording whose rms speed is below is one at rest."""
+"""Rms speed below which a recording is at rest."""
 _PEAKS = 4
-"""Delays that are tried with the nominal arm."""
+"""Number of delays tried with the nominal arm."""
 _NEAR_BEST = 0.2
-"""Correlation below that of the best delay up to which another is tried."""
+"""Difference from the best correlation up to which another delay is tried."""
 _ALIKE = 3.0
 """Ratio of median distances up to which two delays fit alike."""
 _APART_S = 0.3
-"""Peaks closer together are one."""
+"""Distance below which two peaks are one."""
 _TRIED_POINTS = 300
 _FEWEST_POINTS = 10
 _REFINED = 3
-"""Times that a delay is refined by what its fit leaves along the motion."""
+"""Number of refinements of a delay by the residuals along the motion."""
 _TOOL_SPAN_M = 0.1
-"""Speeds are averaged over points at this distance about the flange where the tool is unknown."""
+"""Distance from the flange of the points over which speeds are averaged if the tool is unknown."""
 
 
 @dataclass(frozen=True)
 class ClockStart:
-    """Tracker's stamps less those of the controller [s], the correlation of the speeds there, and the nominal arm at
-    its base; ``rms_m`` is the median distance of the points from it, ``others_s`` are delays that fit alike."""
+    """Tracker's timestamps less those of the controller [s], the correlation of the speeds there, and the nominal arm
+    at its base; ``rms_m`` is the median distance of the points from it, ``others_s`` are delays that fit alike."""
 
     offset_s: float
     correlation: float
@@ -61,7 +61,7 @@ class ClockStart:
 def clock_start(
     nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, *, tool_unknown: bool, where: str
 ) -> ClockStart:
-    """The delay at which the points (m, 3) [m], stamped ``time_s`` (m,), fit the path of the joints.
+    """Find the delay at which the points (m, 3) [m] with timestamps ``time_s`` (m,) fit the path of the joints.
 
     ``where`` names the recording in messages.
 
@@ -79,7 +79,7 @@ def clock_start(
     correlation, delays, overlap = _masked_correlation(by_joints, seen_joints, by_points, seen_points, step)
     if not np.isfinite(correlation).any():
         raise InputError(f"{where}: the joints and the points have no {_LEAST_OVERLAP_S:g} s in common; record both")
-    # a point of stamp t was measured at controller time own[0] + (t - time_s[0]) + delay
+    # a point with timestamp t was measured at controller time own[0] + (t - time_s[0]) + delay
     found = [
         _tried(nominal, path, time_s, p_M, time_s[0] - own[0] - delays[peak], correlation[peak], tool_unknown)
         for peak in _peaks(correlation, overlap, step)
@@ -102,9 +102,9 @@ def start_by_trigger(
     *,
     tool_unknown: bool,
 ) -> ClockStart:
-    """The start at the delay that a hardware trigger tells, unless the arm does not fit there: then ``start``.
+    """Return the start at the delay of a hardware trigger; ``start`` if the arm does not fit there.
 
-    No other delay can be meant then, however often the motion repeats.
+    The trigger excludes all other delays, however often the motion repeats.
     """
     found = _tried(nominal, path, time_s, p_M, offset_s, start.correlation, tool_unknown)
     if found is None or found.rms_m > _ALIKE * start.rms_m:
@@ -123,7 +123,7 @@ def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) 
 def _joint_speeds(
     nominal: Geometry, path: JointPath, step: float, tool_unknown: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Speeds of the SMR of the nominal arm [m/s] on a grid of times, and where they are known."""
+    """Return speeds of the SMR of the nominal arm [m/s] on a grid of times, and a mask of the known ones."""
     t = path.stamps.time_s
     grid = np.arange(t[0], t[-1] - step, step)
     early, late = path.at(grid)[0], path.at(grid + step)[0]
@@ -138,7 +138,7 @@ def _joint_speeds(
 
 
 def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Speeds of the points [m/s] on a grid of times, without gross errors, and where they are known."""
+    """Return speeds of the points [m/s] on a grid of times, without gross errors, and a mask of the known ones."""
     grid = np.arange(time_s[0], time_s[-1], step)
     place = np.clip(np.searchsorted(time_s, grid, side="right"), 1, len(time_s) - 1)
     known = time_s[place] - time_s[place - 1] < 3.0 * max(step, float(np.median(np.diff(time_s))))
@@ -150,10 +150,10 @@ def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArra
 def _masked_correlation(
     a: Array, seen_a: NDArray[np.bool_], b: Array, seen_b: NDArray[np.bool_], step: float
 ) -> tuple[Array, Array, Array]:
-    """Correlation coefficients of ``a[i + k]`` and ``b[i]`` over what both have seen, the delays ``k step`` [s], and
-    how many samples overlap there.
+    """Return correlation coefficients of ``a[i + k]`` and ``b[i]``, delays ``k step`` [s], and numbers of common
+    samples.
 
-    Coefficients are NaN where the overlap is too short.
+    Coefficients are NaN if the overlap is too short.
     """
     size = scipy.fft.next_fast_len(len(a) + len(b), real=True)
     ma, mb = seen_a.astype(np.float64), seen_b.astype(np.float64)
@@ -177,7 +177,7 @@ def _masked_correlation(
 
 
 def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
-    """Places of the peaks nearly as high as the best with the longest overlaps, and of the best, by overlap."""
+    """Return the indices of peaks nearly as high as the best with the longest overlaps, and of the best, by overlap."""
     heights = np.where(np.isfinite(correlation), correlation, -np.inf)
     highest = scipy.ndimage.maximum_filter1d(heights, 2 * max(1, round(_APART_S / step)) + 1, mode="wrap")
     found = np.flatnonzero((heights == highest) & (heights >= heights.max() - _NEAR_BEST))
@@ -189,7 +189,7 @@ def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
 def _tried(
     nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, offset: float, correlation: float, tool_unknown: bool
 ) -> ClockStart | None:
-    """The nominal arm at its base for one delay, refined; None where too few points overlap."""
+    """Fit the base of the nominal arm for one delay and refine the delay; None if too few points overlap."""
     for _ in range(_REFINED + 1):
         known = np.flatnonzero(path.known(time_s - offset))
         if len(known) < _FEWEST_POINTS:
@@ -204,7 +204,7 @@ def _tried(
         left = p_M[some] - computed
         misses = np.linalg.norm(left, axis=1)
         found = ClockStart(offset, float(correlation), arm, float(np.median(misses)))
-        # delays are known to a step of the grid: what is left along the motion tells the rest
+        # delays are known to a grid step: the residuals along the motion give the rest
         moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - computed
         usual = misses <= 3.0 * found.rms_m
         share = float(np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))

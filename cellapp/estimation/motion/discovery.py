@@ -1,9 +1,9 @@
-"""Discovery for arms that were recorded in motion: effects of joints from all points, then a search of what they leave.
+"""Discovery for arms recorded in motion: joint effects from all points, then a search of the residuals.
 
-Recordings show effects of the joints far better than readings at rest do: every reversal, dense lines, and what only
-motion has. A search of readings knows all effects of the library. Where the arm with the effects that recordings show
-predicts held-out readings better than without, readings (stops, and samples of the recordings) are searched at the
-joint positions that these effects give them; else as they are.
+Recordings show effects of the joints far better than readings at rest do: every reversal, dense lines, and effects of
+motion only. A search of readings knows all effects of the library. If the arm with the effects from recordings predicts
+held-out readings better than without, readings (stops, and samples of the recordings) are searched at the joint
+positions corrected by these effects; else as they are.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ TITLES = {
     Law.INERTIA.value: "twist of a joint under its own acceleration",
     Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
 }
-"""Of effects that act in motion only."""
+"""Titles of effects that act in motion only."""
 _AS_IN_MOTION = 1.25
-"""Ratio of errors up to which a model at rest predicts as that in motion: no search of readings need be asked."""
+"""Ratio of errors up to which a model at rest predicts as well as that in motion: no search of readings is needed."""
 _SURE = 3.0
-"""Standard errors by which an effect beside those of recordings must lower the mean squared held-out error."""
+"""Standard errors by which an effect found beside those from recordings must lower the mean squared held-out error."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchWithRecordings:
-    """``discover_arm`` that begins with what recordings of an arm show.
+    """Variant of ``discover_arm`` that first searches the recordings of an arm.
 
-    ``stops`` are the readings at rest and ``calibrated`` the arms before discovery; ``search_arm`` searches arms of
-    which recordings show nothing.
+    ``stops`` are the readings at rest and ``calibrated`` the arms before discovery; ``search_arm`` searches the arms
+    without effects from recordings.
     """
 
     calibrated: Mapping[str, ArmModel]
@@ -113,11 +113,11 @@ class SearchWithRecordings:
 
 @dataclass(frozen=True, eq=False)
 class MotionAtRest:
-    """What recordings of an arm show, its model for poses at rest, and the readings that judge it.
+    """Effects from an arm's recordings, its model for poses at rest, and the readings that judge it.
 
-    ``readings`` (n,) are stops, and samples of the recordings that stand for poses at rest. A model at rest knows the
-    last motion of a joint only. That of the recordings also says what the turns before left in the joints: its samples
-    are without that. ``held_out_of_others``, which judges models of other data, has it.
+    ``readings`` (n,) are stops, and samples of the recordings converted to poses at rest. A model at rest knows only
+    the last motion of a joint. The model of the recordings also knows what earlier reversals left in the joints; the
+    samples exclude that. ``held_out_of_others``, which judges models from other data, includes it.
     """
 
     name: str
@@ -137,7 +137,7 @@ class MotionAtRest:
         stops: Mapping[str, Readings],
         told: Told = ignore_words,
     ) -> MotionAtRest:
-        """Search the recordings of one arm. Raises as ``effects_in_motion``."""
+        """Search the recordings of one arm. Raise as ``effects_in_motion``."""
         motion, before = effects_in_motion(arm, told), calibrated[name]
         own, others = (
             _with_stops(name, samples_of(motion.fit, before.geometry.joints, joints), calibrated, stops)
@@ -161,11 +161,11 @@ class MotionAtRest:
         return tuple(loop_picture(loop) for loop in self.motion.loops)
 
     def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
-        """Whether there are effects whose model at rest predicts the held-out readings better than the calibrated one
-        and than that of a search of readings.
+        """Return whether the model at rest with effects beats the calibrated and the searched model on held-out
+        readings.
 
-        The search is asked only where held-out readings are not predicted as the recordings are in motion: some of what
-        moves the arm there may then be no law of poses at rest.
+        The search runs only if held-out readings are predicted worse than the recordings in motion: some of the motion
+        effects may then be no law of poses at rest.
         """
         if not self.motion.terms or not len(self.held_out):
             return False
@@ -175,7 +175,7 @@ class MotionAtRest:
         return error_mm < _AS_IN_MOTION * self.motion.heldout_after_mm or error_mm < others.rms_mm(searched())
 
     def result(self, seconds: float, *, used: bool) -> MotionDiscoveryResult:
-        """What the recordings show, as it is stored."""
+        """Return the effects from the recordings, as stored in results."""
         return MotionDiscoveryResult(
             effects=tuple(_result(effect) for effect in self.motion.effects),
             heldout_mm=BeforeAfter(before=self.motion.heldout_before_mm, after=self.motion.heldout_after_mm),
@@ -186,9 +186,9 @@ class MotionAtRest:
     def discovery(
         self, profile: Profile, seconds: float, cancel: CancelToken | None = None, report: Report = ignore_report
     ) -> Discovery:
-        """The effects that recordings show, with what a search finds in what they leave of the readings.
+        """Return the effects from recordings, with those that a search finds in the remaining errors of the readings.
 
-        ``seconds`` is what the search of the recordings took. Raises ``Cancelled`` on request.
+        ``seconds`` is the time of the search of the recordings. Raise ``Cancelled`` on request.
         """
         q = self.model.true_joints(self.readings.q, conditions=self.conditions)
         bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
@@ -198,7 +198,7 @@ class MotionAtRest:
         return self._with_rest(rest, seconds)
 
     def _with_rest(self, rest: Discovery, seconds: float) -> Discovery:
-        """The discovery of the arm, of which ``rest`` is what was found at the joint positions by its recordings."""
+        """Return the discovery of the arm; ``rest`` was found at the joint positions corrected by its recordings."""
         result, model = rest.result, _joined(rest.model, self.model) if rest.terms else self.model
         before, by_motion = (
             held_out.position_mm(one)
@@ -232,13 +232,13 @@ def _titles(named: Sequence[MotionEffect | EffectTerm]) -> str:
 
 
 def _surely_better(held_out: HeldOut, model: ArmModel, other: ArmModel) -> bool:
-    """Whether another model predicts held-out readings better than chance explains, by pairs of squared errors."""
+    """Return whether another model predicts held-out readings significantly better, by pairs of squared errors."""
     gain = held_out.errors_m(model) ** 2 - held_out.errors_m(other) ** 2
     return bool(np.mean(gain) > _SURE * np.std(gain) / np.sqrt(len(gain)))
 
 
 def _without_terms(rest: Discovery) -> Discovery:
-    """A search that accepts nothing."""
+    """Return the search with all its terms rejected."""
     if not rest.terms:
         return rest
     result = rest.result
@@ -248,7 +248,7 @@ def _without_terms(rest: Discovery) -> Discovery:
 
 
 def _joined(rest: ArmModel, by_motion: ArmModel) -> ArmModel:
-    """An arm with the effects that were found at the joint positions by its recordings, and those of the recordings."""
+    """Combine the effects found at the corrected joint positions with those from the recordings in one arm."""
     names = [name for term in by_motion.effects for name in term.names]
     assert rest.covariance is not None
     assert by_motion.covariance is not None
@@ -263,7 +263,7 @@ def _joined(rest: ArmModel, by_motion: ArmModel) -> ArmModel:
 
 
 def _accepted(effect: MotionEffect) -> AcceptedEffect:
-    """An effect that recordings show, as one of the discovery."""
+    """Convert an effect from recordings to an accepted effect of the discovery."""
     return accepted_effect(
         effect.term(),
         Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
@@ -275,8 +275,8 @@ def _accepted(effect: MotionEffect) -> AcceptedEffect:
 def _with_stops(
     name: str, samples: Readings, calibrated: Mapping[str, ArmModel], stops: Mapping[str, Readings]
 ) -> tuple[Readings, MeasurementConditions]:
-    """Stops of an arm, and after them samples of its recordings, with the travel of each joint since it turned round as
-    its last motion."""
+    """Return the stops of an arm followed by samples of its recordings; the last motion of a sample is the travel of
+    each joint since its reversal."""
     if not len(stops[name]):
         return samples, measurement_conditions(samples)
     apart = samples.configuration + max(int(its.configuration.max()) + 1 for its in stops.values() if len(its))
@@ -285,7 +285,7 @@ def _with_stops(
 
 
 def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
-    """The arm with the geometry and the effects that motion shows and that act at rest."""
+    """Return the arm with the geometry and the effects that motion shows and that act at rest."""
     identification = motion.fit.identification
     return replace(
         calibrated,
@@ -299,7 +299,7 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
 
 
 def loop_picture(loop: Loop) -> Picture:
-    """The loop of a joint as a picture: position in degrees, lost motion in microradians."""
+    """Draw the loop of a joint: position in degrees, lost motion in microradians."""
     return Picture(
         title=f"lost motion of joint {loop.joint} in motion",
         effect=Law.PLAY.value,

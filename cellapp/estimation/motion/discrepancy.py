@@ -1,18 +1,17 @@
-"""What the model of an arm lacks, and what it does to clocks and intervals.
+"""Model discrepancy of an arm, and its effect on clocks and intervals.
 
-Elastic joints and gears that do not turn evenly are functions of posture. A path comes by its postures again and again:
-they do not average out as noise does, and look like geometry and like delays. Here they are random effects: the
-residuals are
+Elastic joints and uneven gears are functions of posture. A path passes the same postures again and again: such errors
+do not average out as noise does, and resemble geometry and delays. Here they are random effects: the residuals are
 
     r = X b + Z u + B a + n
 
-with the fit's columns X and parameters b; laws Z of joints that the fit does not have (one to three cycles a turn,
-play, compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the
-path, a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in
-bands of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson,
-Biometrika 58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has
-absorbed. It may be that nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable
-each is; the variances are the means over both.
+with the fit's columns X and parameters b. Z are laws of joints that the fit lacks (one to three cycles a turn, play,
+compliance if masses are known), u_g ~ N(0, s_g) for each law. B are functions of posture, orthonormal along the path,
+a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first. n is noise in bands
+of frequency, orthogonal to B. The variances maximise the restricted likelihood (Patterson, Thompson, Biometrika 58
+(1971) 545) under wide priors of their logarithms, as one run contains little information on what its geometry has
+absorbed. If nothing is missing, s_g and s are zero. The evidence of both cases (Laplace) gives their probabilities, and
+the variances are averaged over both.
 
 The clocks are the generalised least squares estimate under this covariance. The arm stays the least squares estimate,
 which predicts best; its covariance is that under the same residuals ("sandwich").
@@ -36,33 +35,33 @@ from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.kinematics.transforms import Array
 
 _CYCLES = (1, 2, 3)
-"""Cycles a turn of the lines that an arm may have: faster ones are no more like geometry."""
+"""Cycles a turn of the lines that an arm may have: faster ones do not resemble geometry."""
 _USUAL = 0.15
-"""Centre of the prior of a law's size, in the standard deviation of its term: some 45 urad for lines."""
+"""Centre of the prior of a law's size, in standard deviations of its term: some 45 urad for lines."""
 _LOG_SD = 3.0
-"""Standard deviation of the prior of the logarithm of a variance: a factor of 4.5 in size."""
+"""Prior standard deviation of the log of a variance: a factor of 4.5 in size."""
 _MOST_ROWS = 8000
 _SAME = 1e-4
-"""Singular value, over the largest, below which functions of posture are the same along a path."""
+"""Ratio of a singular value to the largest, below which functions of posture are the same along a path."""
 _MOST_TRIED = 400
 _LOG_STEP = 0.2
-"""Step of the logarithm of a variance by which the curvature of the likelihood is found."""
+"""Step of the log variance for the curvature of the likelihood."""
 _USUALLY = 0.75
-"""Probability that a model lacks something, before its residuals are seen: most arms have an effect or two. Intervals
-hold as often as stated both for arms with effects and for arms without."""
+"""Prior probability that a model lacks something: most arms have an effect or two. With it, intervals hold as often as
+stated both for arms with effects and for arms without."""
 _NOTHING = 1e8
-"""Precision of a law that the arm does not have, in the inverse square of the standard deviation of its term."""
+"""Precision of a law that is absent, in units of the inverse square of the standard deviation of its term."""
 _FEWEST_FREE = 4.0
-"""Least degrees of freedom of the variances of what lacks."""
+"""Least degrees of freedom of the variances of the discrepancy."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """All sources at the solution, by the columns (K) of all parameters and of the laws that the fit does not have.
+    """All sources at the solution, in the columns (K) of all parameters and of the laws that the fit lacks.
 
-    ``X`` (3 f, K) and ``r`` (3 f,) are in the functions of posture, of the singular values ``size`` (3 f,) over the
-    largest; ``rest`` are the bands of each source without them. ``laws`` (K,) marks the laws, ``law`` and ``sd`` (L,)
-    are their number and the standard deviation of their terms.
+    ``X`` (3 f, K) and ``r`` (3 f,) are projected on the functions of posture, with singular values ``size`` (3 f,)
+    relative to the largest; ``rest`` are the bands of each source without these functions. ``laws`` (K,) masks the
+    laws, ``law`` and ``sd`` (L,) are their index and the standard deviation of their terms.
     """
 
     laws: NDArray[np.bool_]
@@ -75,26 +74,26 @@ class _Seen:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom that parameters leave the functions of posture."""
+        """Degrees of freedom left in the functions of posture by the parameters."""
         return max(len(self.r) - float(np.count_nonzero(~self.laws)), _FEWEST_FREE)
 
     def normal(self, level: tuple[float, ...]) -> Array:
-        """Products of columns and residuals (K + 1, K + 1) of the rest, by the inverse of each source's level."""
+        """Return the products of columns and residuals (K + 1, K + 1) of the rest, divided by each source's level."""
         parts = [bands.normal() / its for bands, its in zip(self.rest, level, strict=True)]
         return np.asarray(np.sum(parts, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class _Missing:
-    """Sizes of what lacks: variances (3 f,) in the functions of posture and precisions (L,) of the laws."""
+    """Sizes of the discrepancy: variances (3 f,) of the functions of posture and precisions (L,) of the laws."""
 
     variance: Array
     precision: Array
 
 
 def allow_for_missing(problem: Problem, solution: Solution, *, with_clocks: bool = True) -> Solution:
-    """The solution with clocks that are free of what the model lacks, with the arm that belongs to them, and with a
-    covariance that allows for it; without ``with_clocks`` clocks stay as they are, and the covariance alone allows."""
+    """Return the solution with clocks corrected for the model discrepancy, the matching arm, and a covariance that
+    includes the discrepancy; without ``with_clocks`` only the covariance changes."""
     seen, layout = _seen(problem, solution), problem.layout
     fitted = ~seen.laws
     fit_bands = [bands.of(fitted) for bands in seen.rest]
@@ -117,7 +116,7 @@ def allow_for_missing(problem: Problem, solution: Solution, *, with_clocks: bool
 def _with_clocks(
     noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.intp], theirs: NDArray[np.intp]
 ) -> NoiseModel:
-    """The noise model with the variances of the clocks from another one, where they stand at ``theirs``."""
+    """Replace the variances of the clocks in a noise model by those of another one, with indices ``theirs`` there."""
     covariance, freedom = noise.covariance.copy(), noise.freedom.copy()
     covariance[places] = covariance[:, places] = 0.0
     covariance[np.ix_(places, places)] = of_clocks.covariance[np.ix_(theirs, theirs)]
@@ -165,18 +164,19 @@ def _seen(problem: Problem, solution: Solution) -> _Seen:
 
 
 def _laws(problem: Problem) -> tuple[JointTerm, ...]:
-    """Laws of joints that an arm may have and the fit does not."""
+    """Return the laws of joints that an arm may have and the fit lacks."""
     joints = range(problem.layout.parameters.joints)
     own = {replace(term, law=Law.LINE) if term.law is Law.ONE_CYCLE else term for term in problem.layout.terms}
     lines = [JointTerm(Law.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
     elastic = [JointTerm(Law.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
-    lost = [JointTerm(Law.PLAY, joint) for joint in joints]  # against the motion, as a delay
+    lost = [JointTerm(Law.PLAY, joint) for joint in joints]  # lags the motion, like a delay
     return tuple(term for term in (*lines, *elastic, *lost) if term not in own)
 
 
 def _functions_of_posture(q: Array) -> tuple[Array, Array]:
-    """Orthonormal functions of posture (n, f), smooth ones first, and their sizes over the largest: one and two cycles
-    of each joint, of sums and differences of any two, and of sums along the arm. Gravity and gears are mostly one."""
+    """Return orthonormal functions of posture (n, f), smooth ones first, and their sizes relative to the largest: one
+    and two cycles of each joint, of sums and differences of any two, and of sums along the arm. Gravity and gear errors
+    are mostly among them."""
     joints = range(q.shape[1])
     angles = [factor * q[:, joint] for joint in joints for factor in (1, 2)]
     angles += [q[:, i] + sign * q[:, k] for i, k in combinations(joints, 2) for sign in (1, -1)]
@@ -189,7 +189,7 @@ def _functions_of_posture(q: Array) -> tuple[Array, Array]:
 
 
 def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
-    """Bands of one source without functions of posture, with so many fewer degrees of freedom."""
+    """Return the bands of one source without the functions of posture, with reduced degrees of freedom."""
     bands = bands_of(X, np.arange(X.shape[2]), r, in_time=in_time)
     taken = bands_of(basis[:, None, :], np.arange(basis.shape[1]), np.zeros((len(r), 1)), in_time=in_time)
     return replace(bands, count=np.maximum(bands.count - 3.0 * taken.gram.trace(axis1=1, axis2=2), 1.0))
@@ -197,8 +197,8 @@ def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
 
 @dataclass(frozen=True, eq=False)
 class _Likelihood:
-    """Restricted likelihood of what lacks: products of columns and residuals in the functions of posture and of the
-    rest, the priors of the fit, and the centre of the prior of the logarithms of all variances."""
+    """Restricted likelihood of the discrepancy: products of columns and residuals in the functions of posture and in
+    the rest, the priors of the fit, and the centre of the prior of all log variances."""
 
     seen: _Seen
     both: Array
@@ -218,14 +218,14 @@ class _Likelihood:
         )
 
     def sizes(self, logs: Array) -> _Missing:
-        """Sizes by the logarithms of the variances: of smooth functions, of all functions, of each law; without the
-        last ones nothing lacks."""
+        """Return the sizes from log variances: of smooth functions, of all functions, of each law; with only the first,
+        there is no discrepancy."""
         smooth = math.exp(logs[1]) * self.seen.size**2 if len(logs) > 1 else 0.0
         laws = np.exp(-logs[2:][self.seen.law]) if len(logs) > 1 else np.full(len(self.seen.sd), _NOTHING)
         return _Missing(smooth + np.full(len(self.seen.r), math.exp(logs[0])), laws / self.seen.sd**2)
 
     def cost(self, logs: Array) -> float:
-        """Minus the logarithm of likelihood and prior."""
+        """Return minus the log of likelihood times prior."""
         found, own = self.sizes(logs), self.own.copy()
         normal = self.rest + (self.both / found.variance[:, None]).T @ self.both
         own[self.seen.laws] = found.precision
@@ -239,8 +239,8 @@ class _Likelihood:
         return float(logarithms + normal[-1, -1] - y @ y + by_prior) / 2.0
 
     def best(self, count: int) -> tuple[Array, float]:
-        """The most probable logarithms of the first ``count`` variances, and the logarithm of the evidence (Laplace),
-        less what all counts have in common."""
+        """Return the most probable logs of the first ``count`` variances, and the log evidence (Laplace) up to a common
+        constant."""
         options = {"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED}
         found = scipy.optimize.minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
         bent = [
@@ -252,7 +252,7 @@ class _Likelihood:
 
 
 def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
-    """Sizes of what lacks by restricted maximum likelihood, times the probability that anything does."""
+    """Estimate the sizes of the discrepancy by restricted maximum likelihood, averaged over absence and presence."""
     likelihood = _Likelihood.of(seen, level, precision, towards_prior)
     (nothing, alone), (some, beside) = (likelihood.best(count) for count in (1, len(likelihood.centre)))
     share = float(scipy.special.expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
@@ -262,7 +262,7 @@ def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_pr
 
 
 def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
-    """What lacks, as the fit takes it in: the covariance of ``X^T r`` for the columns of the fit."""
+    """Return the discrepancy as it enters the fit: the covariance of ``X^T r`` for the columns of the fit."""
     fitted, X = ~seen.laws, seen.X[:, ~seen.laws]
     everywhere = seen.X.T @ seen.X + sum(bands.gram.sum(axis=0) for bands in seen.rest)
     by_law = everywhere[np.ix_(seen.laws, fitted)]
@@ -273,7 +273,7 @@ def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
 def _weighed(
     seen: _Seen, missing: _Missing, level: tuple[float, ...], precision: Array, towards_prior: Array
 ) -> tuple[Array, NoiseModel]:
-    """Step of the generalised least squares estimate of all columns from the solution, and its noise model."""
+    """Return the generalised least squares step of all columns from the solution, and its noise model."""
     own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
     own[~seen.laws], own[seen.laws], pull[~seen.laws] = precision, missing.precision, towards_prior
     weighed = seen.X / missing.variance[:, None]

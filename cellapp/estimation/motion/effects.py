@@ -1,17 +1,15 @@
-"""Search of recordings for missing effects: laws of joints one after the other, and lines of the spectrum.
+"""Search of recordings for missing effects: joint laws one after the other, and lines of the spectrum.
 
 Each step adds the law that is least likely to be chance. A law of all joints is tested by ``chi^2 = b^T V^-1 b`` of its
-parameters, V with the noise model of the recordings, so that neighbouring points do not count twice. Lines are scanned
-in the residuals of all points: the power of every cycle count of every joint against the median of its neighbours,
-which follows whatever colour the noise has; a line enters the fit with cosine and sine, and stays if they are
-significant beside all other parameters. Columns and residuals pass a filter that whitens the residuals: the noise of a
-motion is slow, and dense lines are fast. What a law leaves decides about the filter that it is fitted with in the end:
-residuals without a large effect hold that effect, and a filter of them takes it for noise. P-values are multiplied by
-the number of alternatives. Held-out errors are those of fits without a filter.
-
-The mean lag of the joints is the same as an offset between the clocks: lags are stated against their mean, which the
-offset takes up. Joints that accelerations turn the way that no spring does lag by a time constant. Vibration is looked
-for when no other law is left (``shaped``).
+parameters, V with the noise model of the recordings, so neighbouring points do not count twice. Lines are found by
+scanning the residuals of all points: the power of every cycle count of every joint relative to the median of its
+neighbours, which adapts to coloured noise. A line enters the fit with cosine and sine, and stays if they are
+significant beside all other parameters. Columns and residuals pass a filter that whitens the residuals, as the noise of
+a motion is slow and dense lines are fast. The final filter of a law is estimated from the residuals with it: without
+it, they contain its effect, and their filter treats that as noise. P-values are multiplied by the number of
+alternatives. Held-out errors are those of fits without a filter. The mean lag of the joints is indistinguishable from a
+clock offset: lags are stated relative to their mean, which the offset absorbs. A joint that accelerations turn against
+the sense of a spring lags by a time constant. Vibration is searched when no other law is left (``shaped``).
 """
 
 from __future__ import annotations
@@ -64,27 +62,27 @@ _CHANCE = 1e-3
 """Corrected p-value below which a law enters."""
 _MOST_LINES = 12
 _WORTH_A_FIT = 0.5
-"""Share of the power of a line that chance rarely has, from which one is fitted: its own leakage hides it among its
-neighbours, and the evidence of the fit decides."""
+"""Share of the power that chance rarely gives a line, at which a line is fitted: its leakage raises the median of its
+neighbours, so the evidence of the fit decides."""
 _ALIKE_TURNS = 1.0
-"""Two lines of one joint closer than this over the turns that it made are one."""
+"""Distance of two lines of one joint, times the turns that it made, below which they are one line."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
-"""Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
+"""Laws that a filter for slow noise suppresses while the residuals contain them: they are tested without it, too."""
 _AS_LIKELY = 4.5
-"""Difference of log likelihoods within which the more usual of two counts is taken: three standard deviations."""
+"""Difference of log likelihoods within which the more usual of two counts is chosen: three standard deviations."""
 _SHAPED_ROUNDS = 8
 _AS_WELL = 1.01
-"""Ratio of held-out errors up to which the simpler of two models says as much."""
+"""Ratio of held-out errors up to which the simpler of two models is preferred."""
 _COUNT_ROUNDS = 3
 _JUDGED_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class MotionDiscovery:
-    """The fit with all effects that were found, in the order in which they entered, and the errors without any.
+    """Fit with all effects found, in the order in which they entered, and the held-out errors before and after.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are those of
-    the joints that show lost motion; ``laws`` are those of the joints that show them.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are the
+    loops of the joints that show lost motion; ``laws`` are the laws of the joints with effects.
     """
 
     fit: MotionFit
@@ -97,12 +95,12 @@ class MotionDiscovery:
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
-        """Terms of an arm model that serve commands at rest."""
+        """Terms for an arm model that serve commands at rest."""
         return tuple(effect.term() for effect in self.effects if effect.at_rest and effect.names)
 
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
-    """Search recordings of one arm for effects of its joints; as ``identify_from_motion``, which raises the same."""
+    """Search recordings of one arm for effects of its joints. Raise as ``identify_from_motion``."""
     return _Search(*motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
 
 
@@ -112,22 +110,22 @@ class _Search:
     stop_rows: NDArray[np.intp]
     told: Told
     own: tuple[MotionLaw, ...] = ()
-    """Laws of speeds of plug-ins."""
+    """Laws of plug-ins that depend on speeds."""
     to_its_end: bool = False
-    """Whether fits go on until weights and parameters are those of one another, as in ``solve``."""
+    """Whether fits iterate to full convergence, as in ``solve``."""
 
     @property
     def _patient(self) -> _Search:
-        """The same search with fits to their end."""
+        """The search with fits to full convergence."""
         return replace(self, to_its_end=True)
 
     @property
     def alternatives(self) -> int:
-        """Laws that chance may choose from."""
+        """Number of laws tried, for the correction of p-values."""
         return len(Law) + len(_OF_POSTURE) + len(self.own)
 
     def run(self) -> MotionDiscovery:
-        """Laws of all joints and lines, until none is left that chance does not explain."""
+        """Add laws of all joints and lines until chance explains the rest."""
         state = self._state(self.problem.without_terms(), None)
         state = _whitened(state)
         first_mm, steps = state.heldout_mm, list[Step]()
@@ -140,7 +138,7 @@ class _Search:
                 break
             state, step = found
             steps = with_step(steps, step)
-            while step.law is Law.LINE and (more := self._lines(state, steps)):  # laws were looked for just before
+            while step.law is Law.LINE and (more := self._lines(state, steps)):  # laws were tried just before
                 state, step = more
                 steps = with_step(steps, step)
             state, steps = self._with_best_constants(self._judged_to_its_end(state), steps, step.law)
@@ -151,7 +149,7 @@ class _Search:
         state, steps = self._simpler(*self._without_chance(state, steps))
         steps = [step if step.law is Law.LINE else beside_others(state, step) for step in steps]
         final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
-        # with lags an offset is known by its sum with their mean only, and is left as it is
+        # with lags only the sum of an offset and their mean is known: leave it as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = allow_for_missing(final.problem, final.solution, with_clocks=not late)
         fit = motion_fit(final.problem, freed)
@@ -174,9 +172,9 @@ class _Search:
         return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, drawn)
 
     def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Lines at the counts that are best beside all other terms: the first ones entered before these were known.
+        """Move lines to the counts that fit best beside all other terms: early lines entered before these were known.
 
-        Lines of one joint that are not apart over the turns that it made are joined to the stronger one.
+        Lines of one joint that are unresolved over its turns are merged into the stronger one.
         """
         for _ in range(_COUNT_ROUNDS):
             lines = terms_of(Law.LINE, steps)[::2]
@@ -193,7 +191,7 @@ class _Search:
                 power = np.where(reach & (np.arange(len(power)) > 1), power, 0.0)
                 count = int(np.argmax(power))
                 if has(steps, Law.ONE_CYCLE) and power[2] > power[count] - _AS_LIKELY:
-                    count = 2  # of the disc that has one
+                    count = 2  # of the encoder disc with the one-cycle error
                 better.update({(line.joint, line.cycles): None for line in near})
                 better[term.joint, term.cycles] = count
             if all(cycles == count for (_, cycles), count in better.items()):
@@ -204,8 +202,8 @@ class _Search:
         return state, steps
 
     def _with_sides(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Lines with those of the neighbouring counts where these fit surely better: teeth whose amplitude the run-out
-        of a gear modulates, counts that are not whole."""
+        """Add lines of the neighbouring counts if these clearly fit better: teeth whose amplitude is modulated by the
+        run-out of a gear, or counts that are not whole."""
         lines = terms_of(Law.LINE, steps)
         beside = [_sides(*place, lines) for place in dict.fromkeys(term.place for term in lines) if place[1] > 2]
         terms = tuple(term for its in beside for term in its)
@@ -227,8 +225,8 @@ class _Search:
         return trial, [*steps, Step(Law.LINE, terms, statistic, log_p, state.heldout_mm, trial.heldout_mm)]
 
     def _with_best_constants(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
-        """The same with the reaches of a law's lost motion, or the knees of its springs, by the noise that is left with
-        it: what the fit left before held it, and passed for noise."""
+        """Estimate again the reaches of a law's lost motion, or the knees of its springs, with the noise left by the
+        law: the residuals before contained it as noise."""
         known = terms_of(law, steps)
         parts = [term for term in known if term.refines]
         if not parts or not isinstance(law, Law):
@@ -246,7 +244,7 @@ class _Search:
         return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
 
     def _with_time_constants(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Joints that accelerations turn the way that no spring does lag by a time constant, if that fits better."""
+        """Replace inertia by a time constant at joints that accelerations turn against a spring, if it fits better."""
         step = steps[-1]
         values, covariance = values_of(state, step.terms)
         late = lagging_joints(step.terms, values, np.sqrt(np.diag(covariance)), SHOWN)
@@ -261,8 +259,8 @@ class _Search:
         return self._with_one_lag(trial, beside)
 
     def _with_one_lag(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """All joints lag by time constants, without further delays, and only those that vibrate twist under their
-        acceleration, if that says as much: the simpler of two explanations."""
+        """Give all joints time constants, no further delays, and twist under acceleration only at vibrating joints, if
+        that fits as well: the simpler of two explanations."""
         late = terms_of(Law.TIME_CONSTANT, steps)
         if not late:
             return state, steps
@@ -279,7 +277,7 @@ class _Search:
         return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
 
     def _vibration(self, state: State, steps: list[Step]) -> tuple[State, Step] | None:
-        """The vibration of a joint that is least likely to be chance."""
+        """Return the joint vibration that is least likely to be chance; None if there is none."""
         taken = {term.joint for term in terms_of(Law.VIBRATION, steps)}
         joints = state.problem.layout.parameters.joints
         if len(taken) == joints:
@@ -301,7 +299,7 @@ class _Search:
         return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
 
     def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """The same with the shapes of ``steps`` where the fit leaves them."""
+        """Repeat the fit with updated shapes of ``steps`` until these settle."""
         for _ in range(_SHAPED_ROUNDS):
             before = [step.terms for step in steps]
             after = [reshaped(terms, values_of(state, terms)[0].tolist()) for terms in before]
@@ -315,8 +313,8 @@ class _Search:
         return state, steps
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Without laws, and parts that refine laws, that entered early and that chance explains beside all others."""
-        for entered in list(steps):  # one by one: each vibrating joint has a step of its own
+        """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
+        for entered in list(steps):  # one by one: each vibrating joint has its own step
             step = entered
             if step.law is Law.LINE:
                 continue
@@ -332,8 +330,8 @@ class _Search:
         return state, steps
 
     def _simpler(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Lost motion that changes at once, without a part that grows with load, and springs of one stiffness, where
-        that says as much: lines and elastic joints look like either before they are part of the fit."""
+        """Simplify lost motion (sudden, without a part that grows with load) and springs (one stiffness) if that fits
+        as well: lines and elastic joints look like either before they are part of the fit."""
         for law in (Law.WINDUP, Law.PLAY, Law.COMPLIANCE):
             kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.refines)]
             if law is Law.WINDUP and has(steps, Law.PLAY):
@@ -350,12 +348,12 @@ class _Search:
         return state, steps
 
     def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
-        """Whether chance explains terms, of which there were ``more`` alternatives."""
+        """Return whether chance explains some terms, of which there were ``more`` alternatives."""
         log_p = log_chance(statistic_of(state, terms), len(tested(terms)), self.alternatives * more)
         return log_p > math.log(_CHANCE)
 
     def _refitted(self, state: State, steps: Sequence[Step]) -> State:
-        """The same with the terms of ``steps``, in the same order; new terms begin at zero."""
+        """Fit again with the terms of ``steps``, in that order; new terms start at zero."""
         layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
         problem = state.problem.without_terms().with_terms(terms)
         values = np.insert(
@@ -369,12 +367,12 @@ class _Search:
         return self._state(problem, values)
 
     def _plain(self, state: State) -> State:
-        """All points as they are."""
+        """Fit again without whitening."""
         return self._state(replace(state.problem, whitening=None), state.solution.values)
 
     def _unwhitened(self, state: State, plain: State) -> State:
-        """All points as they are, for predictions; lines, which are fast, stay as the whitened residuals determine
-        them, where these tell more of them than ``plain`` ones."""
+        """Fit without whitening, for predictions. Lines, which are fast, keep their values from the whitened residuals
+        if these determine them better than ``plain`` does."""
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
@@ -387,15 +385,16 @@ class _Search:
         return self._state(replace(problem, mean=mean, precision=precision), solution.values)
 
     def _judged(self, trial: State) -> State:
-        """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
-        the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
+        """Fit again with filters estimated from the residuals of ``trial``, as filters from before its terms hide a
+        part of them. The held-out error is that of the fit without filters, as filtered points contain little
+        information on the geometry."""
         plain = self._plain(trial)
         filtered = self._state(_whitened(plain).problem, plain.solution.values)
         return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
     def _judged_to_its_end(self, state: State) -> State:
-        """The same with filters of its own residuals, again as long as that predicts better: what that gains is no gain
-        of the next law."""
+        """Repeat with filters of its own residuals while that lowers the held-out error, so that this gain is not
+        attributed to the next law."""
         for _ in range(_JUDGED_ROUNDS):
             again = self._patient._judged(state)
             if again.heldout_mm >= state.heldout_mm:
@@ -417,7 +416,7 @@ class _Search:
         return self._state(state.problem.with_terms(terms), start)
 
     def _law(self, state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]) -> tuple[State, Step] | None:
-        """The law of all joints that is least likely to be chance and lowers the held-out error."""
+        """Return the law of all joints that is least likely chance and lowers the held-out error; None if none."""
         tried = []
         for law in laws:
             for terms, chances in self._terms_to_try(state, law, steps):
@@ -428,7 +427,7 @@ class _Search:
                 log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
                     tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
-        # laws that only motion has come last: they take up what lost motion and springs leave
+        # laws of motion only come last: they absorb the residuals of lost motion and springs
         for _, trial, step in sorted(tried, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
             judged = self._judged(trial)
             if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
@@ -439,8 +438,8 @@ class _Search:
     def _terms_to_try(
         self, state: State, law: Law | MotionLaw, steps: Sequence[Step]
     ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
-        """Terms that a law may enter with, and the number of alternatives that chance may choose from: the plain law,
-        with parts that refine it, or those beside what entered before."""
+        """Yield terms with which a law may enter, and the number of alternatives: the plain law, the law with refining
+        parts, or these parts beside what entered before."""
         plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
         if plain:
             yield plain, self.alternatives
@@ -451,7 +450,7 @@ class _Search:
             yield (*plain, *parts), self.alternatives * alternatives(law)
 
     def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:
-        """The strongest lines of the residuals, at most one of each joint."""
+        """Add the strongest lines of the residuals, at most one for each joint; None if none is significant."""
         taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is Law.LINE]
         if len(taken) >= 2 * _MOST_LINES:
             return None
@@ -485,12 +484,12 @@ class _Search:
 
 
 def _least_gain(law: Law | MotionLaw) -> float:
-    """Ratio of held-out errors that a law must gain: those that only motion has are worth a place where they show."""
+    """Return the ratio of held-out errors that a law must gain: laws of motion only must gain more."""
     return _AS_WELL if law in ONLY_MOTION else 1.0
 
 
 def _whitened(state: State) -> State:
-    """The same state, for steps that weigh every frequency by its noise."""
+    """Return the state with whitening filters of its residuals, so that every frequency is weighted by its noise."""
     model = state.problem.model(state.solution.values)
     filters = tuple(
         whitening_filter(residuals(model, track, number, source.rows), track.stamps.period_s)
@@ -504,13 +503,13 @@ def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
 
 
 def _sides(joint: int, cycles: int, lines: Sequence[JointTerm]) -> list[JointTerm]:
-    """Lines of the counts beside that of a line, but for those that are ``lines`` themselves."""
+    """Return lines at the counts next to that of a line, except those already in ``lines``."""
     beside = ((side, term) for side in (-1, 1) for term in _pair(joint, cycles + side))
     return [replace(term, side=side) for side, term in beside if term not in lines]
 
 
 def _reach(state: State, term: JointTerm) -> float:
-    """Counts that are not apart from that of a line over the turns that its joint made."""
+    """Return the distance in counts below which lines are unresolved over the turns that a joint made."""
     q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
     return max(1.0, 2.0 * math.pi * _ALIKE_TURNS / max(float(np.ptp(q)), 1e-3))
 
@@ -521,7 +520,7 @@ def _near(state: State, term: JointTerm, lines: Sequence[JointTerm]) -> list[Joi
 
 
 def _recounted(step: Step, better: Mapping[tuple[int, int], int | None]) -> Step:
-    """A step with its lines at other counts; those that are joined to another are gone."""
+    """Move the lines of a step to other counts; drop lines that were merged into another."""
     if step.law is not Law.LINE:
         return step
     counts = [(term.joint, better[term.joint, term.cycles]) for term in step.terms[::2]]

@@ -2,10 +2,10 @@
 
     minimise  sum_s w_s sum_i c_i |p_i - P(q(u_i) - h d_i; g)|^2 + priors
 
-over the recordings (and the stops) s. The weight w_s of a source is what one of its points tells of the parameters: the
-inverse of the residuals' variance at the frequencies at which the parameters move the points (``noise``), so that
-100 000 points that are worth a thousand weigh as a thousand beside stops and priors. c_i is one, or zero for gross
-errors. A first fit of a subset, with robust weights, leads to where one or two steps with all points suffice.
+over the recordings (and the stops) s. The weight w_s of a source is the information in one of its points: the inverse
+of the residuals' variance at the frequencies at which the parameters move the points (``noise``). So 100 000 points
+that are worth a thousand independent ones weigh as a thousand beside stops and priors. c_i is one, or zero for gross
+errors. A first fit of a subset with robust weights comes so close that one or two steps with all points suffice.
 """
 
 from __future__ import annotations
@@ -46,43 +46,43 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 
 _FIRST_POINTS = 5000
-"""Points of the first fit."""
+"""Number of points of the first fit."""
 _FIRST_STEPS = 40
 _STEPS = 4
-"""Most steps with all points."""
+"""Largest number of steps with all points."""
 _MORE_STEPS = 12
-"""The same of a fit to its end."""
+"""Largest number of steps with all points of a fit to full convergence."""
 _SETTLED_M = 1e-6
-"""A step that moves points by less [rms, m] is the last of the first fit."""
+"""Step size [rms, m] that ends the first fit."""
 _LAST_M = 5e-5
-"""The same with all points: what is left after it is about its square over the arm's length."""
+"""Step size that ends a fit with all points: the remaining error is about its square over the arm's length."""
 _END_M = 5e-7
-"""The same of a fit to its end: weights that follow what the fit leaves change it longer than the arm bends."""
+"""Step size that ends a fit to full convergence: weights by residuals settle more slowly than the geometry."""
 GROSS = 6.0
-"""Norm, in standard deviations of a coordinate, beyond which a point is a gross error: never by chance."""
+"""Norm, in standard deviations of a coordinate, beyond which a point is a gross error: chance never reaches it."""
 _RATE_SD = 3e-4
-"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
+"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; any recording shows larger differences."""
 _NEARBY_S = 2.0
-"""Points this near in time share what the model of the arm lacks; a gross error stands out of them."""
+"""Time within which points share the model errors of the arm; a gross error stands out from them."""
 _FEWEST_NEARBY = 9
 _TRACKER_M = 1e-5
-"""Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+"""Least standard deviation of a coordinate [m]: keeps weights finite if there is no noise."""
 _OFFSET_SD = 1.0
-"""Prior standard deviation of an offset about its start [s]: decides only where a part between two steps of a clock has
-no point to learn from."""
+"""Prior standard deviation of an offset about its start [s]: it matters only if a segment between two steps of a clock
+has no training point."""
 _MOST_WORTH = 1e6
-"""Points cannot be a thousand times better than they say; a recording of a few seconds can look so."""
+"""Largest worth: points cannot be a thousand times better than stated, though those of a few seconds may look so."""
 _REWEIGHTED = 0.02
-"""Relative change of a weight at which weights count as settled."""
+"""Relative change of a weight at which weights have converged."""
 _ALIKE = 4.0
-"""Ratio of variances up to which recordings of one arm weigh the same for each second."""
+"""Ratio of variances up to which recordings of one arm get the same weight per second."""
 _ROUNDS = 4
-"""Rounds of step and weights: weights settle to a percent in two or three."""
+"""Most rounds of step and weights: weights settle to a percent in two or three."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted: tracks, stops, and priors about the start."""
+    """Fitting problem: tracks, stops, and priors about the start."""
 
     start: Geometry
     layout: Layout
@@ -95,7 +95,7 @@ class Problem:
     whitening: tuple[Array, ...] | None = None
 
     def with_terms(self, added: tuple[JointTerm, ...]) -> Problem:
-        """The same problem with further terms."""
+        """Return the problem with further terms."""
         layout, at = replace(self.layout, terms=self.layout.terms + added), self.layout.arm
         precisions = [1.0 / term.prior_sd**2 for term in added]
         return replace(
@@ -106,7 +106,7 @@ class Problem:
         )
 
     def with_shapes(self, terms: tuple[JointTerm, ...]) -> Problem:
-        """The same problem with its terms about other shapes."""
+        """Return the problem with its terms linearised at other shapes."""
         mean, precision = self.mean.copy(), self.precision.copy()
         for place, term in enumerate(terms, start=self.layout.geometric):
             if term.shape:
@@ -114,7 +114,7 @@ class Problem:
         return replace(self, layout=replace(self.layout, terms=terms), mean=mean, precision=precision)
 
     def without_terms(self) -> Problem:
-        """The same problem with geometry and clocks alone."""
+        """Return the problem with geometry and clocks alone."""
         kept = np.delete(np.arange(self.layout.size), np.arange(self.layout.geometric, self.layout.arm))
         return replace(
             self, layout=replace(self.layout, terms=()), mean=self.mean[kept], precision=self.precision[kept]
@@ -122,17 +122,17 @@ class Problem:
 
     @property
     def translation(self) -> int:
-        """Place of a parameter that moves all points alike."""
+        """Index of a parameter that moves all points alike."""
         return self.layout.parameters.names.index("x0")
 
     def model(self, values: Array) -> Model:
-        """The arm and its clocks at ``values``."""
+        """Return the arm and its clocks at ``values``."""
         return Model(self.start, self.layout, values, self.masses)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The minimum: values, noise model, weights by source, the points used by source, and how it was reached."""
+    """The minimum: values, noise model, sources with their weights and used points, and the steps taken."""
 
     values: Array
     noise: NoiseModel
@@ -145,8 +145,8 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Rows of one recording, or of the stops, that are used; root of the variance of a coordinate [m]; what one of its
-    points weighs, in ``1 / sigma^2``; and its relative uncertainties (n,), or None."""
+    """Rows in use of one recording, or of the stops; standard deviation of a coordinate [m]; ``worth``, the weight of
+    one point in units of ``1 / sigma^2``; and relative uncertainties (n,), or None."""
 
     rows: NDArray[np.intp] = field(repr=False)
     sigma_m: float
@@ -154,7 +154,7 @@ class Source:
     relative: Array | None = field(default=None, repr=False)
 
     def root(self, robust: Array | None = None) -> Array:
-        """Roots of the weights (n,) [1/m]."""
+        """Return the square roots of the weights (n,) [1/m]."""
         root = np.full(len(self.rows), np.sqrt(self.worth) / self.sigma_m)
         if self.relative is not None:
             root = root / self.relative
@@ -171,7 +171,7 @@ def problem_of(
     prior_sigma: Mapping[str, float],
     masses: Masses | None = None,
 ) -> Problem:
-    """The problem with its start: the nominal chain at the base that all points together suggest."""
+    """Set up the problem; the start is the nominal chain at the base that best fits the points."""
     q, p = _subset(tracks, stops)
     start = start_from_nominal(nominal, q, p, tool_unknown=tool_unknown)
     parameters, priors = estimated_parameters(parameter_set, start, prior_sigma)
@@ -191,7 +191,7 @@ def problem_of(
 
 
 def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
-    """Some joint positions (n, N) and points (n, 3) of all sources, at the starts of the clocks."""
+    """Return some joint positions (n, N) and points (n, 3) of all sources, at the start values of the clocks."""
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
         rows = _thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
@@ -213,10 +213,10 @@ def solve(
     *,
     to_its_end: bool = False,
 ) -> Solution:
-    """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset.
+    """Fit a subset with robust weights, then all points without gross errors; with ``start``, skip the subset.
 
-    ``to_its_end``: until weights and parameters are those of one another, which small effects need; clocks and geometry
-    are settled before.
+    ``to_its_end``: iterate until weights and parameters are consistent with each other, which small effects need;
+    clocks and geometry settle before.
     """
     values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
     precision, converged = problem.precision, False
@@ -238,7 +238,7 @@ def solve(
 
 
 def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
-    """Robust fit of a subset: values, and the sizes of the steps."""
+    """Fit a subset robustly; return the values and the sizes of the steps."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
     rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
     values, steps = problem.mean.copy(), []
@@ -256,7 +256,7 @@ def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tup
 
 
 def normal_equations(problem: Problem, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
-    """``X^T X`` and ``X^T r`` of all sources at ``values``, weighed as a solution weighs them, without the priors."""
+    """Return ``X^T X`` and ``X^T r`` of all sources at ``values``, weighted as in a solution, without the priors."""
     sums = _sums(problem, problem.model(values), sources, None)
     return _normal(problem, sums, [1.0] * len(sums))
 
@@ -264,8 +264,8 @@ def normal_equations(problem: Problem, values: Array, sources: Sequence[Source])
 def _weighed_step(
     problem: Problem, values: Array, sums: Sequence[Sums], most: Array | None = None
 ) -> tuple[Array, NoiseModel, list[float], Array, Array]:
-    """Gauss-Newton step with sources weighed by what they are worth and priors by what they leave: step, noise model,
-    worths, information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
+    """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, noise model, worths,
+    information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
     worths, precision = [1.0] * len(sums), problem.precision
     if most is not None:
         worths = _bounded(worths, most)
@@ -286,8 +286,8 @@ def _weighed_step(
 
 
 def _seconds_per_worth(problem: Problem, sources: Sequence[Source]) -> Array | None:
-    """Time of each recording over the sum of its weights at worth one (n,) [m^2 s]; None for fewer than three, of
-    which none is usual, or where filters of their own make recordings no more alike."""
+    """Return the time of each recording over the sum of its weights at worth one (n,) [m^2 s]; None for fewer than
+    three recordings, of which none is typical, or if each has its own whitening filter."""
     if len(problem.tracks) < 3 or problem.whitening is not None:
         return None
     times = [np.count_nonzero(track.learnt) * track.stamps.period_s for track in problem.tracks]
@@ -295,11 +295,11 @@ def _seconds_per_worth(problem: Problem, sources: Sequence[Source]) -> Array | N
 
 
 def _bounded(worths: Sequence[float], seconds_per_worth: Array) -> list[float]:
-    """Worths of which no second of a recording weighs more than one of the median recording.
+    """Limit the worths: no second of a recording weighs more than one of the median recording.
 
-    What a model of the arm lacks is the same for all recordings. One of a few seconds has too few residuals of its own
-    to tell its noise: where a fit follows it, it would weigh more, and the fit follow it the more. A recording that is
-    worse than others weighs less, without bound.
+    Model errors of the arm are the same for all recordings. A recording of a few seconds has too few residuals to
+    estimate its noise: a fit that follows it would raise its weight, and then follow it even more. A recording that is
+    worse than others weighs less, without limit.
     """
     recordings = len(seconds_per_worth)
     a_second = np.asarray(worths[:recordings]) / seconds_per_worth
@@ -308,7 +308,7 @@ def _bounded(worths: Sequence[float], seconds_per_worth: Array) -> list[float]:
 
 
 def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
-    """Normal equations of all sources by all parameters."""
+    """Sum the normal equations of all sources over all parameters."""
     A, b = np.zeros((problem.layout.size,) * 2), np.zeros(problem.layout.size)
     for one, worth in zip(sums, worths, strict=True):
         places = one.bands.columns
@@ -318,7 +318,7 @@ def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> 
 
 
 def _with_spreads(problem: Problem, values: Array, A: Array, precision: Array) -> Array:
-    """Precision of the priors, with standard deviations that nobody stated estimated from the present values."""
+    """Return the precision of the priors, with unstated standard deviations estimated from the present values."""
     if not problem.spreads:
         return precision
     unit = 1.0 / np.sqrt(np.diag(A) + precision + 1e-300)
@@ -333,12 +333,12 @@ def _with_spreads(problem: Problem, values: Array, A: Array, precision: Array) -
 
 
 def _size(step: Array, information: Array, translation: int) -> float:
-    """Rms displacement of the points by a step [m]; ``translation`` is the place of one that moves all points alike."""
+    """Return the rms displacement of the points by a step [m]; parameter ``translation`` moves all points alike."""
     return float(np.sqrt(max(step @ information @ step, 0.0) / max(information[translation, translation], 1e-300)))
 
 
 def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
-    """Normal equations of every source with worth one."""
+    """Return the normal equations of every source at worth one."""
     found = []
     for number, source in enumerate(sources):
         root = source.root(None if robust is None else robust[number])
@@ -353,13 +353,13 @@ def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Seq
 def _misses(
     problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
 ) -> list[Array]:
-    """Residuals (n, 3) [m] of the rows of every source."""
+    """Return the residuals (n, 3) [m] of the rows of every source."""
     found = [residuals(model, track, n, its) for n, (track, its) in enumerate(zip(problem.tracks, rows, strict=True))]
     return found if problem.stops is None else [*found, stop_residuals(model, problem.stops)[stop_rows]]
 
 
 def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
-    """The rows of a source with the variance of a coordinate by the median of the residuals' norms (n,) [m]."""
+    """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
     holder = problem.tracks[number] if number < len(problem.tracks) else problem.stops
     assert holder is not None
     stated = holder.sigma_m
@@ -387,10 +387,10 @@ def _with_robust_weights(
 
 
 def _nearby(track: Track, norm: Array) -> Array:
-    """Median norm (n,) [m] of the residuals about the same time, of rows in order of time.
+    """Return the median norm (n,) [m] of the residuals near the same time, for rows in order of time.
 
-    An elastic joint moves all points of some seconds by far more than usual: these are no gross errors, and a fit
-    without them would be one of the rest of the motion only.
+    An elastic joint may move all points of some seconds by far more than usual. These are no gross errors; without them
+    only the rest of the motion would be fitted.
     """
     seconds = np.count_nonzero(track.learnt) * track.stamps.period_s
     count = max(math.ceil(_NEARBY_S * len(norm) / max(seconds, _NEARBY_S)), _FEWEST_NEARBY)
@@ -400,13 +400,13 @@ def _nearby(track: Track, norm: Array) -> Array:
 
 
 def _usual(norms: Sequence[Array]) -> float:
-    """Norm [m] of residuals of the median recording: one that the fit follows more than others has no more gross
-    errors than they."""
+    """Return the residual norm [m] of the median recording: a recording that fits better does not have more gross
+    errors."""
     return max(median_low([float(np.median(norm)) for norm in norms]), _TRACKER_M)
 
 
 def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> tuple[Source, ...]:
-    """All points of every source without gross errors."""
+    """Return all points of every source without gross errors."""
     rows = [np.flatnonzero(track.learnt) for track in problem.tracks]
     norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows, stop_rows)]
     usual, found = _usual(norms[: len(rows)]), []

@@ -1,9 +1,9 @@
-"""What stops and sweeps will tell of an arm, before anything moves: errors of positions, smallest sizes of effects.
+"""Forecast of stops and sweeps before any motion: errors of positions, smallest detectable sizes of effects.
 
-Points of a motion are alike: one of each half second counts as a reading of its own, with the noise of the tracker and
-the scatter of the arm, as recordings of the twin have it (handbook, chapter "motion"). Information of stops and sweeps
-adds up. A law of joints is seen in a joint from the size on that is ``SHOWN`` standard errors of its parameter, with
-the geometry, the law of the other joints and, in motion, the delay between the clocks unknown.
+Points of a motion are correlated: one of each half second counts as an independent reading, with the noise of the
+tracker and the scatter of the arm, as in recordings of the twin (handbook, chapter "motion"). Information of stops and
+sweeps adds up. A joint law is detectable from a size of ``SHOWN`` standard errors of its parameter, with the geometry,
+the law of the other joints and, in motion, the delay between the clocks unknown.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 _CYCLES = (2, 40)
-"""Lines that are foreseen: slow ones of eccentric parts, dense ones of gears."""
+"""Cycles of the forecast lines: slow ones of eccentric parts, dense ones of gears."""
 _PLAIN = (Law.PLAY, Law.WINDUP, Law.LAG, Law.COMPLIANCE)
-"""Laws of one parameter a joint that are foreseen."""
+"""Forecast laws with one parameter a joint."""
 _DELAY_SD_S = 1.0
-"""What is known of the delay between the clocks before: nothing."""
+"""Prior standard deviation of the delay between the clocks: it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """States (n) of an arm that will be measured, and the covariance (n, 3, 3) of each point [m^2]."""
+    """States (n) of an arm to be measured, and the covariance (n, 3, 3) of each point [m^2]."""
 
     state: JointState
     covariance: Array
@@ -41,8 +41,8 @@ class Expected:
 
 @dataclass(frozen=True)
 class LawForecast:
-    """A law of joints: its effect, its cycles a turn for a line, the unit of its parameters, and the smallest size of
-    each that is seen, by source; None where it is not seen however large arms have it."""
+    """Forecast of a law: its effect, its cycles a turn for a line, the unit of its parameters, and the smallest
+    detectable size in each joint, by source; None if no plausible size is detectable."""
 
     effect: str
     cycles: int
@@ -58,8 +58,9 @@ def forecast_motion(
     at: Array,
     scatter_m: float,
 ) -> tuple[dict[str, PlannedAccuracy], tuple[LawForecast, ...]]:
-    """Expected errors of positions at ``at`` (n, N) [rad], and the smallest sizes of the laws, by source and for all
-    ``sources`` together ("both"); ``priors`` are what is known of the ``estimated`` parameters of the geometry."""
+    """Forecast position errors at ``at`` (n, N) [rad] and the smallest detectable sizes of the laws, by source and for
+    all ``sources`` together ("both"); ``priors`` are prior standard deviations of the ``estimated`` geometric
+    parameters."""
     laws = foreseen_laws(nominal.joints)
     terms = tuple(term for its in laws for term in its)
     told = {name: motion_information(nominal, estimated, terms, one) for name, one in sources.items()}
@@ -81,7 +82,7 @@ def forecast_motion(
 
 
 def foreseen_laws(joints: int) -> list[tuple[JointTerm, ...]]:
-    """Terms of all joints, law by law, of what is foreseen."""
+    """Return the terms of all joints, law by law, of the forecast laws."""
     plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in _PLAIN]
     lines = [
         tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint in range(joints) for sine in (False, True))
@@ -91,14 +92,14 @@ def foreseen_laws(joints: int) -> list[tuple[JointTerm, ...]]:
 
 
 def _names(terms: tuple[JointTerm, ...]) -> list[str]:
-    """One name a joint."""
+    """Return one name for each joint."""
     return [f"joint {term.joint + 1}" for term in terms if not term.sine]
 
 
 def motion_information(
     nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected
 ) -> Array:
-    """Information (P, P) on the geometry, the terms, and last the delay between the clocks."""
+    """Compute the information (P, P) on the geometry, the terms, and last the delay between the clocks."""
     state, k = expected.state, len(estimated.columns)
     thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
     _, J = jacobian(nominal, JointAngles.of(state.q), (*estimated.columns, *thetas))
@@ -112,7 +113,7 @@ def motion_information(
 
 
 def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...]]) -> list[list[float | None]]:
-    """Smallest size of each law in each joint that is seen."""
+    """Return the smallest detectable size of each law in each joint."""
     first, found = len(priors), []
     for terms in laws:
         places = np.array([*range(len(priors)), *range(first, first + len(terms)), len(information) - 1])
@@ -132,6 +133,6 @@ def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...
 
 
 def _aliased(one: LawForecast) -> LawForecast:
-    """Lines that stops cannot tell from others."""
+    """Mark lines as undetectable by stops, where they are aliased."""
     smallest = {name: dict.fromkeys(its) if name == "stops" else its for name, its in one.smallest.items()}
     return replace(one, smallest=smallest)

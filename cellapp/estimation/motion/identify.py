@@ -1,4 +1,4 @@
-"""One arm from recordings of its motion: the public function, and its result from the solution of the fit."""
+"""Identification of one arm from recordings of its motion: the public function, and the result of a solution."""
 
 from __future__ import annotations
 
@@ -29,35 +29,35 @@ from cellapp.robot.kinematics.transforms import Array
 
 _LEAST_POINTS = 50
 _STILL_RAD = 0.02
-"""Range of a joint below which a motion tells next to nothing of it."""
+"""Range of a joint below which a motion contains almost no information on it."""
 _FAR_MM = 10.0
-"""Median distance of held-out points from the published arm from which it may be another one."""
+"""Median distance of held-out points from the published arm at which it may be another arm."""
 _FEW_DETERMINED = 2.0 / 3.0
-"""Share of the parameters of the geometry below which motions excite the arm little: good ones leave a fifth open."""
+"""Share of determined geometric parameters below which motions excite the arm little; good ones leave a fifth open."""
 _BAD = 5.0
-"""Ratio of the scatter to that of the median recording from which a recording is named as bad."""
+"""Ratio of a recording's scatter to that of the median recording at which it is reported as bad."""
 _RATE_UNKNOWN_PPM = 20.0
 """Standard error of a rate above which it is as uncertain as clocks themselves."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedArm:
-    """What is known of an arm that was recorded in motion.
+    """Data and prior knowledge of an arm recorded in motion.
 
     Attributes
     ----------
     nominal : Geometry
         The published chain with the nominal tool; its base is not used.
     recordings : sequence of Recording
-        Of this arm. Points that no recording marks as held out are split into blocks of time by ``seed``.
+        Recordings of this arm. Unless points are marked as held out, ``seed`` splits them into blocks of time.
     tool_unknown : bool
-        Whether the tool is estimated from zero at the start.
+        Whether the estimate of the tool starts at zero.
     stops : Stops, optional
-        Readings at rest, fitted jointly; those of ``held_out_stops`` (n,) are not used.
+        Readings at rest, fitted jointly; those in the mask ``held_out_stops`` (n,) are not used.
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
     bodies, up_M
-        Masses and the direction against gravity in the tracker frame; without both no torques are known.
+        Masses, and the direction against gravity in the tracker frame; torques are unknown unless both are given.
     seed : int
     """
 
@@ -76,7 +76,7 @@ class RecordedArm:
 def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionFit:
     """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
 
-    ``told`` takes words about each step; what it raises ends the fit.
+    ``told`` is a callback for messages on each step; an exception raised by it ends the fit.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
 
 
 def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.intp]]:
-    """The problem of ``identify_from_motion``, which raises the same, and the rows of the stops that it may use."""
+    """Set up the problem of ``identify_from_motion`` (raises the same); return it and the usable stops."""
     if not arm.recordings:
         raise InputError("no recordings of motion")
     tracks = []
@@ -131,7 +131,7 @@ def _track(recording: Recording, nominal: Geometry, tool_unknown: bool, seed: in
 
 
 def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
-    """The result of a solution."""
+    """Build the result of a solution."""
     model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
     found = {
         track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
@@ -156,7 +156,7 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
 
 
 def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
-    """Rms distance of all held-out points without gross errors from the model [mm]."""
+    """Return the rms distance of all held-out points from the model, without gross errors [mm]."""
     model, squares, count = problem.model(solution.values), 0.0, 0
     for number, track in enumerate(problem.tracks):
         misses, good = _held_out(model, track, number, solution.sources[number].sigma_m)
@@ -166,13 +166,13 @@ def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
 
 
 def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Distances of held-out points from the model [m], and which are no gross errors."""
+    """Return the distances of held-out points from the model [m], and a mask of those that are no gross errors."""
     misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
     return misses, no_gross_errors(misses, sigma_m)
 
 
 def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
-    """Which points are no gross errors, by their distances (n,) [m] and the scatter of those learnt from."""
+    """Return a mask of the points that are no gross errors, by distances (n,) [m] and the training scatter."""
     usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 
@@ -205,7 +205,7 @@ def _recording_fit(problem: Problem, solution: Solution, model: Model, number: i
 
 
 def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
-    """The same clocks with the geometry of ``vector`` and no lost motion."""
+    """Return the values with the same clocks, the geometry of ``vector`` and no lost motion."""
     values = values.copy()
     values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
     values[problem.layout.geometric : problem.layout.arm] = 0.0
@@ -213,20 +213,20 @@ def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
 
 
 def _mean_lag(problem: Problem, solution: Solution) -> float:
-    """Mean lag of the joints [s], which nothing tells from an offset of the clocks."""
+    """Return the mean lag of the joints [s], which is indistinguishable from an offset of the clocks."""
     of_terms = problem.model(solution.values).of_terms
     lags = [value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is Law.LAG]
     return float(np.mean(lags)) if lags else 0.0
 
 
 def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
-    """The clocks of one recording; the mean lag of the joints, which nothing tells from an offset, is part of that."""
+    """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
     width, rate = solution.noise.half_width(), layout.rate(number)
     lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is Law.LAG]
 
     def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
-        """Value, standard error and interval."""
+        """Return value, standard error and interval."""
         share = np.zeros(layout.size)
         share[place] = unit
         if place != rate:
@@ -242,7 +242,7 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
             ClockSegment(*stated(layout.offsets(number).start + segment, 1.0), float(times[0]), float(times[-1]))
         )
     rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
-    first = segments[int(track.segment[track.learnt][0])]  # of the parts between steps, the first that was learnt from
+    first = segments[int(track.segment[track.learnt][0])]  # the first segment between steps with training points
     return ClockFit(
         offset_s=first.offset_s,
         offset_standard_error_s=first.offset_standard_error_s,
@@ -262,7 +262,7 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
 
 
 def _identification(problem: Problem, solution: Solution, model: Model) -> tuple[Identification, Array]:
-    """The arm's part of the solution in the form that all that follows takes, and half widths of its intervals."""
+    """Return the arm's part of the solution as an identification, and the half widths of its intervals."""
     layout, noise, stops = problem.layout, solution.noise, problem.stops
     estimated, size, arm = layout.parameters, layout.geometric, layout.arm
     covariance = noise.covariance[:size, :size]
@@ -307,7 +307,7 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> tuple
 
 
 def _of_arm(information: Array, size: int) -> Array:
-    """Information about the geometry while clocks and lost motion are free."""
+    """Return the information about the geometry with clocks and lost motion free."""
     rest = information[size:, size:]
     with_rest = information[:size, size:]
     return np.asarray(information[:size, :size] - with_rest @ np.linalg.pinv(rest, hermitian=True) @ with_rest.T)
@@ -316,7 +316,7 @@ def _of_arm(information: Array, size: int) -> Array:
 def _undetermined(
     problem: Problem, identification: Identification, found: Mapping[str, RecordingFit]
 ) -> tuple[str, ...]:
-    """What the data cannot determine, in sentences."""
+    """Describe in sentences what the data cannot determine."""
     said = []
     positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
     if problem.stops is not None:
@@ -356,7 +356,7 @@ def _undetermined(
 
 
 def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
-    """A sentence about the recordings that do not tell the rate of their clocks."""
+    """Return a sentence on the recordings that do not determine the rate of their clocks; empty if there are none."""
     errors = {name: one.clock.rate_standard_error_ppm for name, one in found.items()}
     errors = {name: error for name, error in errors.items() if error > _RATE_UNKNOWN_PPM}
     if not errors:
@@ -368,7 +368,7 @@ def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
 
 
 def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
-    """Sentences about recordings that the arm of all others does not explain."""
+    """Return sentences on the recordings that disagree with the arm fitted to all others."""
     usual = float(np.median([one.scatter_m for one in found.values()]))
     return [
         f"recording '{name}': its points lie {one.scatter_m * 1e3:.2f} mm from the arm on which the other recordings"

@@ -1,7 +1,7 @@
 """Joint positions and speeds of a recording at any time, by cubic Hermite interpolation.
 
-Recorded speeds are the slopes where they agree with the positions; else slopes are those of a cubic spline through the
-positions. Joints are interpolated to the tracker's times, not the reverse: joints are smooth.
+Recorded speeds are the slopes if they agree with the positions; else slopes are those of a cubic spline through the
+positions. Joints are interpolated to the tracker's times, not the reverse, as joints move smoothly.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from cellapp.robot.kinematics.transforms import Array
 _WINDOW_S = 0.2
 """Time over which recorded speeds are integrated to compare them with positions."""
 _AGREES = 0.03
-"""Share of the motion by which integrated speeds may differ from positions: filtered or late speeds differ by more."""
+"""Share of the motion by which integrated speeds may differ from positions; filtered or late ones differ more."""
 BEND_S = 0.02
 """Step of the second difference that gives accelerations: short against any motion, long against noise and jitter."""
 _PLAY = 5e-5
-"""Half gap of the play operator that gives the direction of motion [rad]: above the noise of an encoder, and passed
-within a few samples of any sweep."""
+"""Half gap of the play operator for the direction of motion [rad]: above the noise of an encoder, and crossed within a
+few samples of any sweep."""
 _BEGUN = 1e-3
 """Travel of a joint [rad] after which it has crossed its gap."""
 _SLOWEST_S = 2.0
-"""Longest wait for the last joint to do so after the first: joints may move one after the other."""
+"""Longest wait until the last joint has crossed its gap after the first: joints may move one after the other."""
 
 _WIDTHS = np.geomspace(0.008, 3.2, 14)
-"""Half gaps [rad] of plays in parallel, of which lost motion with memory is made."""
+"""Half gaps [rad] of parallel plays, which model lost motion with memory."""
 
 
 @dataclass(frozen=True)
 class Fading:
-    """How lost motion changes with the travel x since a joint turned round: ``exp(-x / reach)`` of it is left,
-    ``reach`` in rad. ``kept``: beside what the joint had taken up before it turned; else it begins anew at each turn
-    and after each gap of the recording.
+    """Change of lost motion with the travel x since a joint reversed: ``exp(-x / reach)`` of it is left, ``reach`` in
+    rad. ``kept``: it adds to what the joint had taken up before the reversal; else it starts anew at each reversal and
+    after each gap of the recording.
 
-    What is kept is that of plays in parallel (Prandtl, Ishlinskii; Masing's rules follow): of half gaps w in such
-    shares, ``w / reach^2 exp(-w / reach)``, that a joint at rest in the middle of all of them takes up
-    ``1 - exp(-x / reach)``. ``bell``: ``exp(-(x / reach)^2)`` of it is left, anew at each turn: a gear under friction
-    that is larger while it still moves slowly (Stribeck).
+    If kept, it is that of parallel plays (Prandtl, Ishlinskii; Masing's rules follow) with half gaps w in such shares,
+    ``w / reach^2 exp(-w / reach)``, that a joint starting in the middle of all of them takes up ``1 - exp(-x /
+    reach)``. ``bell``: ``exp(-(x / reach)^2)`` of it is left, anew at each reversal: a gear under friction that is
+    larger at low speed (Stribeck).
     """
 
     reach: float
@@ -55,7 +55,7 @@ class Fading:
     bell: bool = False
 
     def shares(self) -> Array:
-        """Shares (W,) of the plays of ``_WIDTHS``."""
+        """Return the shares (W,) of the plays of ``_WIDTHS``."""
         edges = np.concatenate([[0.0], np.sqrt(_WIDTHS[1:] * _WIDTHS[:-1]), [np.inf]]) / self.reach
         with np.errstate(invalid="ignore"):
             beyond = np.nan_to_num((1.0 + edges) * np.exp(-edges))
@@ -64,7 +64,7 @@ class Fading:
 
 @dataclass(frozen=True, eq=False)
 class JointPath:
-    """The path of N joints between its first and its last sample.
+    """Path of N joints between its first and its last sample.
 
     Attributes
     ----------
@@ -72,9 +72,9 @@ class JointPath:
     recorded_speeds : bool
         Whether the slopes are the recorded speeds.
     direction : array, shape (m, N)
-        Output of a play operator of small gap, -1 to 1, at the samples: against it a joint with lost motion lags.
+        Output of a play operator of small gap, -1 to 1, at the samples: a joint with lost motion lags against it.
     inertia : callable, optional
-        Mass matrices (n, N, N) [kg m^2] at joint positions (n, N), where masses are known.
+        Mass matrices (n, N, N) [kg m^2] at joint positions (n, N), None if masses are unknown.
     beside : array, shape (m, K), optional
         Joint positions of the other arm of the cell at the samples [rad].
     """
@@ -88,7 +88,7 @@ class JointPath:
     beside: Array | None = field(default=None, repr=False)
 
     def known(self, time_s: Array) -> NDArray[np.bool_]:
-        """Whether times (n,) [s] lie between samples, and not in a gap or beside a step of the clock."""
+        """Return a mask of the times (n,) [s] that lie between samples, and not in a gap or at a step of the clock."""
         t = self.stamps.time_s
         place = np.searchsorted(t, time_s, side="right")
         inside = (place > 0) & (place < len(t))
@@ -97,10 +97,10 @@ class JointPath:
         return np.asarray(inside & short & (self.stamps.segment[after] == self.stamps.segment[after - 1]))
 
     def begun(self, time_s: Array) -> NDArray[np.bool_]:
-        """Whether the joints have begun to move, at times (n,) [s], since the recording began or went on after a gap.
+        """Return a mask of the times (n,) [s] at which the joints have moved since the recording or its last gap began.
 
-        On which side of their lost motion they rest before that is not on record: a gap hides the last motion. Joints
-        that do not move before the next gap are not waited for.
+        Before that, the side of their lost motion is unknown: a gap hides the last motion. Joints that do not move
+        before the next gap are ignored.
         """
         t, q = self.stamps.time_s, self._position(self.stamps.time_s)
         begun = np.ones(len(t), dtype=np.bool_)
@@ -112,20 +112,20 @@ class JointPath:
         return begun[self.samples_at(time_s)]
 
     def samples_at(self, time_s: Array) -> NDArray[np.intp]:
-        """The last samples (n,) before times (n,) [s], the first one before it."""
+        """Return the indices of the last samples (n,) before times (n,) [s]; the first sample for earlier times."""
         return np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
 
     def segment_at(self, time_s: Array) -> NDArray[np.intp]:
-        """Segment of the controller's clock at times (n,) [s]."""
+        """Return the segment of the controller's clock at times (n,) [s]."""
         return self.stamps.segment[self.samples_at(time_s)]
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
-        """Positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
+        """Return positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
         return np.asarray(self._position(time_s)), np.asarray(self._speed(time_s))
 
     @cached_property
     def even(self) -> EvenPath:
-        """The same on even grids between gaps."""
+        """The path on even grids between gaps."""
         t = self.stamps.time_s
         runs = [(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)]
         time_s, inside_s, first = even_grid(runs, BEND_S)
@@ -135,20 +135,20 @@ class JointPath:
         return EvenPath(time_s, inside_s, q, qdd, first, inertia)
 
     def beside_at(self, time_s: Array) -> Array | None:
-        """Joint positions (n, K) [rad] of the other arm at times (n,) [s]; None where they were not recorded."""
+        """Return the joint positions (n, K) [rad] of the other arm at times (n,) [s]; None if not recorded."""
         return None if self.beside is None else rows_at(time_s, self.stamps.time_s, self.beside)
 
     def direction_at(self, time_s: Array) -> Array:
-        """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
+        """Return the side of the lost motion of each joint at times (n,) [s], (n, N), -1 to 1; 0 before any motion."""
         t = self.stamps.time_s
         place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
         share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
         return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
 
     def fading_at(self, samples: NDArray[np.intp], q: Array, joint: int, fading: Fading) -> Array:
-        """What a joint at positions ``q`` (n,) after ``samples`` (n,) has not taken up yet of its lost motion (n,):
-        ``d`` just after it began from the middle, 0 after a long way; up to ``2 d`` after a turn from the other edge,
-        if kept."""
+        """Return the lost motion (n,) that a joint at positions ``q`` (n,) after ``samples`` (n,) has not yet taken up:
+        ``d`` just after a start from the middle, 0 after a long travel; up to ``2 d`` after a reversal from the other
+        edge, if kept."""
         turns = self._turns[joint]
         number = turns.number[samples]
         side = turns.side[number]
@@ -160,8 +160,8 @@ class JointPath:
         return np.asarray(side - np.clip(taken_up, -1.0, 1.0, out=taken_up) @ fading.shares())
 
     def travel_at(self, time_s: Array, q: Array) -> Array:
-        """Travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them turned round, or
-        began to move after a gap of the recording: what its last motion is to a joint at rest."""
+        """Return the travel (n, N) [rad] of joints at positions ``q`` (n, N) at times (n,) [s] since each of them
+        reversed, or began to move after a gap of the recording. At rest it is the last motion."""
         samples = self.samples_at(time_s)
         return np.column_stack(
             [q[:, joint] - turns.q[turns.number[samples]] for joint, turns in enumerate(self._turns)]
@@ -169,7 +169,7 @@ class JointPath:
 
     @cached_property
     def _turns(self) -> tuple[_Turns, ...]:
-        """The turns of each joint."""
+        """Reversals of each joint."""
         begun = np.zeros(len(self.direction), dtype=np.bool_)
         begun[[first for first, _ in _runs(self.stamps)]] = True
         found = []
@@ -186,8 +186,8 @@ class JointPath:
 
 @dataclass(frozen=True, eq=False)
 class _Turns:
-    """Where a joint turned round or a run began: the number (m,) of the last turn of each sample, and of each turn the
-    position (K,) [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W), in these."""
+    """Reversals of a joint and starts of runs: index (m,) of the last one at each sample; for each the position (K,)
+    [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W), relative to these."""
 
     number: NDArray[np.intp]
     q: Array
@@ -196,7 +196,7 @@ class _Turns:
 
 
 def joint_path(joints: JointStream) -> JointPath:
-    """The path through the samples of a recording.
+    """Build the path through the samples of a recording.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def joint_path(joints: JointStream) -> JointPath:
 
 
 def play(q: Array, half_gap: Array) -> Array:
-    """Output (n, N) of a play operator along a path ``q`` (n, N) [rad] with ``half_gap`` (N,) [rad].
+    """Compute the output (n, N) of a play operator along a path ``q`` (n, N) [rad] with ``half_gap`` (N,) [rad].
 
     The output stays until the input has crossed the gap: ``w_i = min(max(w_(i-1), q_i - h), q_i + h)``, ``w_0 = q_0``.
     Each step is a clamp, and clamps compose to clamps: a scan of log2(n) array operations, not a loop over samples.
@@ -238,14 +238,14 @@ def play(q: Array, half_gap: Array) -> Array:
 
 
 def _runs(stamps: Stamps) -> list[tuple[int, int]]:
-    """First and one past the last sample between gaps and steps of the clock."""
+    """Return the first and one past the last sample of each run between gaps and steps of the clock."""
     cut = (np.diff(stamps.time_s) > stamps.longest_s) | (np.diff(stamps.segment) != 0)
     cuts = (np.flatnonzero(cut) + 1).tolist()
     return list(zip([0, *cuts], [*cuts, len(stamps.time_s)], strict=True))
 
 
 def _slopes(t: Array, q: Array, stamps: Stamps) -> Array:
-    """Slopes (n, N) [rad/s] of cubic splines through the positions between gaps."""
+    """Return slopes (n, N) [rad/s] of cubic splines through the positions between gaps."""
     slopes = np.zeros_like(q)
     for first, last in _runs(stamps):
         if last - first >= 4:
@@ -256,7 +256,7 @@ def _slopes(t: Array, q: Array, stamps: Stamps) -> Array:
 
 
 def _agree(t: Array, q: Array, qd: Array, stamps: Stamps) -> bool:
-    """Whether integrated speeds are the motion of the positions."""
+    """Return whether integrated speeds agree with the motion of the positions."""
     if not np.isfinite(qd).all():
         return False
     width = max(2, round(_WINDOW_S / stamps.period_s))

@@ -1,4 +1,4 @@
-"""A residual network from all points of an arm's recordings, and from its readings at rest."""
+"""Residual network from all points of an arm's recordings, and from its readings at rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class _Left:
-    """What geometry and lost motion leave at some points: joints (n, N) [rad] and differences (n, 3) [m]."""
+    """Residuals of geometry and lost motion at some points: joints (n, N) [rad] and differences (n, 3) [m]."""
 
     q: Array
     left_M: Array
@@ -39,10 +39,10 @@ def train_arm_in_motion(
     cancel: CancelToken | None = None,
     told: Told = ignore_words,
 ) -> ArmCalibration:
-    """An arm with a network from all points of its recordings that no held-out block has, and from those of its
-    ``readings`` at rest that may teach; its held-out errors are at rest where it has some, else in motion.
+    """Train a network for an arm on all points of its recordings outside held-out blocks, and on those of its
+    ``readings`` at rest that may teach. Its held-out errors are at rest if it has such readings, else in motion.
 
-    Lost motion is taken out: it depends on where a joint comes from, which a function of posture cannot know.
+    Lost motion is subtracted: it depends on the direction of approach, which a function of posture cannot represent.
     """
     rows = readings.in_split("train")
     stops = without(readings.take(rows if len(rows) else readings.in_split("identify")), arm.left_out)
@@ -51,7 +51,7 @@ def train_arm_in_motion(
         at_rest = stops.p_M - arm.model.predict(stops.q, stops.approach, stops.payload_kg)
         parts = [_Left(stops.q, at_rest), *parts]
     taught = _Left.joined(parts)
-    in_order = np.arange(float(len(taught.q)))  # of time in each recording, which is what blocks are cut by
+    in_order = np.arange(float(len(taught.q)))  # in order of time in each recording, by which blocks are cut
     arm = with_networks(profile, arm, taught.q, taught.left_M, in_order, cancel, report=lambda _, words: told(words))
     if arm.model.network is None:
         return arm
@@ -62,7 +62,7 @@ def train_arm_in_motion(
 
 
 def _held_out(arm: ArmCalibration, readings: Readings, fit: MotionFit) -> _Left:
-    """What is left where the other stages are judged: at held-out readings at rest, else in held-out blocks."""
+    """Return the residuals where the other stages are judged: at held-out readings at rest, else in held-out blocks."""
     stops = without(readings.take(readings.in_split("validate")), arm.left_out)
     if len(stops):
         return _Left(stops.q, stops.p_M - smr_positions(arm.model.geometry, stops.q))
@@ -70,7 +70,7 @@ def _held_out(arm: ArmCalibration, readings: Readings, fit: MotionFit) -> _Left:
 
 
 def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Left:
-    """Points of a recording without gross errors."""
+    """Return the points of a recording without gross errors."""
     track = one.track
     rows = np.flatnonzero(track.held_out if held_out else track.learnt)
     time_s = track.controller_times(rows, one.offsets_s, one.rate)

@@ -18,19 +18,19 @@ _MOST_CYCLES = 210
 """Largest cycle count: twice the ratio of a 1:100 strain-wave gear, and a margin."""
 _COUNTS = np.arange(_MOST_CYCLES + 1)
 _RESPONSE = 1024
-"""Frequencies at which the response of a filter is tabulated."""
+"""Number of frequencies at which the response of a filter is tabulated."""
 _CHUNK = 4096
 _NEIGHBOURS = 31
-"""Cycle counts whose median power is the level of the noise."""
+"""Number of cycle counts whose median power is the noise level."""
 _LOG_2 = math.log(2.0)
-"""Median of the power of noise over its mean: powers of cosine and sine together are exponential."""
+"""Ratio of median to mean power of noise: powers of cosine and sine together are exponential."""
 
 
 def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
-    """Power of each cycle count of some joints in the residuals, (joints, counts + 1), in units of the noise there:
-    above ``ln(1 / p)`` by chance with probability p. And the turns (joints,) that the range of each spans.
+    """Return the power (joints, counts + 1) of each cycle count of some joints in the residuals, in units of the noise
+    there: by chance it exceeds ``ln(1 / p)`` with probability p. Return also the turns (joints,) in the range of each.
 
-    A line of c cycles has the frequency ``c qd / 2 pi``, slowly changing: whitening multiplies it by the filter's
+    A line of c cycles has the slowly varying frequency ``c qd / 2 pi``: whitening multiplies it by the filter's
     response there.
     """
     from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
@@ -62,7 +62,7 @@ def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> 
 
 
 def _powers(angle: Array) -> NDArray[np.complex128]:
-    """``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
+    """Return ``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
     powers = np.empty((_MOST_CYCLES + 1, len(angle)), dtype=np.complex128)
     powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
     have = 1

@@ -1,4 +1,4 @@
-"""Loops of lost motion: what a joint lies beside its motor, over its position, by the direction of its last motion."""
+"""Loops of lost motion: the offset of a joint from its motor over its position, by the direction of its last motion."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _CHUNK = 4096
 _CROSSED = 0.9
 """Share of the gap that a joint must have crossed to count for a direction."""
 _FEWEST = 20
-"""Points of a bin without which it is left out."""
+"""Least points of a bin; bins with fewer are left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One joint (from 1) over its position (n,) [rad], by direction (n,), 1 or -1: what it lies beside its motor
-    without all else that the model has, and by its hysteresis in the model, both (n,) [rad]."""
+    """Loop of one joint (from 1) over its position (n,) [rad], by direction (n,), 1 or -1. ``measured`` and
+    ``computed`` (n,) [rad] are its offset from the motor without the model's other effects, and by its hysteresis."""
 
     joint: int
     position: Array = field(repr=False)
@@ -34,9 +34,9 @@ class Loop:
 
 
 def loops(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[Loop, ...]:
-    """The loops of some joints (from 1) from all points of the recordings.
+    """Return the loops of some joints (from 1) from all points of the recordings.
 
-    A residual r turns joint j by ``J_j . r / |J_j|^2``; a bin has the mean over its points, weighed by ``|J_j|^2``.
+    A residual r turns joint j by ``J_j . r / |J_j|^2``; a bin has the mean over its points, weighted by ``|J_j|^2``.
     """
     places = [joint - 1 for joint in joints]
     positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])

@@ -1,15 +1,15 @@
-"""What correlated residuals are worth: band spectra of the noise, and the covariance of the estimate.
+"""Information in correlated residuals: band spectra of the noise, and the covariance of the estimate.
 
-Neighbouring residuals of a motion are alike. Their covariance is taken as stationary within a recording: in the basis
-of the discrete cosine transform along time it is nearly diagonal, with one variance s_b for each band b of frequencies
-and each recording. With orthonormal columns Q = X L^-T (``L L^T = X^T X + P``), band grams ``G_b = Q_b^T Q_b`` and band
-energies ``E_b = |r_b|^2`` of the residuals, least squares leaves
+Neighbouring residuals of a motion are correlated. Their covariance is modelled as stationary within a recording: in the
+basis of the discrete cosine transform along time it is nearly diagonal, with one variance s_b for each band b of
+frequencies and each recording. With orthonormal columns Q = X L^-T (``L L^T = X^T X + P``), band grams ``G_b = Q_b^T
+Q_b`` and band energies ``E_b = |r_b|^2`` of the residuals, least squares leaves
 
     E[E_b] = sum_c K_bc s_c,   K_bc = delta_bc (n_b - 2 tr G_b) + tr(G_b G_c),
 
-which is solved for s (Rao, J. Multivar. Anal. 1 (1971) 257: minimum norm quadratic unbiased estimation), so that what
-the fit absorbed is given back. The covariance of the estimate is ``L^-T (sum_b s_b G_b + L^-1 P L^-T) L^-1``. Intervals
-use Student's t with the degrees of freedom of Satterthwaite, Biometrics Bull. 2 (1946) 110.
+which is solved for s (Rao, J. Multivar. Anal. 1 (1971) 257: minimum norm quadratic unbiased estimation), so that the
+part absorbed by the fit is restored. The covariance of the estimate is ``L^-T (sum_b s_b G_b + L^-1 P L^-T) L^-1``.
+Intervals use Student's t with the degrees of freedom of Satterthwaite, Biometrics Bull. 2 (1946) 110.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from cellapp.robot.kinematics.transforms import Array
 _PER_OCTAVE = 2
 """Bands of frequency per octave."""
 _LEAST_FREEDOM = 24.0
-"""Degrees of freedom that the fit must leave a band; bands with fewer are joined to the next."""
+"""Least degrees of freedom of a band after the fit; bands with fewer are joined to the next."""
 _MEMORY_S = 0.2
-"""Time over which a whitening filter remembers, and the most samples of it."""
+"""Memory of a whitening filter, and its largest number of samples."""
 _MOST_ORDER = 40
 _LEAST_LEVEL = 1e-6
-"""Residuals a thousand times below what was stated of them are those of a fit with nothing to spare."""
+"""Least level: residuals a thousand times below the stated ones are those of a fit without degrees of freedom."""
 _LEAST_SHARE = 0.3
-"""A solution for a band's variance below this share of the plain one is chance: the plain one is then taken."""
+"""Share of the plain variance of a band below which the solution is attributed to chance, and the plain one is used."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """Residuals and columns of one source in bands of frequency, from the slowest on.
+    """Residuals and columns of one source in bands of frequency, the slowest first.
 
     Attributes
     ----------
     columns : array of int, shape (k,)
-        Places of the source's columns among all parameters.
+        Indices of the source's columns among all parameters.
     count : array, shape (B,)
-        Coordinates in each band, less what was taken out of it.
+        Coordinates in each band, less those removed from it.
     gram : array, shape (B, k, k)
         ``X^T X`` of each band.
     product : array, shape (B, k)
@@ -54,8 +54,8 @@ class Bands:
     square : array, shape (B,)
         ``r^T r``.
     uneven : array, shape (k,)
-        Mean square of the products of columns and residuals, over what residuals of one size would give: above 1 where
-        points scatter most where, and the way, a parameter moves them, as by stamps that jitter.
+        Mean square of the products of columns and residuals, relative to that for residuals of uniform size: above 1 if
+        points scatter most where, and in the direction in which, a parameter moves them, as by timestamp jitter.
     """
 
     columns: NDArray[np.intp] = field(repr=False)
@@ -66,27 +66,27 @@ class Bands:
     uneven: Array = field(repr=False)
 
     def energy(self, step: Array) -> Array:
-        """Sum of squares of the residuals of each band (B,) after a step (K,) of all parameters."""
+        """Return the sum of squares of the residuals of each band (B,) after a step (K,) of all parameters."""
         own = step[self.columns]
         return np.asarray(self.square - 2.0 * self.product @ own + np.einsum("i,bij,j->b", own, self.gram, own))
 
     def of(self, chosen: NDArray[np.bool_]) -> Bands:
-        """The same for some of the columns, which stand one after the other then."""
+        """Return the bands for some of the columns, renumbered in order."""
         gram = self.gram[:, chosen][:, :, chosen]
         return Bands(
             np.arange(len(gram[0])), self.count, gram, self.product[:, chosen], self.square, self.uneven[chosen]
         )
 
     def normal(self) -> Array:
-        """Products of columns and residuals with one another (k + 1, k + 1), of all bands together."""
+        """Return the products of columns and residuals with each other (k + 1, k + 1), summed over all bands."""
         product = self.product.sum(axis=0)
         return np.block([[self.gram.sum(axis=0), product[:, None]], [product, self.square.sum()]])
 
 
 def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) -> Bands:
-    """Bands of residuals ``r`` (m, 3) with columns ``X`` (m, 3, k), both times the root of their weight.
+    """Compute the bands of residuals ``r`` (m, 3) with columns ``X`` (m, 3, k), both times the root of their weight.
 
-    Without ``in_time`` all are independent, and one band.
+    Without ``in_time`` all rows are independent and form one band.
     """
     m = len(r)
     edges = [0, m]
@@ -111,8 +111,8 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
 
 @dataclass(frozen=True, eq=False)
 class Modelled:
-    """Residuals of which the covariance is known otherwise, in no band: their ``X^T X`` (K, K), the covariance of their
-    ``X^T r`` (K, K), and the degrees of freedom of what that was estimated from."""
+    """Residuals with a covariance from elsewhere, in no band: their ``X^T X`` (K, K), the covariance of their ``X^T r``
+    (K, K), and the degrees of freedom of its estimate."""
 
     information: Array
     spread: Array
@@ -129,8 +129,8 @@ class NoiseModel:
     freedom : array, shape (k,)
         Degrees of freedom of each parameter's variance.
     level : tuple of float
-        For each source, the variance of a weighted residual as the parameters see it, the mean of the band variances by
-        what each band tells: 1 where weights are right.
+        Variance of a weighted residual of each source as it affects the parameters: the mean of the band variances,
+        weighted by the information in each band. It is 1 if weights are right.
     """
 
     covariance: Array = field(repr=False)
@@ -138,7 +138,7 @@ class NoiseModel:
     level: tuple[float, ...]
 
     def half_width(self, probability: float = 0.95) -> Array:
-        """Half widths (k,) of the intervals of this probability, in standard errors."""
+        """Return the half widths (k,) of the intervals of this probability, in standard errors."""
         return np.asarray(scipy.special.stdtrit(self.freedom, 0.5 + probability / 2.0))
 
 
@@ -160,20 +160,20 @@ def noise_model(
     information: Array,
     modelled: Modelled | None = None,
 ) -> NoiseModel:
-    """The noise model of the residuals that are left after ``step``.
+    """Estimate the noise model of the residuals after ``step``.
 
     Parameters
     ----------
     sources : sequence of Bands
     worths : sequence of float
-        What multiplies the weights of each source.
+        Factor of the weights of each source.
     step : array, shape (K,)
     precision : array, shape (K,)
-        Of the priors, zero without one.
+        Precision of the priors; zero without a prior.
     information : array, shape (K, K)
         ``X^T X`` with the weights and worths.
     modelled : Modelled, optional
-        What is in no band.
+        Residuals that are in no band.
     """
     unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
     H = information * unit * unit[:, None] + np.diag(precision * unit**2)
@@ -187,7 +187,7 @@ def noise_model(
     s, freedom = _variances(bands)
     by_prior = (root * precision) @ root.T
     inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands]))
-    # what averages over neighbours lack of the columns is faster than all bands
+    # the part of the columns lost by averaging over neighbours is faster than all bands
     averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
     if modelled is not None:
         averaged_out = averaged_out - (root @ modelled.information) @ root.T
@@ -213,7 +213,7 @@ def noise_model(
 
 
 def whitening_filter(r: Array, period_s: float) -> Array:
-    """Coefficients (p + 1,), the first 1, that turn residuals ``r`` (n, 3) in order of time into white noise: those of
+    """Return filter coefficients (p + 1,), the first 1, that whiten residuals ``r`` (n, 3) in order of time: those of
     an autoregressive model by the Yule-Walker equations."""
     order = int(np.clip(_MEMORY_S / period_s, 2, _MOST_ORDER))
     size = scipy.fft.next_fast_len(len(r) + order, real=True)
@@ -224,15 +224,15 @@ def whitening_filter(r: Array, period_s: float) -> Array:
 
 
 def _is_last(number: int, bands: Sequence[_Band]) -> bool:
-    """Whether a band is the fastest of its source."""
+    """Return whether a band is the fastest of its source."""
     return number + 1 == len(bands) or bands[number + 1].source != bands[number].source
 
 
 def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:
-    """Bands of one source; those with few degrees of freedom after the fit are joined to the next faster one."""
+    """Return the bands of one source; those with few degrees of freedom are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
-    energies = np.maximum(worth * source.energy(step), 0.0)  # below by rounding where a fit leaves nothing
+    energies = np.maximum(worth * source.energy(step), 0.0)  # rounding makes them negative if a fit leaves nothing
     found: list[_Band] = []
     first = 0
     for place in range(len(grams)):
@@ -248,7 +248,7 @@ def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: A
 
 
 def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
-    """Variance of each band, and its degrees of freedom."""
+    """Return the variance of each band, and its degrees of freedom."""
     count = np.array([band.count for band in bands], dtype=np.float64)
     absorbed = np.array([np.trace(band.gram) for band in bands])
     grams = np.stack([band.gram for band in bands]).reshape(len(bands), -1)

@@ -1,8 +1,8 @@
-"""Residuals and normal equations of recordings, chunk by chunk: memory does not grow with the number of points.
+"""Residuals and normal equations of recordings, in chunks: memory does not grow with the number of points.
 
-A point stamped t was measured at controller time ``u = t - o - r (t - t_m)``, offset o of its segment, rate r of its
-recording. The model is ``P(q(u) + sum_k b_k o_k(u); g)``: geometry g, and offsets o of joints (``terms``). Its columns
-are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o and ``-(t - t_m) J qd`` for r.
+A point with timestamp t was measured at controller time ``u = t - o - r (t - t_m)``, with offset o of its segment and
+rate r of its recording. The model is ``P(q(u) + sum_k b_k o_k(u); g)``: geometry g, and joint offsets o_k (``terms``).
+Its columns are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o and ``-(t - t_m) J qd`` for r.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.kinematics.workspace import Workspace
 
 _BLOCK_RATE = 25.0
-"""Averaged residuals a second from which the noise is read: motion and its correlation are slower."""
+"""Averaged residuals per second for estimating the noise: motion and its correlation are slower."""
 _MOST_BLOCKS = 8000
 
 
 @dataclass(frozen=True, eq=False)
 class Stops:
     """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m], the sign
-    of each joint's last motion (n, N), 0 where unknown, and that motion (n, N) [rad], NaN where unknown."""
+    of each joint's last motion (n, N), 0 if unknown, and that motion (n, N) [rad], NaN if unknown."""
 
     q: Array
     p_M: Array
@@ -40,7 +40,7 @@ class Stops:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each parameter stands: geometry, terms of joints, then the offsets and the rate of each recording."""
+    """Indices of the parameters: geometry, terms of joints, then the offsets and the rate of each recording."""
 
     parameters: ParameterSet
     terms: tuple[JointTerm, ...]
@@ -62,26 +62,26 @@ class Layout:
         return self.arm + sum(self.segments) + len(self.segments)
 
     def offsets(self, number: int) -> slice:
-        """Places of the offsets of one recording."""
+        """Return the slice of the offsets of one recording."""
         first = self.arm + sum(self.segments[:number]) + number
         return slice(first, first + self.segments[number])
 
     def rate(self, number: int) -> int:
-        """Place of the rate of one recording."""
+        """Return the index of the rate of one recording."""
         return int(self.offsets(number).stop)
 
     def clock(self, number: int) -> NDArray[np.intp]:
-        """Places of the offsets and the rate of one recording."""
+        """Return the indices of the offsets and the rate of one recording."""
         return np.arange(self.offsets(number).start, self.rate(number) + 1)
 
     def columns_of(self, number: int) -> NDArray[np.intp]:
-        """Places of the parameters that move the points of one recording."""
+        """Return the indices of the parameters that move the points of one recording."""
         return np.concatenate([np.arange(self.arm), np.arange(self.offsets(number).start, self.rate(number) + 1)])
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Normal equations of one source by its own columns, and the same in bands of frequency."""
+    """Normal equations of one source in its own columns, in total and by frequency band."""
 
     A: Array
     b: Array
@@ -99,7 +99,7 @@ class Model:
 
     @property
     def geometry(self) -> Geometry:
-        """The geometry of these values."""
+        """Geometry at these values."""
         vector = self.start.vector()
         vector[list(self.layout.parameters.columns)] = self.values[: self.layout.geometric]
         return self.start.with_vector(vector)
@@ -115,12 +115,12 @@ class Model:
         return any(term.needs_torques for term in self.layout.terms)
 
     def clock(self, number: int) -> tuple[Array, float]:
-        """Offsets [s] of the segments of one recording, and its rate."""
+        """Return the offsets [s] of the segments of one recording, and its rate."""
         return self.values[self.layout.offsets(number)], float(self.values[self.layout.rate(number)])
 
 
 def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -> Array:
-    """Measured less computed points (n, 3) [m] of some rows of one recording."""
+    """Return measured less computed points (n, 3) [m] of some rows of one recording."""
     left = np.empty((len(rows), 3))
     geometry, (offsets, rate) = model.geometry, model.clock(number)
     for first in range(0, len(rows), CHUNK):
@@ -134,8 +134,8 @@ def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -
 
 @dataclass(frozen=True, eq=False)
 class Averages:
-    """Weighted columns ``X`` (m, 3, k) at places ``columns``, residuals ``r`` (m, 3) and joint positions ``q`` (m, N)
-    of one recording, averaged over neighbours so that sums are kept."""
+    """Weighted columns ``X`` (m, 3, k) at indices ``columns``, residuals ``r`` (m, 3) and joint positions ``q`` (m, N)
+    of one recording, averaged over neighbours so that sums are preserved."""
 
     X: Array
     columns: NDArray[np.intp]
@@ -146,9 +146,9 @@ class Averages:
 def track_sums(
     model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, whitening: Array | None = None
 ) -> Sums:
-    """Sums over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m].
+    """Sum over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m].
 
-    ``whitening`` is a filter along time that columns and residuals pass.
+    ``whitening`` is a filter in time, applied to columns and residuals.
     """
     from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
 
@@ -170,7 +170,7 @@ def track_sums(
 
 
 def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, most: int) -> Averages:
-    """At most ``most`` averages of ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m]."""
+    """Return up to ``most`` averages of ``rows`` of a recording, weighted by the square of ``root`` (n,) [1/m]."""
     each = _block_length(track, len(rows), most)
     parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root, each)]
     return _joined(parts, model.layout.columns_of(number))
@@ -179,8 +179,8 @@ def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.int
 def _chunks(
     model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, each: int
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of whole
-    averages of ``each``."""
+    """Yield weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of
+    whole averages of ``each`` points."""
     k, arm = len(model.layout.columns_of(number)), model.layout.arm
     geometry, (offsets, rate), work = model.geometry, model.clock(number), Workspace()
     step = max(1, CHUNK // each) * each
@@ -200,7 +200,7 @@ def _chunks(
 
 
 def _averaged(X: Array, left: Array, weight: Array, q: Array, each: int) -> tuple[Array, Array, Array]:
-    """Averages of one chunk over ``each`` neighbours."""
+    """Average one chunk over ``each`` neighbours."""
     starts = np.arange(0, len(weight), each)
     total = np.sqrt(np.maximum(np.add.reduceat(weight**2, starts), 1e-300))
     share = weight / total.repeat(each)[: len(weight)]
@@ -217,7 +217,7 @@ def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.int
 
 
 def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Sums:
-    """Sums over some of the stops, each weighted by the square of ``root`` (n,) [1/m]."""
+    """Sum over some of the stops, each weighted by the square of ``root`` (n,) [1/m]."""
     X, left = _stop_columns(model, stops, rows, root)
     flat = X.swapaxes(0, 1).reshape(model.layout.arm, -1)
     bands = bands_of(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, in_time=False)
@@ -225,13 +225,13 @@ def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -
 
 
 def stop_averages(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Averages:
-    """Some of the stops one by one, each weighted by the square of ``root`` (n,) [1/m]."""
+    """Return some of the stops without averaging, each weighted by the square of ``root`` (n,) [1/m]."""
     X, left = _stop_columns(model, stops, rows, root)
     return Averages(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, stops.q[rows])
 
 
 def _stop_columns(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> tuple[Array, Array]:
-    """Weighted columns (3, k, n) and residuals (3, n)."""
+    """Return weighted columns (3, k, n) and residuals (3, n)."""
     X = np.empty((3, model.layout.arm, len(rows)))
     P, _ = _arm_columns(model, model.geometry, _at_stops(model, stops, rows), X, Workspace())
     X *= root
@@ -239,7 +239,7 @@ def _stop_columns(model: Model, stops: Stops, rows: NDArray[np.intp], root: Arra
 
 
 def stop_residuals(model: Model, stops: Stops) -> Array:
-    """Measured less computed points (n, 3) [m] of all stops."""
+    """Return measured less computed points (n, 3) [m] of all stops."""
     state = _at_stops(model, stops, np.arange(len(stops.q)))
     q = state.q + state.offsets(model.layout.terms, model.of_terms)
     return np.asarray(stops.p_M - smr_positions(model.geometry, q))
@@ -255,7 +255,7 @@ def _at_stops(model: Model, stops: Stops, rows: NDArray[np.intp]) -> JointState:
 def _arm_columns(
     model: Model, geometry: Geometry, state: JointState, out: Array, work: Workspace
 ) -> tuple[Array, Array]:
-    """Computed points (3, n) and their derivatives by the joints (3, N, n); ``out`` takes those by the parameters."""
+    """Return computed points (3, n) and derivatives by the joints (3, N, n); write those by parameters to ``out``."""
     size, joints = model.layout.geometric, model.layout.parameters.joints
     units = [term.offset(state) for term in model.layout.terms]
     angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms, units))
@@ -272,5 +272,5 @@ def _arm_columns(
 
 
 def _block_length(track: Track, count: int, most: int) -> int:
-    """Neighbours that are averaged before the noise is read, in ``most`` blocks."""
+    """Return the number of neighbours to average for the noise estimate, in at most ``most`` blocks."""
     return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), CHUNK)

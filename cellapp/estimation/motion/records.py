@@ -1,4 +1,4 @@
-"""What the fit of recordings found: clocks, geometry, lost motion, errors of held-out blocks, and what is not known."""
+"""Results of a fit of recordings: clocks, geometry, lost motion, errors of held-out blocks, undetermined parameters."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class ClockSegment:
-    """The tracker's clock against the controller's between two steps of either.
+    """The tracker's clock relative to the controller's between two steps of either.
 
-    ``offset_s`` is the tracker's stamp less the controller's of the same instant, at the stamp ``middle_s`` of the
-    recording (steps taken out); ``first_s`` and ``last_s`` are the first and the last of its points.
+    ``offset_s`` is the tracker's timestamp less the controller's at the same instant, at the timestamp ``middle_s`` of
+    the recording (steps removed); ``first_s`` and ``last_s`` are the first and the last of its points.
     """
 
     offset_s: float
@@ -30,26 +30,26 @@ class ClockSegment:
 
 @dataclass(frozen=True)
 class ClockFit:
-    """Clocks of one recording: a point stamped t was measured at controller time
-    ``t - offset_s - 1e-6 rate_ppm (t - middle_s)``.
+    """Clocks of one recording: a point with timestamp t was measured at controller time ``t - offset_s - 1e-6 rate_ppm
+    (t - middle_s)``.
 
     Attributes
     ----------
     offset_s, offset_standard_error_s, offset_interval_s
-        Of the first segment; the interval holds with 95 %.
+        Offset of the first segment; the interval holds with 95 %.
     rate_ppm, rate_standard_error_ppm, rate_interval_ppm
-        Rate of the tracker's clock less that of the controller's, over the latter.
+        Rate of the tracker's clock less that of the controller's, relative to the latter.
     middle_s : float
-        Stamp at which offsets are stated: in the middle of the recording, where offset and rate are independent.
+        Timestamp at which offsets are stated: in the middle of the recording, where offset and rate are independent.
     segments : tuple of ClockSegment
     steps_of_joints, steps_of_points : tuple of ClockStep
         Steps of the controller's and of the tracker's clock.
     regular_joints, regular_points : bool
-        Whether stamps jittered about a regular clock that took their place.
+        Whether the timestamps had jitter about a regular clock and were replaced by it.
     correlation : float
-        Of the speeds, at the start of the fit.
+        Correlation of the speeds at the start of the fit.
     trigger : TriggerCheck or None
-        The offset by pulses of a hardware trigger beside that of the motion.
+        Comparison of the offset from pulses of a hardware trigger with that from the motion.
     """
 
     offset_s: float
@@ -68,7 +68,7 @@ class ClockFit:
     trigger: TriggerCheck | None = None
 
     def offset_at(self, stamp_s: float) -> float:
-        """Tracker's stamp less the controller's [s] at a stamp of the tracker in the first segment."""
+        """Return the tracker's timestamp less the controller's [s] at a tracker's timestamp in the first segment."""
         return self.offset_s + 1e-6 * self.rate_ppm * (stamp_s - self.middle_s)
 
 
@@ -80,19 +80,19 @@ class RecordingFit:
     ----------
     clock : ClockFit
     points, learnt, held_out, gross : int
-        All points; those learnt from; those of held-out blocks; those left out of either as gross errors.
+        Numbers of all points, of training points, of held-out points, and of gross errors left out of either.
     in_gaps : int
-        Points at times at which the joints are not known.
+        Number of points at times without known joint positions.
     effective : float
-        Number of independent points that would tell as much of the parameters.
+        Number of independent points with the same information on the parameters.
     scatter_m : float
         Standard deviation of a coordinate of the residuals [m].
     heldout_mm, heldout_nominal_mm : array, shape (h,)
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
-        For what comes after: the path and the points at the fitted clock.
+        Path and points at the fitted clock, for later steps.
     offsets_s : array, shape (S,)
-        Of the segments, with the mean lag of the joints.
+        Offsets of the segments, including the mean lag of the joints.
     rate : float
     """
 
@@ -118,7 +118,7 @@ class RecordingFit:
 
 @dataclass(frozen=True, eq=False)
 class MotionFit:
-    """One arm identified from recordings of its motion, and from stops where there are any.
+    """One arm identified from recordings of its motion, and from stops if there are any.
 
     Attributes
     ----------
@@ -129,9 +129,9 @@ class MotionFit:
     half_play_standard_error : array, shape (N,)
     recordings : mapping-like dict of RecordingFit
     half_widths : array
-        Of the 95 % intervals in standard errors, for the names of ``identification``.
+        Half widths of the 95 % intervals in standard errors, for the names of ``identification``.
     effective : float
-        Independent points of all recordings together.
+        Number of independent points of all recordings together.
     stops_scatter_m : float or None
         Standard deviation of a coordinate of the stops' residuals.
     undetermined : tuple of str
@@ -159,5 +159,5 @@ class MotionFit:
 
 
 def rms(values: Array) -> float:
-    """Root mean square; NaN of no values."""
+    """Return the root mean square; NaN without values."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

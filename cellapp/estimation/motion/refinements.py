@@ -1,9 +1,9 @@
-"""Parts that refine a law of all joints, with a constant that is not linear, chosen from the residuals of a fit.
+"""Refining parts of a law of all joints, with a non-linear constant chosen from the residuals of a fit.
 
-Play and wind-up change at once where a joint turns round; a part fades with the travel since, over a reach
+Play and wind-up change at once where a joint reverses; a part fades with the travel since, over a reach
 (``joint_path.Fading``). Springs push back in proportion; a part is softer below a knee torque. All constants of all
-kinds are columns of one normal matrix; what each would take from the residuals, beside all that the fit has, is a small
-system.
+kinds are columns of one normal matrix. What each would remove from the residuals beside the present fit is the solution
+of a small system.
 """
 
 from __future__ import annotations
@@ -22,30 +22,31 @@ from cellapp.robot.effects.joint_compliance import SOFTER
 from cellapp.robot.kinematics.transforms import Array
 
 REACHES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Reaches that are tried [rad]: 1.4 to 46 degrees."""
+"""Reaches to try [rad]: 1.4 to 46 degrees."""
 _KINDS = (Fading(1.0, kept=False), Fading(1.0, kept=True), Fading(1.0, kept=False, bell=True))
 _KNEES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Knees that are tried, as shares of the largest torque of the joint in all recordings."""
+"""Knees to try, as shares of the largest torque of the joint in all recordings."""
 _NEARER = (0.025, 0.005)
-"""Steps of the shares that are tried then, about those chosen."""
+"""Steps of the shares in the following finer searches, about those chosen."""
 _STEPS = (-4, -3, -2, -1, 0, 1, 2, 3, 4)
 _MOST_POINTS = 8000
 _OF_ITS_OWN = 9.0
-"""Chi-square that a constant of its own, or a second knee, must gain of a joint: three standard deviations."""
+"""Chi-square that a separate constant, or a second knee, must gain at a joint: three standard deviations."""
 _TORQUES = 1000
-"""Points of each recording whose torques are looked at."""
+"""Points of each recording at which torques are computed."""
 REFINED = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
-"""Laws that have such parts."""
+"""Laws with refining parts."""
 
 
 def alternatives(law: Law) -> int:
-    """Parts that chance may choose from."""
+    """Return the number of alternative parts, for the correction of p-values."""
     return len(_KNEES) ** 2 if law is Law.COMPLIANCE else len(_KINDS) * len(REACHES)
 
 
 def refining_terms(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
-    """The parts of one of the laws ``REFINED`` that take most from the residuals: those of lost motion of one kind with
-    one reach, but for joints that a reach of their own fits surely better; knees of each joint, one or two."""
+    """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
+    and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
+    joint."""
     return _knees(problem, solution) if law is Law.COMPLIANCE else _fading(problem, solution, law)
 
 
@@ -73,7 +74,7 @@ def _fading(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, 
 
 
 def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
-    """The constant at the top of the parabola through a place on a geometric grid and its neighbours."""
+    """Return the constant at the top of the parabola through a point of a geometric grid and its neighbours."""
     if not 0 < place < len(grid) - 1:
         return grid[place]
     less, best, more = gains[place - 1 : place + 2]
@@ -83,7 +84,7 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
 
 
 def _knees(problem: Problem, solution: Solution) -> tuple[JointTerm, ...]:
-    """Knees of all joints: one of each, two where both gain surely; then nearer to where they are best."""
+    """Choose the knees of all joints: one of each, two where both clearly gain; then refine their values."""
     largest = _largest_torques(problem)
     options = [_one_or_two(_KNEES, _KNEES)] * len(largest)
     chosen = _best_shares(problem, solution, largest, options)
@@ -99,7 +100,7 @@ def _knees(problem: Problem, solution: Solution) -> tuple[JointTerm, ...]:
 
 
 def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[float, ...]]:
-    """Each share alone, and each of the first with each larger one of the second."""
+    """Return each share alone, and each of the first with each larger one of the second."""
     alone = sorted({*first, *second})
     return [(one,) for one in alone] + [(one, other) for one in first for other in second if one < other]
 
@@ -107,7 +108,7 @@ def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[f
 def _best_shares(
     problem: Problem, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
 ) -> list[tuple[float, ...]]:
-    """One option of each joint, joint by joint the one with the largest gain beside those of the others."""
+    """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
     keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
     parts = [JointTerm(Law.COMPLIANCE, joint, knee=Knee(share * largest[joint])) for joint, share in keys]
     gains, place = _gains(problem, solution, Law.COMPLIANCE, parts), {key: number for number, key in enumerate(keys)}
@@ -123,7 +124,7 @@ def _best_shares(
 
 
 def _largest_torques(problem: Problem) -> Array:
-    """Largest torque (N,) [Nm] of each joint in all recordings."""
+    """Return the largest torque (N,) [Nm] of each joint in all recordings."""
     largest = np.zeros(problem.layout.parameters.joints)
     for track in problem.tracks:
         stamps = track.path.stamps.time_s
@@ -141,7 +142,7 @@ class _Gains:
     right: Array = field(repr=False)
 
     def chi_square(self, chosen: Sequence[int]) -> float:
-        """What some of the parts take from the residuals."""
+        """Return the chi-square that some of the parts remove from the residuals."""
         right = self.right[chosen]
         return float(right @ solve_psd(self.matrix[np.ix_(chosen, chosen)], right))
 
@@ -150,7 +151,7 @@ def _gains(problem: Problem, solution: Solution, law: Law, parts: Sequence[Joint
     every = of_all_joints(law, problem.layout.parameters.joints)
     plain = [term for term in every if term not in problem.layout.terms]
     at, first = problem.layout.arm, problem.layout.arm + len(plain)
-    # some of the points say which part fits best; the fit with it, and its evidence, are of all
+    # a subset of the points selects the part; the fit with it, and its evidence, use all points
     extended = replace(problem.with_terms((*plain, *parts)), whitening=None)
     sources = [_thinned(source, _MOST_POINTS // len(solution.sources)) for source in solution.sources]
     values = np.insert(solution.values, at, np.zeros(len(plain) + len(parts)))
@@ -165,7 +166,7 @@ def _gains(problem: Problem, solution: Solution, law: Law, parts: Sequence[Joint
 
 
 def _thinned(source: Source, most: int) -> Source:
-    """Some of the rows of a source, each of more weight."""
+    """Return a subset of the rows of a source, each with more weight."""
     each = max(len(source.rows) // max(most, 1), 1)
     relative = None if source.relative is None else source.relative[::each]
     return replace(source, rows=source.rows[::each], worth=source.worth * each, relative=relative)

@@ -1,8 +1,9 @@
-"""Laws of recordings whose parameters are not linear: time constants and vibration of joints.
+"""Laws of recordings with non-linear parameters: time constants and vibration of joints.
 
-Their terms are those at a shape (``terms``); a fit gives new values, and these the next shape. A vibration is looked
-for in the residuals: how much of the answer of a spring of each frequency, on each joint, is in them. Columns and
-residuals pass the filter that whitens the residuals; a spring of one frequency passes it as a tone of that frequency.
+Their terms are linearised at a shape (``terms``); a fit gives new values, which define the next shape. A vibration is
+searched in the residuals: how much they contain of the response of a spring of each frequency, on each joint. Columns
+and residuals pass the filter that whitens the residuals; a spring of one frequency passes it as a tone of that
+frequency.
 """
 
 from __future__ import annotations
@@ -22,40 +23,40 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 FREQUENCIES = np.geomspace(3.0, 40.0, 47)
-"""Natural frequencies that are tried [Hz]: some 6 % apart, as wide as a spring of usual damping answers."""
+"""Natural frequencies to try [Hz]: some 6 % apart, the width of a resonance at usual damping."""
 _DAMPING = 0.06
-"""Where a search begins: arms swing on for some cycles."""
+"""Start value of the damping: arms swing on for some cycles."""
 _CHUNK = 4096
 _SAME = 1e-3
-"""Relative change of a shape below which it is settled."""
+"""Relative change of a shape below which it has settled."""
 _REACH: Mapping[Law | MotionLaw, tuple[tuple[float, float], ...]] = {
     Law.TIME_CONSTANT: ((1e-3, 0.3),),
     Law.VIBRATION: ((1e-7, 1.0), (1.0, 60.0), (3e-3, 0.7)),
 }
-"""Shapes that are followed: time constant [s]; gain [s^2], frequency [Hz], damping."""
+"""Bounds of the shapes: time constant [s]; gain [s^2], frequency [Hz], damping."""
 
 
 def vibration(joint: int, shape: tuple[float, ...]) -> tuple[JointTerm, ...]:
-    """Terms of a vibration of a joint (from 0): gain [s^2], frequency [Hz], share of the critical damping."""
+    """Return the terms of a vibration of a joint (from 0): gain [s^2], frequency [Hz], damping ratio."""
     return tuple(JointTerm(Law.VIBRATION, joint, shape=shape, part=part) for part in range(3))
 
 
 def reshaped(terms: Sequence[JointTerm], values: Sequence[float]) -> tuple[JointTerm, ...]:
-    """The same terms about their ``values``; those without a shape as they are."""
+    """Return the terms linearised at their ``values``; those without a shape unchanged."""
     found, rest = list(terms), dict(zip(terms, values, strict=True))
     for place, term in enumerate(terms):
         if not term.shape:
             continue
         near = [rest[replace(term, part=part)] for part in range(len(term.shape))]
         shape = tuple(float(np.clip(v, *reach)) for v, reach in zip(near, _REACH[term.law], strict=True))
-        # no further than half way at once: far from its shape a term is not what it stands for
+        # at most a factor of two at once: far from its shape the linearisation fails
         shape = tuple(float(np.clip(new, 0.5 * old, 2.0 * old)) for new, old in zip(shape, term.shape))
         found[place] = replace(term, shape=shape)
     return tuple(found)
 
 
 def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
-    """Whether no shape changed."""
+    """Return whether all shapes have settled."""
     pairs = [(new, old) for a, b in zip(terms, before, strict=True) for new, old in zip(a.shape, b.shape)]
     return all(abs(new - old) <= _SAME * abs(old) for new, old in pairs)
 
@@ -63,11 +64,11 @@ def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
 def strongest_vibration(
     problem: Problem, solution: Solution, taken: Sequence[int]
 ) -> tuple[float, tuple[JointTerm, ...]]:
-    """The vibration that is least likely to be chance, of a joint that is not ``taken``: half of its chi-square, and
-    its terms."""
+    """Find the vibration that is least likely to be chance, of a joint that is not ``taken``; return half of its
+    chi-square, and its terms."""
     free = sorted(set(range(problem.layout.parameters.joints)) - set(taken))
     product, square = _matched(problem, solution, free)
-    product, square = np.maximum(product, 0.0), np.maximum(square, 1e-300)  # springs give way, never the other way
+    product, square = np.maximum(product, 0.0), np.maximum(square, 1e-300)  # springs yield to a load, never against it
     power = 0.5 * product**2 / square
     joint, place = np.unravel_index(int(np.argmax(power)), power.shape)
     gain = float(product[joint, place] / square[joint, place])
@@ -75,8 +76,8 @@ def strongest_vibration(
 
 
 def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
-    """Products of residuals and unit answers by joint and frequency (N, F), and of the answers with themselves, in
-    units of the noise; zero for joints that are not ``free``."""
+    """Return the products of residuals and unit responses by joint and frequency (N, F), and of the responses with
+    themselves, in units of the noise; zero for joints that are not ``free``."""
     from scipy.signal import freqz, lfilter  # it loads scipy.stats: not for commands without recordings
 
     joints, model = problem.layout.parameters.joints, problem.model(solution.values)
@@ -85,7 +86,7 @@ def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple
         filtered = np.ones(1) if problem.whitening is None else problem.whitening[number]
         left = lfilter(filtered, [1.0], residuals(model, track, number, source.rows), axis=0)
         scale = 1.0 / max(float(np.mean(left**2)), 1e-300)
-        left = lfilter(filtered, [1.0], left[::-1], axis=0)[::-1]  # columns would pass it: the other way is the same
+        left = lfilter(filtered, [1.0], left[::-1], axis=0)[::-1]  # backwards: as if columns passed it
         _, gain = freqz(filtered, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
         u = track.controller_times(source.rows, *model.clock(number))
         turned, weight = _turned(model.geometry, track.path.at(u)[0], left)
@@ -99,7 +100,7 @@ def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple
 
 
 def _turned(geometry: Geometry, q: Array, left: Array) -> tuple[Array, Array]:
-    """Residuals (n, 3) along what each joint moves, and its square, (n, N) each."""
+    """Return the residuals (n, 3) projected on the motion by each joint, and the square of that motion, (n, N) each."""
     parts: list[tuple[Array, Array]] = []
     for first in range(0, len(q), _CHUNK):
         _, J = joint_jacobian(geometry, JointAngles.of(q[first : first + _CHUNK]))
@@ -110,10 +111,11 @@ def _turned(geometry: Geometry, q: Array, left: Array) -> tuple[Array, Array]:
 
 
 def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, shown: float) -> tuple[JointTerm, ...]:
-    """Time constants of the joints whose acceleration turns them the way that no spring does: ``T^2 qdd / 2`` beside
-    a delay.
+    """Return time constants of the joints that accelerations turn against the sense of a spring.
 
-    ``terms`` are those of ``Law.INERTIA`` with their values [s^2] and standard errors (N,).
+    A lag of time constant T adds ``T^2 qdd / 2`` to a delay.
+
+    ``terms`` are the terms of ``Law.INERTIA`` with their values [s^2] and standard errors (N,).
     """
     which: NDArray[np.intp] = np.flatnonzero(values < -shown * errors)
     return tuple(

@@ -1,9 +1,9 @@
-"""Stamps of a recording read as a clock: repeats, gaps, jitter, and steps of the clock.
+"""Timestamps of a recording read as a clock: repeats, gaps, jitter, and steps of the clock.
 
-A step is a stamp far before the last one, or far after it although the arm moved on by about one sample. Later stamps
-are shifted back so that time runs on, and are a *segment* of their own: the fit gives each segment its own offset.
-Stamps that jitter about a regular clock (arrival times at a host) are replaced by that clock where this makes the path
-smoother: the values themselves tell which of the two is true.
+A step is a timestamp far before the last one, or far after it although the arm moved on by about one sample. Later
+timestamps are shifted so that time continues, and form a *segment* of their own: the fit gives each segment its own
+offset. Timestamps with jitter about a regular clock (arrival times at a host) are replaced by that clock if this makes
+the path smoother: the values themselves show which of the two is true.
 """
 
 from __future__ import annotations
@@ -18,43 +18,43 @@ from numpy.typing import NDArray
 from cellapp.robot.kinematics.transforms import Array
 
 _BACK_PERIODS, _BACK_S = 3.0, 0.02
-"""A stamp earlier by more than both is a step; less is jitter."""
+"""A timestamp earlier by more than both is a step; less is jitter."""
 _AHEAD_PERIODS, _AHEAD_S = 8.0, 0.05
-"""A stamp later by more than both may be a step; the values decide."""
+"""A timestamp later by more than both may be a step; the values decide."""
 _GAP_PERIODS, _GAP_S = 3.5, 0.03
-"""Between samples further apart than both nothing is interpolated."""
+"""Nothing is interpolated between samples further apart than both."""
 _MOVED_PERIODS = 3.0
-"""Motion across a step, in motions of one sample, up to which no sample is missing."""
+"""Motion across a step, in motions of one sample, up to which no sample is taken as missing."""
 _BESIDE_S = 0.03
-"""Time on either side of a step from which the speed there is taken."""
+"""Time on either side of a step for estimating the speed there."""
 _OF_SPREAD = 6.0
-"""Standard errors that the motion of one sample must be above, to tell a step from a gap."""
+"""Standard errors by which the motion of one sample must exceed zero, to distinguish a step from a gap."""
 _PHASE_S = 4.0
-"""Length of stamps that have one phase of a regular clock."""
+"""Duration over which timestamps share one phase of a regular clock."""
 _NEARBY_PERIODS = (
     (1.0 + np.linspace(-0.04, 0.04, 81), 1.0),
     (1.0 + np.linspace(-0.001, 0.001, 21), 4.0),
 )
-"""Periods that stamps may have, in the median step between them, and the length of stamps that tells."""
+"""Candidate periods, relative to the median step of timestamps, and the duration of averaged phases."""
 _OF_PERIOD = 20_000
-"""Stamps that tell the period."""
+"""Number of timestamps for estimating the period."""
 _SMOOTHING_S = 1.0
-"""Length of stamps that are averaged into a regular clock."""
+"""Duration over which timestamps are averaged into a regular clock."""
 _STEADY = 0.01
-"""Mean distance of steps from a period, in periods, up to which stamps are those of a regular clock as they are."""
+"""Mean deviation of steps from a period, in periods, up to which timestamps are already those of a regular clock."""
 _STRIDES = (1, 8)
-"""Neighbours that show jitter, and those that show samples that were counted wrongly."""
+"""Distances of neighbours that show jitter, and that show samples counted wrongly."""
 _MUCH_SMOOTHER = 0.5
-"""Ratio of the path's roughness from which regular stamps are taken in place of those that were recorded."""
+"""Ratio of the path's roughness below which regular timestamps replace the recorded ones."""
 _MOST_POLLED, _MOST_OF_USUAL = 20, 4.0
-"""Times that a device is polled for one value at most; times the usual number that a value stands there by chance."""
+"""Most polls of one value; largest multiple of the usual number for which repeats still count as polls."""
 _STALE = 0.02
-"""Share of samples that repeat the last values while the arm moves, from which they count as polled twice."""
+"""Share of samples that repeat the last values while the arm moves, above which they count as polled twice."""
 
 
 @dataclass(frozen=True)
 class ClockStep:
-    """A clock jumped: after the stamp ``at_s`` (repaired time [s]) it went on ``step_s`` later than it should have."""
+    """A step of a clock: after the timestamp ``at_s`` (repaired time [s]) it continued ``step_s`` too late."""
 
     at_s: float
     step_s: float
@@ -62,25 +62,25 @@ class ClockStep:
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """A clock that runs on.
+    """Timestamps repaired to a continuous clock.
 
     Attributes
     ----------
     rows : array of int, shape (m,)
-        Samples that are kept, of those recorded: the first of each stamp.
+        Indices of the kept samples: the first of each timestamp.
     fresh : array of int
-        Samples without those that were polled twice: all of each stamp.
+        Indices of the samples that were not polled twice: all of each timestamp.
     time_s : array, shape (m,)
-        Their times [s], strictly increasing; those of the first segment as recorded.
+        Times of the kept samples [s], strictly increasing; those of the first segment as recorded.
     segment : array of int, shape (m,)
-        Part between steps of the clock, from 0.
+        Index of the part between steps of the clock, from 0.
     period_s : float
         Median time between samples.
     repeated, gaps : int
-        Stamps that repeat the one before; pauses in which samples are missing.
+        Number of timestamps that repeat the one before; number of pauses with missing samples.
     steps : tuple of ClockStep
     regular : bool
-        Whether stamps jittered about a regular clock, which took their place.
+        Whether the timestamps had jitter about a regular clock and were replaced by it.
     """
 
     rows: NDArray[np.intp] = field(repr=False)
@@ -94,19 +94,19 @@ class Stamps:
     regular: bool
 
     def averaged(self, values: Array) -> Array:
-        """Recorded ``values`` (n, d), averaged over the samples of each stamp, (m, d)."""
+        """Average recorded ``values`` (n, d) over the samples of each timestamp, (m, d)."""
         starts = np.searchsorted(self.fresh, self.rows)
         counts = np.diff(np.append(starts, len(self.fresh)))
         return np.asarray(np.add.reduceat(values[self.fresh], starts, axis=0) / counts[:, None])
 
     @property
     def longest_s(self) -> float:
-        """Time between samples from which nothing is interpolated [s]."""
+        """Time between samples above which nothing is interpolated [s]."""
         return max(_GAP_PERIODS * self.period_s, _GAP_S)
 
 
 def read_stamps(time_s: Array, values: Array) -> Stamps:
-    """Read stamps (n,) [s] of samples ``values`` (n, d): joint positions, or points.
+    """Read timestamps (n,) [s] of samples ``values`` (n, d): joint positions, or points.
 
     Raises
     ------
@@ -138,20 +138,20 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:
-    """Samples without those that repeat the last values while the arm moves: polled before the device had new ones.
+    """Return the indices of samples without those polled before the device had new values, while the arm moves.
 
-    How often each value stands there while the arm moves is one count or a few; a rest is longer.
+    While the arm moves, a value is repeated a usual number of times, one or a few; a rest is longer.
     """
     n = len(values)
     same = np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
     times = np.diff(np.append(np.flatnonzero(~same), n))
-    usual = np.median(times) if len(times) > n // _MOST_POLLED else 1.0  # else it mostly rests
+    usual = np.median(times) if len(times) > n // _MOST_POLLED else 1.0  # else the arm mostly rests
     stale = same & (times <= _MOST_OF_USUAL * usual).repeat(times)
     return np.flatnonzero(~stale) if stale.sum() > _STALE * n else np.arange(n)
 
 
 def _steps(time: Array, values: Array, period: float) -> NDArray[np.bool_]:
-    """Whether the clock jumped after each sample but the last, (n - 1,)."""
+    """Return a mask (n - 1,) of the samples after which the clock jumped."""
     ahead, beside = np.diff(time), int(np.clip(_BESIDE_S / period, 4, 40))
     jump = ahead < -max(_BACK_PERIODS * period, _BACK_S)
     for i in np.flatnonzero(ahead > max(_AHEAD_PERIODS * period, _AHEAD_S)).tolist():
@@ -168,14 +168,14 @@ def _steps(time: Array, values: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _distinct(time: Array, values: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Times, values and rows without those whose stamp repeats the one before."""
+    """Return times, values and rows without repeated timestamps."""
     kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > 0.0]))
     return time[kept], values[kept], kept
 
 
 def _counted(time: Array, period: float) -> Array:
-    """The regular clock about which stamps jitter, of which none is lost: a moving average of stamp less number,
-    between gaps."""
+    """Estimate the regular clock of timestamps with jitter and without losses: a moving average of timestamp minus
+    index, between gaps."""
     regular = time.copy()
     cuts = np.flatnonzero(np.diff(time) > max(3.0 * _GAP_PERIODS * period, 3.0 * _GAP_S)) + 1
     half = max(2, round(_SMOOTHING_S / period / 2.0))
@@ -192,8 +192,8 @@ def _counted(time: Array, period: float) -> Array:
 
 
 def _by_phase(time: Array, period: float) -> Array:
-    """The regular clock about which stamps jitter by less than a period, of which some may be lost: each stamp's number
-    follows from the mean phase of the stamps about it."""
+    """Estimate the regular clock of timestamps with jitter below a period, some of which may be lost: each one's index
+    follows from the mean phase of its neighbours."""
     since, some = time - time[0], time[:_OF_PERIOD] - time[0]
     for near, seconds in _NEARBY_PERIODS:
         period = max(period * near, key=lambda its: float(np.abs(_turns(some, its, seconds)).mean()))
@@ -203,7 +203,7 @@ def _by_phase(time: Array, period: float) -> Array:
 
 
 def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128]:
-    """Mean of the phases of stamps within some seconds, as complex numbers; near length 1 where they are alike."""
+    """Return the mean phase of timestamps within some seconds, as complex numbers of length near 1 if phases agree."""
     turned = np.exp(2j * np.pi * since / period)
     return np.asarray(
         scipy.ndimage.uniform_filter1d(turned, 2 * max(2, round(seconds / period / 2.0)) + 1, mode="nearest")
@@ -211,8 +211,8 @@ def _turns(since: Array, period: float, seconds: float) -> NDArray[np.complex128
 
 
 def _roughness(time: Array, values: Array) -> float:
-    """Rms distance of samples from the cubic through their neighbours, next ones and more distant ones, in units of a
-    sample's motion."""
+    """Return the rms distance of samples from the cubic through their neighbours, next and more distant ones, in units
+    of a sample's motion."""
     time, values, _ = _distinct(time, values)
     if len(time) < 8 * _STRIDES[-1]:
         return np.inf
@@ -221,7 +221,7 @@ def _roughness(time: Array, values: Array) -> float:
 
 
 def _distance_from_cubic(t: Array, x: Array, stride: int, scale: float) -> float:
-    """Rms distance from the cubic through the samples one and two strides before and after."""
+    """Return the rms distance from the cubic through the samples one and two strides before and after."""
     n = len(t) - 4 * stride
     places = [slice(k * stride, k * stride + n) for k in range(5)]
     middle, others = places.pop(2), places

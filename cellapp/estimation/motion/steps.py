@@ -1,4 +1,4 @@
-"""What a search of recordings has found so far: steps, the fit with their terms, and what it says of each law."""
+"""State of a search of recordings: steps, the fit with their terms, and the effects that follow."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from cellapp.robot.effects.joint_compliance import SECOND_KNEE
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
-"""Standard errors from which a joint is named as having an effect that was found."""
+"""Standard errors at which a joint is reported as having an effect."""
 _AS_WELL = 0.5 * SHOWN
-"""The same of a joint beside another that has it clearly."""
+"""Standard errors for a joint beside another one that clearly has the effect."""
 _OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
-"""Laws that all joints of an arm may be expected to have where one has them."""
+"""Laws that all joints of an arm probably have if one has them."""
 LOOK_ALIKES = (Law.PLAY, Law.WINDUP)
-"""Laws that move a joint alike where its load hardly changes."""
+"""Laws that move a joint alike if its load hardly changes."""
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.COMPLIANCE, Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that describe the same effect at stops, without parts that refine them; a lag has none."""
+"""Forms of the laws at rest that describe the same effect, without refining parts; a lag has none."""
 ONLY_MOTION = {
     Law.LAG: "a delay moves nothing at rest",
     Law.TIME_CONSTANT: "a time constant moves nothing at rest",
     Law.INERTIA: "nothing accelerates at rest",
     Law.VIBRATION: "an arm at rest does not swing",
 }
-"""Why stops cannot show a law."""
+"""Reason why stops cannot show a law."""
 _REACHES = {(False, False): REACH, (False, True): BELL, (True, False): LOAD_REACH, (True, True): LOAD_BELL}
-"""Constants of laws at rest: under load or not, as a bell curve or not."""
+"""Constants of laws at rest by (under load, as a bell curve)."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
-"""The same of a law of a plug-in."""
+"""Reason why stops cannot show a law of a plug-in."""
 DENSE = 20
-"""Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
+"""Cycles a turn at which lines are too dense for the few hundred stops of a plan."""
 
 
 @dataclass(frozen=True)
 class MotionEffect:
-    """An effect that recordings show.
+    """An effect found in recordings.
 
     Attributes
     ----------
     slug : str
-        Of the effect; ``tracking_lag`` for the delay of a joint behind the others.
+        Slug of the effect; ``tracking_lag`` for the delay of a joint behind the others.
     names, units : tuple of str
     values, standard_errors : array
         Parameters of the joints that show it.
@@ -64,14 +64,14 @@ class MotionEffect:
     heldout_before_mm, heldout_after_mm : float
         Rms distance of held-out points before and after it entered.
     only_motion : str
-        Why stops cannot show it; empty where they can.
+        Reason why stops cannot show it; empty if they can.
     at_rest : bool
-        Whether it belongs into commands of poses at rest.
+        Whether it applies to commands of poses at rest.
     posterior : float
-        Probability that it is there.
+        Probability that it is present.
     form : str
     constants : mapping
-        Of the law that says the same of stops, if it acts at rest.
+        Form and constants of the equivalent law for stops, if the effect acts at rest.
     """
 
     slug: str
@@ -92,11 +92,11 @@ class MotionEffect:
 
     @property
     def p_value(self) -> float:
-        """Probability of such a statistic by chance, corrected for the alternatives; 1e-300 where it is smaller."""
+        """Probability of such a statistic by chance, corrected for the alternatives; at least 1e-300."""
         return math.exp(max(self.log_p, _LEAST_LOG))
 
     def term(self) -> EffectTerm:
-        """The same as a term of an arm model.
+        """Return the effect as a term of an arm model.
 
         Raises
         ------
@@ -111,8 +111,8 @@ class MotionEffect:
 
 @dataclass(frozen=True)
 class Step:
-    """What entered: its terms, its statistic, the logarithm of the probability of one as large by chance, and held-out
-    errors before and after; ``rival``, the logarithm of that of the best law that looks like it."""
+    """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
+    before and after; ``rival`` is the log probability of the best look-alike law."""
 
     law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
@@ -125,7 +125,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Problem with the terms so far, its solution, and the held-out error."""
+    """Problem with the present terms, its solution, and the held-out error."""
 
     problem: Problem
     solution: Solution
@@ -133,13 +133,13 @@ class State:
 
 
 def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
-    """Whether a law entered; one of a plug-in with any values of its tuned parameters."""
+    """Return whether a law entered; a law of a plug-in with any values of its tuned parameters."""
     return any(step.law.value == law.value for step in steps)
 
 
 def log_chance(statistic: float, parameters: int, tried: int) -> float:
-    """Logarithm of the probability of a chi-square as large as this by chance, in the best of the alternatives that
-    were ``tried``; where that is too small for a number, by the first terms of its series for large ones."""
+    """Return the log probability of a chi-square at least this large by chance, in the best of ``tried`` alternatives.
+    If it underflows, use the first terms of the asymptotic series."""
     probability = float(scipy.special.chdtrc(parameters, statistic))
     if probability > 0.0:
         return min(0.0, math.log(probability) + math.log(tried))
@@ -148,7 +148,7 @@ def log_chance(statistic: float, parameters: int, tried: int) -> float:
 
 
 def with_step(steps: Sequence[Step], step: Step) -> list[Step]:
-    """Steps with one more; further terms of a law that entered before join its step, but for lines and vibrations."""
+    """Add a step; further terms of a law that entered before join its step, except for lines and vibrations."""
     if step.law in (Law.LINE, Law.VIBRATION) or not has(steps, step.law):
         return [*steps, step]
     return [
@@ -164,21 +164,21 @@ def terms_of(law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ..
 
 
 def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
-    """Terms that are zero where there is no effect: all but frequencies and dampings."""
+    """Return the terms that are zero without an effect: all but frequencies and dampings."""
     return [term for term in terms if not term.part]
 
 
 def _with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTerm, float]]:
-    """Terms of one law, each with its value."""
+    """Return the terms of one law with their values."""
     if not terms:
         return []
     laws = [term for term in state.problem.layout.terms if term.law is terms[0].law]
-    values = dict(zip(laws, values_of(state, laws)[0].tolist(), strict=True))  # lags less the mean of all
+    values = dict(zip(laws, values_of(state, laws)[0].tolist(), strict=True))  # lags relative to the mean of all
     return [(term, values[term]) for term in terms]
 
 
 def started(state: State, terms: Sequence[JointTerm]) -> Array:
-    """Values with those of terms that have a shape at it."""
+    """Return the values, with shaped terms set to their shape."""
     values, first = state.solution.values.copy(), state.problem.layout.geometric
     for place, term in enumerate(terms, start=first):
         if term.shape:
@@ -187,9 +187,9 @@ def started(state: State, terms: Sequence[JointTerm]) -> Array:
 
 
 def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
-    """Terms of the joints that show a law; springs that push back are none. A part that refines a law counts with the
-    plain part of its joint. Where a joint shows a law that acts at rest, others have it from half as many standard
-    errors on, with its usual sign: the law is known by then, and commands without them would err by more."""
+    """Return the terms of the joints that show a law; springs of the wrong sign do not count. A refining part counts
+    with the plain part of its joint. If one joint shows a law of gears, other joints with the usual sign need half as
+    many standard errors: the law is known by then, and commands without these terms would have larger errors."""
     terms = terms_of(law, steps)
     if not terms:
         return ()
@@ -215,7 +215,7 @@ def places_of(state: State, terms: Sequence[JointTerm]) -> list[int]:
 
 
 def values_of(state: State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
-    """Values of some terms and their covariance; lags less their mean."""
+    """Return the values of some terms and their covariance; lags relative to their mean."""
     places = places_of(state, terms)
     values = state.solution.values[places]
     covariance = state.solution.noise.covariance[np.ix_(places, places)]
@@ -226,16 +226,16 @@ def values_of(state: State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
 
 
 def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
-    """Chi-square of some terms."""
+    """Return the chi-square of some terms."""
     values, covariance = values_of(state, tested(terms))
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
 def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
-    """The effects of all laws that entered and that some joint shows, with the terms of their parameters.
+    """Return the effects of all laws that entered and that some joint shows, with the terms of their parameters.
 
-    Beside wind-up that some joint shows, play is the dry part of friction, and two cycles beside more than three times
-    as much of one are of the same disc: the arm shows one cause, not two.
+    Two laws with one cause give one effect: play beside wind-up is the dry part of friction; two cycles beside more
+    than three times as much of one cycle are of the same disc.
     """
     groups = {law: {law: shown(state, law, steps)} for law in dict.fromkeys(step.law for step in steps)}
     if groups.get(Law.WINDUP, {}).get(Law.WINDUP) and Law.PLAY in groups:
@@ -249,7 +249,7 @@ def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, 
 
 
 def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequence[JointTerm]) -> tuple[JointTerm, ...]:
-    """Lines of two cycles that are less than a third of one cycle of the same joint."""
+    """Return lines of two cycles that are less than a third of one cycle of the same joint."""
     size = dict[tuple[int, int], float]()
     for term, value in [*_with_values(state, one_cycle), *_with_values(state, lines)]:
         size[term.joint, term.cycles] = math.hypot(size.get((term.joint, term.cycles), 0.0), value)
@@ -260,7 +260,7 @@ def _of_tilted_discs(state: State, one_cycle: Sequence[JointTerm], lines: Sequen
 def _effect_of(
     state: State, group: Mapping[Law | MotionLaw, tuple[JointTerm, ...]], steps: Sequence[Step]
 ) -> tuple[MotionEffect, tuple[JointTerm, ...]]:
-    """The effect of the first law of a group of laws with their terms, to which the others belong."""
+    """Return the effect of the first law of a group, to which the other laws belong, and its terms."""
     law, *others = (one for one, its in group.items() if its)
     terms, values, errors = list[JointTerm](), list[float](), list[float]()
     for one in (law, *others):
@@ -297,7 +297,7 @@ def _effect_of(
 
 
 def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
-    """Constants of the law at rest: reaches of lost motion, knees of springs."""
+    """Return the constants of the law at rest: reaches of lost motion, knees of springs."""
     reaches = {
         _REACHES[term.law is Law.WINDUP, term.fading.bell].key(term.joint): term.fading.reach
         for term in terms
@@ -307,7 +307,7 @@ def _constants(terms: Sequence[JointTerm]) -> dict[str, float]:
 
 
 def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law | MotionLaw]) -> str:
-    """The form of the effect's law that describes the same at stops; empty where none does."""
+    """Return the form of the effect's law that describes the same at stops; empty if there is none."""
     if any(term.fading for term in terms):
         return "gradual"
     if knees := [term.knee for term in terms if term.knee]:
@@ -318,8 +318,8 @@ def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], others: Sequence[Law
 
 
 def beside_others(state: State, step: Step) -> Step:
-    """The step with the evidence that its terms have beside all others, which may be more than when it entered: until
-    then what others explain passed for noise."""
+    """Return the step with the evidence of its terms beside all others. It may be larger than when the step entered:
+    until then, effects of the others counted as noise."""
     parameters = len(tested(step.terms))
     statistic = statistic_of(state, step.terms)
     more = log_chance(statistic, parameters, 1) - log_chance(step.statistic, parameters, 1)
@@ -327,13 +327,13 @@ def beside_others(state: State, step: Step) -> Step:
 
 
 def is_improbable(state: State, step: Step) -> bool:
-    """Whether what entered is rather not there."""
+    """Return whether a step is more probably absent than present."""
     return _probability(state, step.statistic, len(tested(step.terms)), step.log_p) < 0.5
 
 
 def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
-    """Probability of a law against the one that looks like it, at even odds, by what either would explain; 1 where both
-    entered, or nothing looks like it."""
+    """Return the probability of a law against its look-alike, at even prior odds, by the evidence of either; 1 if both
+    entered or there is no look-alike."""
     if law not in LOOK_ALIKES or all(has(steps, one) for one in LOOK_ALIKES):
         return 1.0
     first = next(step for step in steps if step.law is law)
@@ -341,8 +341,8 @@ def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
 
 
 def _probability(state: State, statistic: float, parameters: int, log_p: float) -> float:
-    """Probability that terms with this chi-square are there: by the Bayesian information criterion, at even odds, the
-    alternatives counted as in the p-value."""
+    """Return the probability that terms with this chi-square are present, by the Bayesian information criterion at even
+    odds, corrected for alternatives as the p-value is."""
     points = sum(min(1.0, source.worth) * len(source.rows) for source in state.solution.sources)
     tried = max(log_p - log_chance(statistic, parameters, 1), 0.0)
     return float(scipy.special.expit(0.5 * (statistic - parameters * math.log(max(points, 2.0))) - tried))

@@ -1,6 +1,6 @@
-"""Recordings of motion: samples of the joints and points of the tracker, each with the stamps of its own device.
+"""Recordings of motion: samples of the joints and points of the tracker, each with the timestamps of its own device.
 
-Stamps are kept as the device gave them: irregular, repeated, with gaps and with steps of the clock.
+Timestamps are kept as the device gave them: irregular, repeated, with gaps and with steps of the clock.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class JointStream:
     Attributes
     ----------
     time_s : array, shape (n,)
-        Stamps of the controller's clock [s].
+        Timestamps of the controller's clock [s].
     q : array, shape (n, N)
         Joint positions [rad].
     qd : array, shape (n, N), or None
@@ -30,9 +30,9 @@ class JointStream:
     joint_temperature : array, shape (n, N), or None
         Joint temperatures [degC].
     other_q : array, shape (n, K), or None
-        Joint positions of the other arm of the cell, where it moved meanwhile [rad].
+        Joint positions of the other arm of the cell, if it moved meanwhile [rad].
     triggers_s : array, shape (k,)
-        Stamps of samples in which a pulse to the tracker began [s].
+        Timestamps of samples in which a pulse to the tracker began [s].
 
     Raises
     ------
@@ -79,7 +79,7 @@ class PointStream:
     Attributes
     ----------
     time_s : array, shape (m,)
-        Stamps of the tracker's clock [s].
+        Timestamps of the tracker's clock [s].
     p_M : array, shape (m, 3)
         SMR centre in the tracker frame [m].
     sigma_m : array, shape (m,), or None
@@ -87,9 +87,9 @@ class PointStream:
     quaternion : array, shape (m, 4), or None
         Orientation of the probe's frame S in M, scalar first.
     held_out : array of bool, shape (m,), or None
-        Points that no fit may use (`split` validate); None where the file does not say.
+        Mask of points that no fit may use (`split` validate); None if the file does not state it.
     triggers_s : array, shape (k,)
-        Stamps of pulses at the tracker's trigger input [s].
+        Timestamps of pulses at the tracker's trigger input [s].
 
     Raises
     ------
@@ -120,7 +120,7 @@ class PointStream:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """What one arm's controller and the tracker recorded during one motion."""
+    """Data of one arm's controller and of the tracker during one motion."""
 
     name: str
     arm: str

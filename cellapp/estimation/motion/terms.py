@@ -1,4 +1,4 @@
-"""Laws of joints in motion: offsets of a joint that follow from its path, linear in one parameter each.
+"""Laws of joints in motion: joint offsets that depend on the path, each linear in one parameter.
 
     play       dq_j = -h_j d_j            d the direction with history (play operator): backlash
     wind-up    dq_j = -w_j d_j |tau_j|    friction that grows with the load
@@ -14,10 +14,10 @@
     time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``responses``)
     vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
 
-The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags
-and the last three serve motion only, as do laws of speeds of plug-ins; the others serve commands at rest as well. What
-only motion can show: these, the part of inertia in a compliance, and lines that are denser than stops can sample. Time
-constants, frequencies and dampings are not linear: their terms are those at a shape, about which a fit is repeated.
+The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags,
+the last three laws, and laws of plug-ins that depend on speeds serve motion only; the others serve commands at rest as
+well. Only motion can show these, the part of inertia in a compliance, and lines that are denser than stops can sample.
+Time constants, frequencies and dampings are not linear: their terms are linearised at a shape, and the fit is repeated.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
 CHUNK = 2048
-"""Times of a recording that are computed at once: memory does not grow with their number."""
+"""Batch size of times of a recording: memory does not grow with their number."""
 _OWN_INERTIA = 0.02
-"""Of a joint's own link about its axis [kg m^2], which point masses on the axis do not have."""
+"""Inertia of a joint's own link about its axis [kg m^2], which point masses on the axis lack."""
 
 
 class Law(Enum):
-    """A law of one joint; the value is the slug of the effect that it belongs to."""
+    """Law of one joint; the value is the slug of its effect."""
 
     PLAY = "backlash"
     WINDUP = "friction_windup"
@@ -80,18 +80,17 @@ _SD = {
     Law.INERTIA: 1e-3,
     Law.TIME_CONSTANT: 3e-2,
 }
-"""Prior standard deviations, several times what arms of this kind have (handbook, chapter "effects")."""
+"""Prior standard deviations, several times the values of arms of this kind (handbook, chapter "effects")."""
 _SIDE_SD = 3e-5
-"""The same of what modulates a line: part of its amplitude [rad]."""
+"""Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
-"""Parameters of a vibration with their units: deflection by acceleration, natural frequency, share of the critical
-damping."""
+"""Parameters of a vibration with their units: deflection per acceleration, natural frequency, damping ratio."""
 _GAIN_SD, _SHAPE_SD = 1e-3, 0.5
-"""Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; of frequency and damping, relative."""
+"""Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; relative ones of frequency and damping."""
 
 
 def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
-    """The parameters of a law that has some at every joint, but for lines and shaped ones."""
+    """Return the parameters of a law at all joints, except for lines and shaped laws."""
     names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
     if law is Law.ONE_CYCLE:
         return tuple(JointTerm(law, joint, 1, sine) for joint in range(joints) for sine in (False, True))
@@ -100,7 +99,7 @@ def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
 
 @dataclass(frozen=True)
 class Knee:
-    """Torque [Nm] below which a joint is softer, and the constant of the law at rest that it is: one of ``SOFTER``."""
+    """Torque [Nm] below which a joint is softer, and the constant of the law at rest, one of ``SOFTER``."""
 
     torque: float
     constant: Constant = KNEE
@@ -108,9 +107,9 @@ class Knee:
 
 @dataclass(frozen=True)
 class JointTerm:
-    """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines; ``shape`` about
-    which a time constant [s], or gain [s^2], frequency [Hz] and damping of a vibration lie, of which it is number
-    ``part``."""
+    """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines. ``shape`` is the
+    point of linearisation: a time constant [s], or gain [s^2], frequency [Hz] and damping ratio of a vibration.
+    ``part`` is the index of the parameter in it."""
 
     law: Law | MotionLaw
     joint: int
@@ -119,27 +118,27 @@ class JointTerm:
     shape: tuple[float, ...] = ()
     part: int = 0
     parameter: str = ""
-    """Its name in a law of a plug-in."""
+    """Name of the parameter in a law of a plug-in."""
     fading: Fading | None = None
-    """Of a part of play or wind-up that fades with the travel since the joint turned round."""
+    """Set for a part of play or wind-up that fades with the travel since the joint reversed."""
     knee: Knee | None = None
-    """Of a part of a compliance."""
+    """Set for a part of a compliance."""
     side: int = 0
-    """-1 or 1 of a line of the count below or above that of another line, whose amplitude changes with the joint."""
+    """-1 or 1 for a line at the count below or above another line, whose amplitude changes with the joint."""
 
     @property
     def refines(self) -> bool:
-        """Whether it is a part beside the plain law of its joint."""
+        """Whether it is a refining part beside the plain law of its joint."""
         return self.fading is not None or self.knee is not None or self.side != 0
 
     @property
     def place(self) -> tuple[int, int]:
-        """Joint, and cycles a turn of the line that it is or belongs to: terms of one place show a law together."""
+        """Joint, and cycles a turn of the line that it is or belongs to: terms with the same place form one law."""
         return self.joint, self.cycles - self.side
 
     @property
     def name(self) -> str:
-        """Name of the parameter, as the effects name theirs."""
+        """Name of the parameter, as in the library of effects."""
         number = self.joint + 1
         if isinstance(self.law, MotionLaw):
             return f"{self.parameter}{number}"
@@ -166,12 +165,12 @@ class JointTerm:
 
     @property
     def start(self) -> float:
-        """Value at which a fit begins."""
+        """Start value of a fit."""
         return self.shape[self.part] if self.shape else 0.0
 
     @property
     def prior_mean(self) -> float:
-        """Centre of its prior: the shape of a frequency or a damping, no effect of all others."""
+        """Mean of its prior: the shape for a frequency or a damping, zero for all others."""
         return self.start if self.part else 0.0
 
     @property
@@ -189,7 +188,7 @@ class JointTerm:
         return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in (Law.WINDUP, Law.COMPLIANCE)
 
     def offset(self, state: JointState) -> Array:
-        """Offset of the joint (n,) per unit of the parameter [rad]."""
+        """Return the offset of the joint (n,) per unit of the parameter [rad]."""
         j = self.joint
         if isinstance(self.law, MotionLaw):
             return self.law.offset(self.parameter, j, state.quantity)
@@ -208,8 +207,8 @@ class JointTerm:
         return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
 
     def turned(self, state: JointState, value: float, unit: Array) -> Array:
-        """Offset of the joint (n,) for a value of the parameter [rad], ``unit`` (n,) being its ``offset``; of shaped
-        terms, with what the shape gives."""
+        """Return the offset of the joint (n,) for a value of the parameter [rad], where ``unit`` (n,) is its
+        ``offset``; for shaped terms including the offset at the shape."""
         if self.law is Law.TIME_CONSTANT and state.course is not None:
             path, time_s = state.course
             at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
@@ -219,7 +218,7 @@ class JointTerm:
         return np.asarray(value * unit)
 
     def _of_course(self, state: JointState) -> Array:
-        """The same of laws that depend on the whole course of a motion."""
+        """Return ``offset`` for laws that depend on the whole course of a motion."""
         if state.course is None:
             return np.zeros(len(state.q))
         (path, time_s), j = state.course, self.joint
@@ -232,8 +231,8 @@ class JointTerm:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N); in motion the path
-    and the times (n,) on it; at rest the last motions (n, N) [rad], where they are known."""
+    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N). In motion also the
+    path and the times (n,) on it; at rest the last motions (n, N) [rad] if known."""
 
     q: Array
     qd: Array
@@ -243,8 +242,8 @@ class JointState:
     step: Array | None = None
 
     def left(self, joint: int, fading: Fading) -> Array:
-        """What a joint has not taken up yet of its lost motion (n,), against its direction; at rest as if it had come
-        from the middle, as what it had taken up before its last motion is not known."""
+        """Return the lost motion (n,) that a joint has not yet taken up, against its direction. At rest it is computed
+        as if starting from the middle, as the state before the last motion is unknown."""
         if self.course is not None:
             return self.course[0].fading_at(self._samples, self.q[:, joint], joint, fading)
         if self.step is None:
@@ -255,7 +254,7 @@ class JointState:
 
     @cached_property
     def _samples(self) -> NDArray[np.intp]:
-        """The last samples (n,) of the path."""
+        """Indices (n,) of the last samples of the path."""
         assert self.course is not None
         path, time_s = self.course
         return path.samples_at(time_s)
@@ -269,13 +268,13 @@ class JointState:
         return rows_at(time_s, path.even.time_s, path.even.qdd)
 
     def quantity(self, name: str) -> Array:
-        """What laws of plug-ins take, (n, N), by their name for it."""
+        """Return a quantity (n, N) for laws of plug-ins, by its name there."""
         if name == "qdd":
             return self.qdd
         return {"q": self.q, "qd": self.qd, "tau": self.torque, "approach": self.direction}[name]
 
     def offsets(self, terms: tuple[JointTerm, ...], values: Array, units: Sequence[Array] | None = None) -> Array:
-        """Sum of the offsets of all terms (n, N) [rad]; ``units`` are their offsets per unit, where they are known."""
+        """Return the sum of the offsets of all terms (n, N) [rad]; ``units`` are their offsets per unit, if known."""
         total = np.zeros_like(self.q)
         for number, (term, value) in enumerate(zip(terms, values.tolist(), strict=True)):
             if value:
@@ -286,15 +285,15 @@ class JointState:
 
 @dataclass(frozen=True, eq=False)
 class Masses:
-    """What loads need: the chain with a base near the truth, its bodies, and up in the tracker frame."""
+    """Data for loads: the chain with an approximate base, its bodies, and up in the tracker frame."""
 
     geometry: Geometry
     bodies: Bodies
     up_M: Array
 
     def matrix(self, q: Array) -> Array:
-        """Mass matrix (n, N, N) [kg m^2] of point masses at ``q`` (n, N): ``sum_k m_k (z_i x r_ik) . (z_j x r_jk)``
-        over the masses beyond both joints."""
+        """Return the mass matrix (n, N, N) [kg m^2] of point masses at ``q`` (n, N): ``sum_k m_k (z_i x r_ik) . (z_j x
+        r_jk)`` over the masses beyond both joints."""
         loads, joints = gravity_loads(frame_poses(self.geometry, q), self.bodies, self.up_M), q.shape[1]
         levers = loads.centers[None] - loads.origins[:-1, None]
         moved = np.cross(loads.rotations[:-1, None, :, :, 2], levers)  # (joint, mass, n, 3)
@@ -303,7 +302,7 @@ class Masses:
 
 
 def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
-    """State of the joints at times (n,) of the controller [s]."""
+    """Return the state of the joints at times (n,) of the controller [s]."""
     q, qd = path.at(time_s)
     torque = np.zeros_like(q)
     if torques and masses is not None:
@@ -314,13 +313,13 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
 
 
 def _in_chunks(path: JointPath, time_s: Array, masses: Masses) -> Array:
-    """``torques_in_motion`` at many times."""
+    """Compute ``torques_in_motion`` at many times, in chunks."""
     parts = np.array_split(time_s, -(-len(time_s) // CHUNK))
     return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array | None = None) -> JointState:
-    """State of joints at rest after a motion in ``direction`` (n, N), by ``step`` (n, N) [rad], where that is known."""
+    """Return the state of joints at rest after a motion in ``direction`` (n, N), by ``step`` (n, N) [rad] if known."""
     torque = np.zeros_like(q)
     if masses is not None:
         torque = gravity_loads(frame_poses(masses.geometry, q), masses.bodies, masses.up_M).joint_torques()
@@ -328,7 +327,7 @@ def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array
 
 
 def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
-    """Torque of gravity and inertia of all masses about each joint axis (n, N) [Nm], positive in its direction."""
+    """Return the torque of gravity and inertia of all masses about each joint axis (n, N) [Nm], positive along it."""
     now = gravity_loads(frame_poses(masses.geometry, path.at(time_s)[0]), masses.bodies, masses.up_M)
     before, after = (
         gravity_loads(frame_poses(masses.geometry, path.at(time_s + step)[0]), masses.bodies, masses.up_M).centers
@@ -346,21 +345,21 @@ def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointLaws:
-    """Laws of an arm's joints, each with its value: those that act at rest, and those of motion only."""
+    """Laws of an arm's joints with their values: those that act at rest, and those of motion only."""
 
     at_rest: tuple[tuple[JointTerm, float], ...]
     moving: tuple[tuple[JointTerm, float], ...]
     masses: Masses | None
 
     def joints_at_rest(self, path: JointPath, time_s: Array) -> Array:
-        """Joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]: without what
-        only motion has."""
+        """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
+        without the laws of motion only."""
         state = state_in_motion(path, time_s, None, torques=False)
         return state.q + state.offsets(*_apart(self.moving))
 
     def joints_with_history(self, path: JointPath, time_s: Array) -> Array:
-        """The same with what the laws at rest have in motion beyond rest, where they know the last motion of each
-        joint only: what the turns before it left, and the torque of accelerations."""
+        """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
+        reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
         terms, values = _apart(self.at_rest)
         torques = any(term.needs_torques for term in terms)
         q = self.joints_at_rest(path, time_s)

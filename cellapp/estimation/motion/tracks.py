@@ -1,4 +1,4 @@
-"""A recording made ready for the fit: joint path, points in order, segments of the clocks, held-out blocks, start."""
+"""Preparation of a recording for the fit: joint path, points, clock segments, held-out blocks, start."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from cellapp.robot.kinematics.transforms import Array
 
 _HELD_OUT_SHARE = 0.2
 _BLOCKS = 25
-"""Blocks of time into which a recording is cut; a share of them is held out."""
+"""Number of blocks of time of a recording; a share of them is held out."""
 _SHORTEST_BLOCK_S = 2.0
 _GUARD_S = 0.3
-"""Neither learnt from nor held out on either side of a drawn block: neighbours there are alike."""
+"""Guard time beside a held-out block; points in it are neither training nor held out, as neighbours are alike."""
 _BESIDE_STEP_S = 0.1
-"""Points this near to a step of the controller's clock are left out: which side they belong to is not known."""
+"""Points this near to a step of the controller's clock are left out: their segment is unknown."""
 _SEGMENT_S = 5.0
-"""Segments that last longer get a start of their own where that of the recording does not fit."""
+"""Duration above which a segment gets a start of its own if that of the recording does not fit."""
 _BAD_START = 5.0
-"""Ratio of median distances from the nominal arm from which a segment does not fit."""
+"""Ratio of median distances from the nominal arm above which a segment does not fit."""
 _MOST_SEGMENTS = 40
 _FEWEST_OF_SEGMENT = 20
-"""Points to learn the offset of a segment from, below which its held-out points judge nothing."""
+"""Least training points for the offset of a segment; with fewer, its held-out points are not used."""
 _SPIKE_M = 0.01
-"""Distance of a point from the median of its neighbours from which the start does not use it."""
+"""Distance of a point from the median of its neighbours above which the start does not use it."""
 _ABSURD_M = 0.05
-"""Median distance of the points from the nominal arm from which files must be mistaken."""
+"""Median distance of the points from the nominal arm above which the files must be wrong."""
 _SEED = 0xB10C
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One recording, ready.
+    """One recording, prepared for the fit.
 
     Attributes
     ----------
@@ -51,20 +51,20 @@ class Track:
     stamps : Stamps
         Of the points.
     time_s : array, shape (m,)
-        The points' times by the tracker's clock, without its steps [s].
+        Times of the points by the tracker's clock, without its steps [s].
     p_M : array, shape (m, 3)
     sigma_m : array, shape (m,), or None
     segment : array of int, shape (m,)
-        Part between steps of either clock.
+        Index of the part between steps of either clock.
     offsets_s : array, shape (S,)
-        Start: tracker's stamps less those of the controller, by segment.
+        Start values: tracker's timestamps less those of the controller, by segment.
     middle_s : float
-        Stamp at which offsets are stated.
+        Timestamp at which offsets are stated.
     learnt, held_out : array of bool, shape (m,)
-        Points that the fit may use, and those that judge it; points in gaps are neither.
+        Masks of training points and of held-out points; points in gaps are neither.
     start : ClockStart
     trigger : TriggeredClock or None
-        The offset by pulses of a hardware trigger at ``middle_s``.
+        Offset from pulses of a hardware trigger at ``middle_s``.
     """
 
     name: str
@@ -82,13 +82,13 @@ class Track:
     trigger: TriggeredClock | None = field(default=None, repr=False)
 
     def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
-        """Times of some points by the controller's clock [s]."""
+        """Return the times of some points by the controller's clock [s]."""
         t = self.time_s[rows]
         return np.asarray(t - offsets_s[self.segment[rows]] - rate * (t - self.middle_s))
 
 
 def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, seed: int) -> Track:
-    """Make a recording ready; ``nominal`` is the chain with its tool, its base is not used.
+    """Prepare a recording; ``nominal`` is the chain with its tool, its base is not used.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
 def _segments(
     path: JointPath, stamps: Stamps, controller_s: Array, where: str
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Segment of each point between steps of either clock, and which points lie beside a step of the controller's."""
+    """Return the segment of each point between steps of either clock, and a mask of points near controller steps."""
     of_joints = path.segment_at(controller_s)
     _, segment = np.unique(stamps.segment * (int(of_joints.max()) + 1) + of_joints, return_inverse=True)
     segment = segment.astype(np.intp)
@@ -166,7 +166,7 @@ def _segments(
 def _with_segment_starts(
     track: Track, usual: NDArray[np.bool_], nominal: Geometry, tool_unknown: bool, where: str
 ) -> Track:
-    """Segments that do not fit at the recording's delay get their own: samples were lost when the clock jumped."""
+    """Give segments that do not fit at the recording's delay their own start: samples were lost at a step."""
     offsets = track.offsets_s.copy()
     if len(offsets) == 1:
         return track
@@ -185,8 +185,8 @@ def _with_segment_starts(
 
 
 def _drawn(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Points in the blocks of time that the seed holds out, and those beside such a block; of the time between the
-    first and the last point at which the joints are ``known``."""
+    """Return masks of the points in randomly held-out blocks of time, and of those beside such a block. The blocks
+    divide the time between the first and the last point at which the joints are ``known``."""
     first, last = time[known][[0, -1]] if known.any() else time[[0, -1]]
     length = max(_SHORTEST_BLOCK_S, (last - first) / _BLOCKS)
     count = max(1, math.ceil((last - first) / length))

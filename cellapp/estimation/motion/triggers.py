@@ -1,8 +1,8 @@
-"""Pulses of a hardware trigger: stamped by the controller that gave them and by the tracker that got them.
+"""Pulses of a hardware trigger, timestamped by the controller that sends them and by the tracker that receives them.
 
-A controller stamps the control cycle in which its output rose; when in it, is not known. The tracker's stamps are good
-to microseconds. So pulses tell the offset to a cycle, and tell apart delays at which a motion that repeats fits alike;
-the motion itself tells it better, and the pulses check it.
+A controller timestamps the control cycle in which its output rose, but not the time within it. The tracker's timestamps
+are accurate to microseconds. So pulses give the offset to within a cycle, and select among delays that a repeating
+motion fits alike. The motion itself determines the offset better; the pulses check it.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from cellapp.robot.kinematics.transforms import Array
 
 _FEWEST = 3
 _ALIKE_S = 0.012
-"""Differences of stamps this near belong to the same delay."""
+"""Tolerance within which differences of timestamps belong to the same delay."""
 _MOST_PPM = 200.0
 _RATE_FROM_S = 30.0
-"""Pulses this far apart tell the rate as well."""
+"""Time span above which pulses determine the rate as well."""
 _SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class TriggeredClock:
-    """Offset of the tracker's stamps against the controller's by some pulses, and its standard error [s]."""
+    """Offset of the tracker's timestamps from the controller's by some pulses, and its standard error [s]."""
 
     offset_s: float
     standard_error_s: float
@@ -34,7 +34,7 @@ class TriggeredClock:
 
 @dataclass(frozen=True)
 class TriggerCheck:
-    """The offset by the trigger beside that of the motion: ``difference_s`` is the motion's less the trigger's."""
+    """Offset by the trigger compared with that of the motion: ``difference_s`` is the motion's less the trigger's."""
 
     offset_s: float
     standard_error_s: float
@@ -44,9 +44,9 @@ class TriggerCheck:
 
 
 def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s: float) -> TriggeredClock | None:
-    """The offset at the tracker's stamp ``at_s`` by pulses (k,) and (l,), some of which may be missing on either side.
+    """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,), some of them missing.
 
-    ``period_s`` is the controller's cycle. None where too few pulses belong together.
+    ``period_s`` is the controller's cycle. None if too few pulses match.
     """
     pairs = _pairs(np.sort(controller_s), np.sort(tracker_s))
     if pairs is None:
@@ -61,7 +61,7 @@ def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s
 
 
 def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: float) -> TriggerCheck | None:
-    """Compare with the offset of the motion at the same stamp."""
+    """Compare with the offset of the motion at the same timestamp; None without a trigger."""
     if trigger is None:
         return None
     difference_s = offset_s - trigger.offset_s
@@ -72,7 +72,7 @@ def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: f
 
 
 def _pairs(controller_s: Array, tracker_s: Array) -> tuple[Array, Array] | None:
-    """Stamps of the tracker (n,) and their differences from the controller's (n,), of pulses that belong together."""
+    """Return the tracker's timestamps (n,) and their differences from the controller's (n,) of matching pulses."""
     if min(len(controller_s), len(tracker_s)) < _FEWEST:
         return None
     differences = tracker_s[:, None] - controller_s[None, :]
@@ -83,7 +83,7 @@ def _pairs(controller_s: Array, tracker_s: Array) -> tuple[Array, Array] | None:
     first = ordered[int(np.argmax(count))]
     there = (differences >= first - 1e-12) & (differences <= first + within_s)
     away = np.where(there, np.abs(differences - np.median(differences[there])), np.inf)
-    rows, columns = np.arange(len(away)), np.argmin(away, axis=1)  # the nearest one of each, and that of no other
+    rows, columns = np.arange(len(away)), np.argmin(away, axis=1)  # mutual nearest neighbours only
     own = np.isfinite(away[rows, columns]) & (np.argmin(away, axis=0)[columns] == rows)
     rows, columns = rows[own], columns[own]
     return None if len(rows) < _FEWEST else (tracker_s[rows], differences[rows, columns])

@@ -1,8 +1,8 @@
-"""What an earlier calibration says of an arm: a normal distribution of the arm's own parameters.
+"""Prior knowledge of an arm from an earlier calibration: a normal distribution of the arm's own parameters.
 
-The arm's own are the D-H rows and the effects that declare themselves ``arm_bound``. Base, tool and effects of the day
-are integrated out: what the earlier readings cannot tell from a pose of the base or of the SMR (the zeros of the first
-and of the last joint) is then left to the priors that it had before.
+The arm's own parameters are the D-H rows and the effects that declare themselves ``arm_bound``. Base, tool and other
+effects are integrated out. What the earlier readings cannot distinguish from a pose of the base or of the SMR (the
+zeros of the first and of the last joint) then keeps its original priors.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
 
 _TYPICAL_COUNT = 2.0
-"""Parameters of typical size that are added to those of the arm in the estimate of their spread."""
+"""Number of parameters of typical size added to those of the arm in the estimate of their spread."""
 _LEAST_SD = 1e-12
-"""Keeps a precision finite [m, rad or the effect's unit]."""
+"""Least standard deviation, which keeps a precision finite [m, rad or the effect's unit]."""
 _RIDGE = 1e-8
-"""Is added to correlations before they are inverted: it raises a standard deviation by at most a hundredth of a per
-cent, and keeps directions that were known to rounding from being dropped."""
+"""Added to the diagonal of correlations before inversion: it raises a standard deviation by at most a hundredth of a
+per cent, and keeps directions that were known to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A normal distribution of an arm's own parameters.
+    """Normal distribution of an arm's own parameters.
 
     Attributes
     ----------
     nominal : Geometry
-        Geometric parameters are deviations from its D-H rows.
+        Reference arm; geometric parameters are deviations from its D-H rows.
     columns : tuple of int, length K
-        The geometric parameters.
+        Indices of the geometric parameters.
     terms : tuple of EffectTerm
-        The effects, at their mean.
+        Effects, with their mean values.
     mean : array, shape (p,)
         Deviations of the K geometric parameters, then values of the effects.
     covariance : array, shape (p, p)
     size : array, shape (p,)
-        Standard deviation of a parameter of which nothing is known yet.
+        Standard deviation of each parameter before any calibration.
     is_forgotten : bool
-        Whether nothing of a calibration is in it.
+        Whether it contains nothing of a calibration.
     """
 
     nominal: Geometry
@@ -66,7 +66,7 @@ class Belief:
 
     @classmethod
     def of(cls, found: Posterior, size: Array) -> Belief:
-        """The arm's own part of a posterior; ``size`` (q,) of all its parameters."""
+        """Take the arm's own part of a posterior; ``size`` (q,) is that of all its parameters."""
         own = own_places(found.prior.columns, found.model)
         joints = found.model.geometry.joints
         columns = tuple(column for column in found.prior.columns if is_own(column, joints))
@@ -81,7 +81,7 @@ class Belief:
 
     @cached_property
     def parts(self) -> tuple[SignaturePart, ...]:
-        """What each parameter (p,) belongs to."""
+        """Part to which each parameter (p,) belongs."""
         found: list[SignaturePart] = ["geometry"] * len(self.columns)
         for term in self.terms:
             part: SignaturePart = "curves" if is_smooth(term) else "effects"
@@ -89,12 +89,12 @@ class Belief:
         return tuple(found)
 
     def places(self, part: SignaturePart) -> NDArray[np.intp]:
-        """Places of the parameters of a part."""
+        """Return the indices of the parameters of a part."""
         return np.flatnonzero([one == part for one in self.parts]).astype(np.intp)
 
     @cached_property
     def jump_sd(self) -> Array:
-        """Standard deviation (p,) of a change that has a cause of its own: as large as the parameter may be at all."""
+        """Standard deviation (p,) of a change with a cause of its own: as large as the parameter may be at all."""
         return np.where(np.isfinite(self.size), self.size, np.maximum(np.abs(self.mean), self._sd))
 
     @property
@@ -102,11 +102,11 @@ class Belief:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), _LEAST_SD**2)))
 
     def widened(self, variance: Array) -> Belief:
-        """The belief after changes of each parameter with ``variance`` (p,)."""
+        """Return the belief after changes of each parameter with ``variance`` (p,)."""
         return replace(self, covariance=self.covariance + np.diag(variance))
 
     def restricted(self, parts: Collection[SignaturePart]) -> Belief:
-        """The belief about some parts only; effects of the others are left out of the model."""
+        """Return the belief about some parts only; effects of the others are removed from the model."""
         kept = np.flatnonzero([part in parts for part in self.parts]).astype(np.intp)
         smooth = {"curves": True, "effects": False}
         taken = [part for part in smooth if part in parts]
@@ -119,24 +119,24 @@ class Belief:
         )
 
     def forgotten(self) -> Belief:
-        """What was known of the geometry before any calibration, and no effect."""
+        """Return the knowledge of the geometry before any calibration, without effects."""
         bare = self.restricted(["geometry"])
         return replace(bare, mean=np.zeros_like(bare.mean), covariance=np.diag(bare.jump_sd**2), is_forgotten=True)
 
     def geometry(self, start: Geometry) -> Geometry:
-        """The mean geometry with base and tool of ``start``."""
+        """Return the mean geometry with base and tool of ``start``."""
         vector, columns = start.vector(), list(self.columns)
         vector[columns] = self.nominal.vector()[columns] + self.mean[: len(columns)]
         return start.with_vector(vector)
 
     def sigma(self) -> dict[str, float]:
-        """Parameter of the geometry -> standard deviation [m, rad]."""
+        """Return geometric parameter -> standard deviation [m, rad]."""
         names = parameter_names(self.nominal.joints)
         return {names[column]: float(sd) for column, sd in zip(self.columns, self._sd, strict=False)}
 
     def prior(self, reference: Geometry, day_terms: Array) -> Prior:
-        """Prior of a fit whose effects are those of the belief and then others with standard deviations ``day_terms``
-        (r,), infinite without a prior; deviations are from ``reference``."""
+        """Return the prior of a fit whose effects are those of the belief, then others with prior standard deviations
+        ``day_terms`` (r,), infinite without a prior; deviations are from ``reference``."""
         columns = candidate_columns(reference)
         count = len(columns) + len(self.mean) - len(self.columns)
         own = own_columns(columns, reference.joints)
@@ -158,29 +158,29 @@ class Belief:
 
 
 def is_own(column: int, joints: int) -> bool:
-    """Whether a geometric parameter is one of the D-H rows, and not of base or tool."""
+    """Return whether a geometric parameter belongs to the D-H rows, not to base or tool."""
     return 6 <= column < 6 + 5 * joints
 
 
 def own_columns(columns: tuple[int, ...], joints: int) -> NDArray[np.intp]:
-    """Places of the D-H rows among geometric parameters."""
+    """Return the indices of the D-H rows among geometric parameters."""
     return np.array([place for place, column in enumerate(columns) if is_own(column, joints)], dtype=np.intp)
 
 
 def own_places(columns: tuple[int, ...], model: ArmModel) -> NDArray[np.intp]:
-    """Places of the arm's own parameters among geometric parameters and the values of a model's effects."""
+    """Return the indices of the arm's own parameters among geometric parameters and the values of a model's effects."""
     of_terms = np.array([EFFECTS[term.slug].arm_bound for term in model.effects for _ in term.names], dtype=bool)
     own = own_columns(columns, model.geometry.joints)
     return np.concatenate([own, len(columns) + np.flatnonzero(of_terms)]).astype(np.intp)
 
 
 def is_smooth(term: EffectTerm) -> bool:
-    """Whether the values of a term have a prior: those of a free function."""
+    """Return whether the values of a term have a prior, as those of a free function."""
     return term.law.form.is_smooth
 
 
 def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
-    """Standard deviations (p,) that all parameters of a model have before any reading, infinite without a prior."""
+    """Return the standard deviations (p,) of all parameters of a model before any reading, infinite without a prior."""
     columns = candidate_columns(model.geometry)
     of_geometry = geometry_sizes(profile, model, columns)
     if not model.effects:
@@ -189,7 +189,7 @@ def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
     first = 0
     for term in model.effects:
         last = first + len(term.names)
-        if term.modulations:  # a free part was held by a prior, which is not stored: its own size stands for it
+        if term.modulations:  # the prior of a free part is not stored: its own size replaces it
             free = slice(last - len(term.modulations), last)
             of_terms[free] = math.sqrt(float(np.mean(term.values[len(term.law_names) :] ** 2))) + _LEAST_SD
         first = last
@@ -197,7 +197,7 @@ def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:
 
 
 def geometry_sizes(profile: Profile, model: ArmModel, columns: tuple[int, ...]) -> Array:
-    """Standard deviations (K,) of geometric parameters about nominal: stated in the profile, else from their spread."""
+    """Return standard deviations (K,) of geometric parameters about nominal: from the profile, else their spread."""
     joints = model.geometry.joints
     stated, typical = prior_sigmas(model.nominal, profile.calibration.priors), typical_spreads(joints)
     deviation = values_of(model.geometry, (), columns, model.nominal)

@@ -1,4 +1,4 @@
-"""A calibration of a cell, with earlier calibrations of its arms as prior."""
+"""Calibration of a cell with earlier calibrations of its arms as prior."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.posterior import PosteriorDraws
 
 _DRAW_SEED = 0x51D2
-"""Beside the profile's seed: the draws of parameters are then independent of all other draws."""
+"""Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
 
 @dataclass(frozen=True)
 class _PairArm:
-    """An arm for the calibration of the pair with the earlier calibrations."""
+    """Arm for the calibration of the pair, with its earlier calibration."""
 
     model: ArmModel
     tracker_frame_network: None = None
@@ -46,7 +46,7 @@ class _PairArm:
 def calibrate_with_prior(
     profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
 ) -> Calibration:
-    """The calibration with the arms in ``earlier`` calibrated again with their prior, and the pair with them.
+    """Calibrate the arms in ``earlier`` again with their prior, and the pair with them.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def calibrate_with_prior(
 def learned(
     profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
 ) -> tuple[Readings, MeasurementConditions]:
-    """The readings that are learned from: of the identify and train splits, without gross errors."""
+    """Return the training readings: the identify and train splits without gross errors."""
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")]).astype(np.intp)
     some, its = readings.take(rows), conditions.take(rows)
     model = first_model(profile, name, Measured.of(some, its), earlier.belief)
@@ -101,7 +101,7 @@ def learned(
 def updated_arm(
     profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
 ) -> Updated:
-    """One arm with its earlier calibration as prior, from the readings that are learned from."""
+    """Calibrate one arm from its training readings with its earlier calibration as prior."""
     learn, its = learned(profile, name, readings, conditions, earlier)
     return update(profile, name, learn, its, earlier.belief, earlier.since)
 
@@ -132,7 +132,7 @@ def _calibrated(
 
 
 def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResult:
-    """What is stored of a prior and of what was found with it."""
+    """Return the stored result of a prior and of the calibration with it."""
     return ArmPriorResult.like(
         earlier,
         run=str(earlier.run),
@@ -148,7 +148,7 @@ def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResul
 
 
 def stated_model(found: Posterior, seed: int) -> ArmModel:
-    """The model of a posterior with standard errors, covariance and draws."""
+    """Return the model of a posterior with standard errors, covariance and draws."""
     model, count = found.model, len(found.prior.columns)
     errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     names = list(ParameterSet("", model.geometry.joints, found.prior.columns).names)
@@ -177,7 +177,7 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
 
 
 def _identification(profile: Profile, alone: Identification, found: Posterior) -> Identification:
-    """The identification whose table states the values that follow with the prior."""
+    """Return the identification with the values and standard errors that follow with the prior."""
     columns, joints = found.prior.columns, found.model.geometry.joints
     count = len(columns)
     covariance = found.covariance[:count, :count]

@@ -1,4 +1,4 @@
-"""Changes that an arm may have had since an earlier calibration: candidates, and proven ones in words."""
+"""Possible changes of an arm since an earlier calibration: candidates, and proven ones in words."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 
 SURE = 5.0
-"""Gain of the log likelihood that a change needs beyond the logarithm of the number of candidates: twice of it is very
-strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773)."""
+"""Gain of the log likelihood that a change needs beyond the log of the number of candidates: twice of it is very strong
+evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773)."""
 _ALIKE = 3.0
-"""Difference of gains within which another change explains the readings about as well: a Bayes factor of 20."""
+"""Difference of gains within which another change counts as equally good: a Bayes factor of 20."""
 _GONE = 2.0
-"""Standard errors within which the new value of an effect is zero."""
+"""Standard errors within which the new value of an effect counts as zero."""
 _SHOWN = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
-"""Units that people read, and their factors."""
+"""Displayed units and their factors."""
 _WORDS = {"theta": "zero of joint", "d": "length d of link", "a": "length a of link", "alpha": "twist alpha of link"}
 _BETA = "twist beta of link"
 
 
 def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidate]:
-    """Single parameters of the geometry, and the parameters of each effect at each place.
+    """Return the candidates: single geometric parameters, and the parameters of each effect at each place.
 
     ``columns`` are those of the belief's effects, in the order of their values.
     """
@@ -52,7 +52,7 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
 def change_of(
     belief: Belief, one: Candidate, found: Estimate, rows: Array, rivals: Sequence[str], since: str, tested: int
 ) -> SignatureChange:
-    """A proven change; ``rows`` (r, d) [m] are the derivatives of the SMR coordinates by its parameters."""
+    """Describe a proven change; ``rows`` (r, d) [m] are the derivatives of the SMR coordinates by its parameters."""
     part = belief.parts[int(one.places[0])]
     moved = float(np.sqrt(3.0 * np.mean((found.values @ rows) ** 2))) * 1e3
     errors = np.sqrt(np.diag(found.covariance))
@@ -87,7 +87,7 @@ def change_of(
 
 
 def alike(all_candidates: Sequence[Candidate], found: Sequence[Estimate], best: int) -> list[str]:
-    """Candidates that explain the readings about as well as the best one."""
+    """Return the candidates that explain the readings about as well as the best one."""
     limit = found[best].gain - _ALIKE
     return [
         one.what
@@ -104,7 +104,7 @@ def _unit(belief: Belief, place: int) -> str:
 
 
 def parameter_words(name: str) -> str:
-    """``theta3`` as ``zero of joint 3``."""
+    """Return a parameter in words: ``theta3`` as ``zero of joint 3``."""
     letters = name.rstrip("0123456789")
     number = name.removeprefix(letters)
     return f"{_WORDS.get(letters, _BETA)} {number}"

@@ -1,7 +1,7 @@
-"""Discovery on arms that were calibrated with an earlier calibration as prior: what has come beside what was known.
+"""Discovery on arms calibrated with an earlier calibration as prior: effects beside those already known.
 
-The search sees the readings without the effects that were carried over, at the true joint positions, and the D-H rows
-with the belief as prior. What it finds is then fitted together with all that was carried over, under the whole prior.
+The search sees the readings without the carried-over effects, at the true joint positions, and the D-H rows with the
+belief as prior. Its effects are then fitted together with all carried-over parameters, under the whole prior.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from cellapp.robot.kinematics.transforms import quaternions_of
 from cellapp.robot.model import ArmModel
 
 _SEARCHES = 2
-"""Searches where the first one finds something: the values that were carried over had to make up for it before."""
+"""Most searches, if the first one finds something: until then the carried-over values had to compensate for it."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchWithPriors:
-    """``discover_arm`` that keeps the earlier calibrations of some arms."""
+    """Variant of ``discover_arm`` that keeps the earlier calibrations of some arms."""
 
     earlier: Mapping[str, Earlier]
 
@@ -46,7 +46,7 @@ class SearchWithPriors:
         conditions: MeasurementConditions,
         report: Report = ignore_report,
     ) -> Discovery:
-        """Search one arm; ``model`` is the calibrated one."""
+        """Search one arm; ``model`` is the calibrated arm."""
         its = self.earlier.get(name)
         if its is None:
             return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
@@ -76,7 +76,7 @@ class SearchWithPriors:
 
 
 def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:
-    """The outcome of a search with the model that holds all that was carried over."""
+    """Return the outcome of a search with the model that includes all carried-over parameters."""
     return found.with_model(
         final,
         held_out,
@@ -86,7 +86,7 @@ def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_
 
 
 def since_words(earlier: Earlier, found: Discovery) -> str:
-    """What was carried over, and which effects of the arm itself have appeared since."""
+    """Return in words what was carried over, and which effects of the arm itself have appeared since."""
     carried = list(dict.fromkeys(EFFECTS[term.slug].title for term in earlier.belief.terms))
     appeared = [
         f"{effect.title} of {place_in_words(effect.where.acts_on)} has appeared"
@@ -98,7 +98,7 @@ def since_words(earlier: Earlier, found: Discovery) -> str:
 
 
 def without_effects(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> Readings:
-    """The readings at the true joint positions, without the shifts and turns of a model's effects."""
+    """Return the readings at the true joint positions, without the shifts and rotations of a model's effects."""
     moved = model.effect_displacement(readings.q, conditions=conditions)
     plain = replace(readings, q=readings.q + moved.joints, p_M=readings.p_M - np.asarray(moved.shift_M))
     if readings.quaternion_M is None:

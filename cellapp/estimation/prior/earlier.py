@@ -1,4 +1,4 @@
-"""The earlier calibration of an arm: its belief, and where it comes from."""
+"""Earlier calibration of an arm: its belief and its origin."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cellapp.robot.model import ArmModel
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """An earlier calibration of one arm.
+    """Earlier calibration of one arm.
 
     ``digest`` is the SHA-256 of its model and readings, ``since`` the day of its run, ``left_behind`` the effects that
     are not carried over; ``notes`` are for the operator.
@@ -52,9 +52,9 @@ def believed(
     before: Belief | None = None,
     since: str = "",
 ) -> tuple[Belief, int]:
-    """What a calibrated cell says of one of its arms, from all its readings, and their number.
+    """Return the belief about one arm of a calibrated cell from all its readings, and their number.
 
-    ``before`` is the belief that this calibration had as prior, of the day ``since``.
+    ``before`` is the belief that served as prior of this calibration, of the day ``since``.
     """
     found, measured = calibration_posterior(profile, name, models, readings, before, since)
     return Belief.of(found, sizes(profile, found.model, measured)), len(measured)
@@ -68,7 +68,7 @@ def calibration_posterior(
     before: Belief | None = None,
     since: str = "",
 ) -> tuple[Posterior, Measured]:
-    """The posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
+    """Return the posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
     model, conditions = models[name], conditions_of_arms(models, readings)[name]
     its = placed(readings[name], model.predict(readings[name].q, conditions=conditions))
     good = ~gross_errors_of_model(model, its, conditions)
@@ -85,12 +85,12 @@ def calibration_posterior(
 
 
 def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:
-    """What tells a term from others of a model."""
+    """Return the key that identifies a term in a model."""
     return term.slug, term.law.name, term.names
 
 
 def _first_prior(model: ArmModel, readings: Readings, size: Array) -> Prior:
-    """What was known of an arm before its first calibration; what sockets cannot show is taken as it is."""
+    """Return the prior of an arm before its first calibration; parameters that sockets cannot determine stay fixed."""
     columns = candidate_columns(model.geometry)
     if in_sockets(readings):
         seen, _ = estimated_in_sockets("auto", model.nominal, {})

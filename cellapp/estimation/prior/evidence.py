@@ -1,14 +1,14 @@
-"""How far a belief about an arm holds for new readings, judged by their marginal likelihood.
+"""Validity of a belief about an arm for new readings, judged by their marginal likelihood.
 
-With X the derivatives of the readings by all parameters, y what the belief's mean leaves of them, S the belief's
-covariance, D the variances of changes since, R the readings' own covariance:
+With X the derivatives of the readings by all parameters, y the residuals of the belief's mean, S the belief's
+covariance, D the variances of changes since, and R the readings' own covariance:
 
     y ~ N(F b, K),    K = X (S + D) X^T + R,    b free (base and tool).
 
 The likelihood is that of the components of y in the complement of F (Patterson, Thompson, Biometrika 58 (1971) 545).
-Changes are of two kinds: a drift of all parameters of a part, one size each, and jumps of a few parameters, which have
-causes of their own. The drifts and the scatter of the readings maximise the likelihood; a jump is accepted if it gains
-more than chance explains.
+Changes are of two kinds: a drift of all parameters of a part, with one size each, and jumps of a few parameters with
+separate causes. The drifts and the scatter of the readings maximise the likelihood; a jump is accepted if it gains more
+than chance explains.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.robot.kinematics.transforms import Array
 
 _NO_DRIFT = 1e-7
-"""Least drift: of geometry [m, rad]; of effects and curves times their size, where it is below all effects."""
+"""Least drift: of geometry [m, rad]; of effects and curves relative to their size, below all real effects."""
 _MOST_DRIFT: Mapping[SignaturePart, float] = {"geometry": 5e-3, "effects": 0.1, "curves": 3.0}
-"""Largest drift in the same units. Then nothing is believed of geometry and curves. A stiffness or a play that changes
-by more than a tenth has a cause of its own: a jump, which names it; a drift of so few values would hide it."""
+"""Largest drift in the same units. At it, nothing of geometry and curves is believed. A stiffness or a play that
+changes by more than a tenth has a separate cause: a jump, which names it; a drift of so few values would hide it."""
 _FIRST_DRIFT: Mapping[SignaturePart, float] = {"geometry": 1e-5, "effects": 0.02, "curves": 0.02}
-"""Where the search for the drifts begins: metals of an arm grow by some 10 um with a degree."""
+"""Start values of the drifts: metals of an arm grow by some 10 um with a degree."""
 _SCATTER_M = (1e-7, 1e-2)
-"""Least and largest scatter of a coordinate beyond what is stated [m, rad]."""
+"""Least and largest scatter of a coordinate beyond the stated one [m, rad]."""
 _FIRST_SCATTER = (2e-5, 1e-4)
-"""Where the search for the scatter begins, of a coordinate [m] and of a component of an orientation [rad]."""
+"""Start values of the scatter, of a coordinate [m] and of a component of an orientation [rad]."""
 _EVALUATIONS = 160
-"""Evaluations of the likelihood for two to four numbers; it settles after some 80."""
+"""Most evaluations of the likelihood for two to four hyperparameters; it settles after some 80."""
 _DEPENDENT = 1e-9
-"""Share of the largest pivot below which a column of base and tool depends on the others."""
+"""Share of the largest pivot below which a column of base and tool counts as dependent on the others."""
 _TOLERANCE = 0.01
-"""Change of the log likelihood, and of the logarithm of a drift, below which the search ends."""
+"""Change of the log likelihood, and of the log of a drift, at which the search ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Parameters that may have jumped together, with a standard deviation each; ``what`` tells them from others."""
+    """Parameters that may have jumped together, with a standard deviation each; ``what`` is the name of the group."""
 
     what: str
     places: NDArray[np.intp]
@@ -54,9 +54,9 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Drifts:
-    """Sizes of changes of all parameters of each part, the readings' scatter [m], and the log likelihood there.
+    """Drift of all parameters of each part, scatter of the readings [m], and the log likelihood there.
 
-    ``scatter_rad`` is that of a component of an orientation [rad], None where none was measured.
+    ``scatter_rad`` is that of a component of an orientation [rad], None if none was measured.
     """
 
     of_parts: Mapping[SignaturePart, float]
@@ -66,7 +66,7 @@ class Drifts:
 
     @property
     def scatters(self) -> tuple[float, ...]:
-        """Of positions, and of orientations where they were measured."""
+        """Scatter of positions, and of orientations if they were measured."""
         return (self.scatter_m,) if self.scatter_rad is None else (self.scatter_m, self.scatter_rad)
 
 
@@ -81,22 +81,22 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The linear model of new readings in the complement of base and tool.
+    """Linear model of new readings in the complement of base and tool.
 
     Attributes
     ----------
     left : array, shape (d,)
-        What the mean of the belief leaves of the readings.
+        Residuals of the readings for the mean of the belief.
     rows : array, shape (p, d)
         Derivatives by the arm's own parameters.
     believed : array, shape (d, d)
         ``X S X^T``.
     stated : array, shape (d, d)
-        Stated covariance of the readings [m^2], zero where none is stated.
+        Stated covariance of the readings [m^2], zero if none is stated.
     drift : mapping
-        Part -> ``X U X^T`` (d, d), U the squares of the parameters' units of drift.
+        Part -> ``X U X^T`` (d, d), with U the squared drift units of the parameters.
     of_turns : array, shape (d, d), or None
-        Covariance of what scatters by 1 rad in each component of the orientations alone.
+        Covariance of a scatter of 1 rad in each component of the orientations alone.
     """
 
     left: Array
@@ -107,12 +107,12 @@ class Evidence:
     of_turns: Array | None = None
 
     def jumped(self, candidate: Candidate) -> Evidence:
-        """The same after a jump of some parameters is taken as possible."""
+        """Return the model that allows for a jump of some parameters."""
         rows = self.rows[candidate.places] * candidate.sd[:, None]
         return replace(self, believed=self.believed + rows.T @ rows)
 
     def covariance(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> Array:
-        """K (d, d) [m^2, m rad, rad^2]; ``scatters`` as in ``Drifts``."""
+        """Return K (d, d) [m^2, m rad, rad^2]; ``scatters`` as in ``Drifts``."""
         K = self.believed + self.stated
         for part, size in drifts.items():
             K = K + size**2 * self.drift[part]
@@ -122,13 +122,13 @@ class Evidence:
         return K
 
     def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> float:
-        """Log of the marginal likelihood, without the constants."""
+        """Return the log marginal likelihood, without the constants."""
         factor, lower = scipy.linalg.cho_factor(self.covariance(drifts, scatters), lower=True, check_finite=False)
         solved = scipy.linalg.cho_solve((factor, lower), self.left, check_finite=False)
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
-        """The drifts and the scatter of the greatest likelihood, searched from ``start``."""
+        """Return the drifts and the scatter that maximise the likelihood, searched from ``start``."""
         parts, kinds = list(self.drift), 1 if self.of_turns is None else 2
         bounds = [
             *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),
@@ -150,7 +150,7 @@ class Evidence:
         return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)
 
     def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
-        """What each candidate's jump would be, and by how much it raises the log likelihood."""
+        """Return the estimated jump of each candidate, and its gain of the log likelihood."""
         K = self.covariance(drifts.of_parts, drifts.scatters)
         factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
         solved = scipy.linalg.cho_solve(factor, self.rows.T, check_finite=False)
@@ -177,24 +177,24 @@ def evidence(
     units: Mapping[SignaturePart, Array],
     turned: NDArray[np.bool_] | None = None,
 ) -> Evidence:
-    """The linear model behind what is free.
+    """Build the linear model in the complement of the free parameters.
 
     Parameters
     ----------
     free : array, shape (f, 3 n)
-        Derivatives by base and tool.
+        Derivatives with respect to base and tool.
     own : array, shape (p, 3 n)
-        By the arm's own parameters.
+        Derivatives with respect to the arm's own parameters.
     left : array, shape (3 n,)
-        What the mean of the belief leaves of the readings [m], at any base and tool.
+        Residuals of the readings for the mean of the belief [m], at any base and tool.
     covariance : array, shape (p, p)
-        Of the belief.
+        Covariance of the belief.
     stated : array, shape (3 n, 3 n)
-        Of the readings [m^2].
+        Stated covariance of the readings [m^2].
     units : mapping
         Part -> unit of drift (p,) of each parameter, zero outside the part.
     turned : array, shape (3 n,), optional
-        Which components are those of orientations.
+        Mask of the components of orientations.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
     Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)

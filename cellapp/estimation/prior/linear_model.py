@@ -1,8 +1,8 @@
-"""Normal matrix of an arm's geometry and effects over its readings, gathered over chunks of them.
+"""Normal matrix of an arm's geometry and effects over its readings, accumulated over chunks.
 
 With W the whitening of a reading and J, A its derivatives by geometric parameters and by those of the effects, the rows
 are W [J, A]. Values are deviations from a reference: geometric parameters from those of ``reference``, effects from 0.
-Orientations that were measured are rows behind the positions, see ``quantities``.
+Measured orientations are rows after the positions, see ``quantities``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _CHUNK = 512
-"""Readings at once: 1500 columns of them take 18 MB."""
+"""Readings in a chunk: 1500 columns of them take 18 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measured vectors of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weighs them.
+    """Measured vectors of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weights them.
 
-    ``stated`` is the uncertainty that the readings state, in the same shapes; None where they state none.
+    ``stated`` is the uncertainty that the readings state, in the same shapes; None if they state none.
     """
 
     readings: Readings
@@ -43,7 +43,7 @@ class Measured:
 
     @classmethod
     def of(cls, readings: Readings, conditions: MeasurementConditions) -> Measured:
-        """All that was measured at some readings, positions and then orientations, weighed alike."""
+        """Take all measurements of some readings, positions and then orientations, with equal weights."""
         its = measured_quantities(readings, conditions)
         return cls(its.readings, its.conditions, np.ones(len(its.readings)), its.stated)
 
@@ -51,30 +51,30 @@ class Measured:
         return len(self.readings)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measured:
-        """Some of the vectors."""
+        """Return some of the vectors."""
         stated = None if self.stated is None else self.stated[rows]
         return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows], stated)
 
     @property
     def turned(self) -> NDArray[np.bool_] | None:
-        """Which vectors (n,) are orientations; None where none is."""
+        """Mask (n,) of the vectors that are orientations; None if there are none."""
         return self.conditions.turned
 
     @property
     def points(self) -> NDArray[np.bool_]:
-        """Which vectors (n,) are positions."""
+        """Mask (n,) of the vectors that are positions."""
         return np.ones(len(self), dtype=np.bool_) if self.turned is None else ~self.turned
 
     @property
     def positions(self) -> Measured:
-        """The measured positions alone."""
+        """The vectors that are positions."""
         if self.turned is None:
             return self
         its = self.take(self.points)
         return replace(its, conditions=replace(its.conditions, R_M_S=None))
 
     def chunks(self) -> Iterator[Measured]:
-        """The readings in parts; those in sockets as a whole, as the points tie them together."""
+        """Yield the readings in chunks; those in sockets as a whole, as the points couple them."""
         if in_sockets(self.readings):
             yield self
             return
@@ -82,13 +82,13 @@ class Measured:
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
     def left(self, model: ArmModel) -> Array:
-        """Measured less predicted positions (n, 3) [m], and rotations from computed to measured orientations [rad]."""
+        """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured [rad]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
         return np.asarray(measured_positions(self.readings, computed) - computed)
 
 
 def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
-    """Columns of all effects of a model, in the order of their values, at the true joint positions."""
+    """Return the columns of all effects of a model, in the order of their values, at the true joint positions."""
     q, conditions = measured.readings.q, measured.conditions
     actual = model.true_joints(q, conditions=conditions) if model.effects else None
     context = replace(model.context(q, conditions=conditions), q_actual=actual)
@@ -101,14 +101,14 @@ def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
 
 
 def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:
-    """Whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
+    """Return whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
     white, terms = whitening(measured.sigma), term_columns(model, measured)
     R_M_S = measured.conditions.R_M_S
     return LinearModel.of(model.geometry, measured.readings.q, white, columns, terms, R_M_S).rows
 
 
 def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:
-    """Gathered over all readings, linearised at ``model``; y is measured less the reference."""
+    """Accumulate the normal matrix over all readings, linearised at ``model``; y is measured less the reference."""
     deviation = values_of(model.geometry, model.effects, columns, reference)
     total = len(deviation)
     found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
@@ -120,8 +120,8 @@ def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...],
 
 
 def _seen(readings: Readings, rows: Array) -> Array:
-    """Whitened derivatives (p, 3 n) without what unknown points follow: in sockets less the mean of each point, whose
-    readings weigh alike."""
+    """Remove from whitened derivatives (p, 3 n) what unknown points absorb: in sockets the mean of each point, whose
+    readings have equal weights."""
     if not in_sockets(readings):
         return rows
     contacts = Contacts.of(readings)
@@ -130,14 +130,14 @@ def _seen(readings: Readings, rows: Array) -> Array:
 
 
 def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[int, ...], reference: Geometry) -> Array:
-    """Deviations (p,) of geometric parameters from ``reference``, then the effects' values."""
+    """Return the deviations (p,) of geometric parameters from ``reference``, then the effects' values."""
     places = list(columns)
     of_geometry = geometry.vector()[places] - reference.vector()[places]
     return np.concatenate([of_geometry, *(term.values for term in terms)])
 
 
 def with_values(model: ArmModel, columns: tuple[int, ...], reference: Geometry, values: Array) -> ArmModel:
-    """The model at ``values`` (p,), see ``values_of``; the reverse of that."""
+    """Return the model at ``values`` (p,); the reverse of ``values_of``."""
     vector = model.geometry.vector()
     vector[list(columns)] = reference.vector()[list(columns)] + values[: len(columns)]
     first = len(columns)

@@ -1,7 +1,7 @@
 """Normal posterior of an arm's geometry and effects, from readings and a normal prior with any correlations.
 
-The readings count with their stated uncertainty and with the scatter beyond it that they show about the model. The
-solution is by Gauss-Newton steps; geometry and effects are a hundredth of a millimetre from linear near it.
+The readings are weighted by their stated uncertainty and the scatter beyond it about the model. The solution is by
+Gauss-Newton steps; near it, geometry and effects deviate from linear by a hundredth of a millimetre.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _STEPS = 12
-"""Gauss-Newton steps at most, each with the scatter of the one before; three to five are usual."""
+"""Most Gauss-Newton steps, each with the scatter of the one before; three to five are usual."""
 _SETTLED = 1e-3
-"""Share of their standard errors by which the values change in the last step."""
+"""Change of the values in the last step, as a share of their standard errors."""
 _SCATTER_SETTLED = 0.01
 """Relative change of the scatter in the last step."""
 _LEAST_SCATTER_M = 1e-6
-"""Scatter of a coordinate where the readings state no uncertainty and the model leaves nothing [m]."""
+"""Least scatter of a coordinate if the readings state no uncertainty, needed if the model leaves no residuals [m]."""
 _FIRST_SCATTER_M = 1e-4
-"""Scatter of a coordinate before any reading tells it [m]."""
+"""Start value of the scatter of a coordinate [m]."""
 _FIRST_SCATTER_RAD = 2e-4
-"""The same of a component of an orientation [rad]."""
+"""Start value of the scatter of a component of an orientation [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
     """Mean (p,) and precision (p, p) of deviations from ``reference`` and of effects, see ``values_of``.
 
-    Rows and columns of the precision are zero for what is free: base and tool.
+    Rows and columns of the precision are zero for free parameters: base and tool.
     """
 
     columns: tuple[int, ...]
@@ -51,10 +51,10 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Values (p,), their covariance (p, p), the model at the values, and how the readings were weighed.
+    """Values (p,), their covariance (p, p), the model at the values, and the weights of the readings.
 
-    ``scatter_m`` is the standard deviation of a coordinate beyond the stated uncertainty, all of it where none is
-    stated, ``scatter_rad`` that of a component of an orientation; ``left_M`` (n, 3) [m, rad] is measured less computed.
+    ``scatter_m`` is the standard deviation of a coordinate beyond the stated uncertainty, all of it if none is stated;
+    ``scatter_rad`` that of a component of an orientation. ``left_M`` (n, 3) [m, rad] is measured less computed.
     """
 
     prior: Prior
@@ -68,7 +68,7 @@ class Posterior:
 
 
 def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: float | None = None) -> Posterior:
-    """Posterior from a start ``model``, whose effects are those of the values; a ``scatter_m`` that is given stays."""
+    """Compute the posterior from a start ``model``, whose effects the values have; a given ``scatter_m`` is fixed."""
     scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
@@ -91,9 +91,9 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
 
 
 def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:
-    """Scatter of a coordinate [m] and of a component of an orientation [rad] about a model of ``fitted`` parameters.
+    """Estimate the scatter of a coordinate [m] and of an orientation component [rad] about ``fitted`` parameters.
 
-    Each kind pays for the share of the parameters that its readings are of all.
+    The parameters are charged to both kinds in proportion to their numbers of readings.
     """
     readings, turned, stated = measured.readings, measured.turned, measured.stated
     if turned is None:
@@ -111,12 +111,12 @@ def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, f
 
 
 def _unknown_points(readings: Readings) -> int:
-    """Points of a ball in sockets, which are fitted with the rest."""
+    """Count the points of a ball in sockets, which are fitted with the rest."""
     return len(Contacts.of(readings).names) if in_sockets(readings) else 0
 
 
 def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
-    """Mean (p,) and covariance (p, p) of the values."""
+    """Return mean (p,) and covariance (p, p) of the values."""
     A = normal.gram + prior.precision
     unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
     A = A * unit * unit[:, None]
@@ -125,7 +125,7 @@ def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
 
 
 def scatter_of(left_M: Array, stated: Array | None, freedom: float) -> float:
-    """Standard deviation of a coordinate [m] beyond the stated uncertainty, all of it where none is stated."""
+    """Return the standard deviation of a coordinate [m] beyond the stated uncertainty, all of it if none is stated."""
     degrees = max(1, round(freedom))
     if stated is None:
         return max(math.sqrt(float(np.sum(left_M**2)) / degrees), _LEAST_SCATTER_M)

@@ -1,4 +1,4 @@
-"""An arm calibrated again with its earlier calibration as prior.
+"""Recalibration of an arm with its earlier calibration as prior.
 
 1. The earlier calibration becomes a belief about the arm's own parameters (``belief``). The likelihood of the new
    readings decides which parts of it are used.
@@ -32,28 +32,28 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
 
 _MOST_CHANGES = 10
-"""Jumps at most: all joints of an arm may have got new gears."""
+"""Most jumps: all joints of an arm may have new gears."""
 _MOST_READINGS = 300
-"""Measured vectors that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
+"""Most measured vectors for drifts and jumps: the cost grows with the cube, and a few hundred show them."""
 _FEW_READINGS = 100
-"""Vectors that judge at most which parts are believed at all: a part that is wrong contradicts most of them."""
+"""Most vectors for deciding which parts are believed: a wrong part contradicts most of them."""
 _SUBSET_SEED = 0x51A7
-"""Beside the profile's seed: the draw of these readings is then independent of all other draws."""
+"""Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
 _PARTS: tuple[tuple[SignaturePart, ...], ...] = (
     ("geometry", "effects", "curves"),
     ("geometry", "curves"),
     ("geometry",),
 )
-"""Parts that may be believed together. Curves go with the geometry they were found with; named effects may be wrong."""
+"""Parts that may be believed together. Curves belong to their geometry; named effects may be wrong."""
 _BELIEVED = 0.5
-"""Drift beyond this share of what the parameters may be at all counts as a part that is not believed."""
+"""Share of the parameters' largest size above which the drift of a part means that it is not believed."""
 _GEOMETRY_UNIT = "m, rad"
 _SHARE_UNIT = "of their size"
 
 
 @dataclass(frozen=True, eq=False)
 class Updated:
-    """The outcome: the belief as it was used, the posterior, and what is said about both."""
+    """Outcome: the belief as used, the posterior, and the reports on both."""
 
     belief: Belief
     found: Posterior
@@ -65,12 +65,12 @@ class Updated:
 
     @property
     def used(self) -> bool:
-        """Whether anything of the earlier calibration was believed."""
+        """Whether any part of the earlier calibration was believed."""
         return not self.belief.is_forgotten
 
 
 def first_model(profile: Profile, name: str, measured: Measured, belief: Belief) -> ArmModel:
-    """The arm as it was believed, its base, tool and probe fitted to the new readings."""
+    """Return the arm by its belief, with base, tool and probe fitted to the new readings."""
     arm, its = profile.arms[name], measured.positions
     readings, conditions = its.readings, its.conditions
     nominal = nominal_arm(arm)
@@ -103,7 +103,7 @@ def update(
     since: str,
     further: Sequence[EffectTerm] = (),
 ) -> Updated:
-    """The arm from ``readings`` and the ``belief``; ``further`` effects have the priors of their laws alone.
+    """Calibrate the arm from ``readings`` and the ``belief``; ``further`` effects have only the priors of their laws.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def update(
 
 
 def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
-    """The belief about those parts with which the readings are likeliest; without any, what was known at first."""
+    """Return the belief about the parts that make the readings likeliest; without any, ``belief.forgotten()``."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     kept: tuple[tuple[SignaturePart, ...], ...] = (
         ("geometry", "effects", "curves"),
@@ -145,7 +145,7 @@ def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) 
 def _changed(
     belief: Belief, model: ArmModel, judged: Measured, since: str
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
-    """The belief widened by drifts and proven jumps, these, and the number of jumps that were tested."""
+    """Return the belief widened by drifts and proven jumps, both of these, and the number of jumps tested."""
     problem = _evidence(belief, model, judged)
     if belief.is_forgotten:
         problem = replace(problem, drift={})
@@ -164,7 +164,7 @@ def _changed(
         after = jumped.drifts(drifts)
         if after.log_likelihood - drifts.log_likelihood < needed:
             break
-        # the drifts shrink once the jump is allowed for: judge it beside them
+        # drifts shrink once the jump is allowed for: judge it beside them
         again = problem.estimates(after, left)
         rows = problem.rows[chosen.places]
         changes.append(change_of(belief, chosen, again[best], rows, alike(left, again, best), since, tested))
@@ -192,7 +192,7 @@ def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
 
 
 def _covariance_matrix(stated: Array | None, count: int) -> Array:
-    """Stated uncertainty as a matrix (3 n, 3 n) [m^2], coordinates first."""
+    """Return the stated uncertainty as a matrix (3 n, 3 n) [m^2], coordinates first."""
     whole = np.zeros((3, count, 3, count))
     if stated is not None:
         blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
@@ -204,7 +204,7 @@ def _covariance_matrix(stated: Array | None, count: int) -> Array:
 
 
 def _units(belief: Belief, part: SignaturePart) -> Array:
-    """Unit of drift (p,) of each parameter of a part: 1 m or rad of the geometry, its size of an effect."""
+    """Return the unit of drift (p,) of each parameter of a part: 1 m or rad for geometry, its size for an effect."""
     units, places = np.zeros(len(belief.mean)), belief.places(part)
     units[places] = 1.0 if part == "geometry" else belief.jump_sd[places]
     return units

@@ -1,9 +1,9 @@
-"""The columns of a reading, in one table: names, units, shapes, checks.
+"""Table of the columns of a reading: names, units, shapes, checks.
 
-The SQL schema, the rows of the run file, CSV import and export and the conversion of one ``Reading`` into ``Readings``
-are made from ``COLUMNS``. A new quantity is one entry here and one attribute of ``Reading`` and ``Readings``.
+The SQL schema, the rows of the run file, CSV import and export, and the conversion of a ``Reading`` into ``Readings``
+are derived from ``COLUMNS``. A new quantity needs one entry here and one attribute of ``Reading`` and ``Readings``.
 
-Besides these columns, a row has the name of its arm and ``extras``: unknown columns of an imported file, kept as text.
+In addition, a row has the name of its arm and ``extras``: unknown columns of an imported file, kept as text.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ SPLITS = ("identify", "train", "validate")
 
 _UPPER = np.triu_indices(3)
 _VARIANCES = [0, 3, 5]
-"""Places of the variances among the six numbers of an upper triangle."""
+"""Indices of the variances among the six numbers of an upper triangle."""
 _FURTHEST_M = 100.0
-"""No laser tracker measures beyond 80 m (Leica AT960); a larger coordinate is not in metres."""
+"""Largest plausible coordinate: no laser tracker measures beyond 80 m (Leica AT960); a larger one is not in metres."""
 _LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
-"""Standard uncertainties of points that instruments state [m]; beyond these their squares lose all meaning."""
+"""Range of standard uncertainties that instruments state for points [m]; beyond it their squares lose all meaning."""
 _UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
-"""By how much a quaternion's length may differ from one: four digits; beyond the second, it is made one."""
+"""Tolerances of a quaternion's length about one: above the first (four digits) refused, above the second normalised."""
 _LEAST_SIGMA_RAD, _LARGEST_SIGMA_RAD = 1e-9, 0.1
-"""Standard uncertainties of orientations that instruments state [rad]; a larger one is in degrees or mrad."""
+"""Range of standard uncertainties that instruments state for orientations [rad]; a larger one is in degrees or mrad."""
 _REVOLUTION = 2.0 * math.pi
 _LONGEST_S = 1e11
-"""Seconds; clocks that count from 1970 are below 1e10."""
+"""Largest plausible time in seconds; clocks that count from 1970 are below 1e10."""
 _SINGULAR = 1e-14
-"""Least eigenvalue of a correlation matrix that counts as positive: some ten times the rounding of its entries."""
+"""Eigenvalue of a correlation matrix above which it counts as positive: some ten times the rounding of its entries."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """An implausible value: its row, its place among the column's CSV names (None: all of them), what was expected."""
+    """An implausible value: its row, its index in the column's CSV names (None: all), and what was expected."""
 
     row: int
     place: int | None
@@ -62,9 +62,9 @@ class Column:
     unit : str
         SI unit, or "" for a number or word without one.
     csv : tuple of str
-        Names in a CSV file; of a quantity per joint the stem, to which the joint's number is appended.
+        Names in a CSV file; for a quantity per joint the stem, to which the joint's number is appended.
     shape : str
-        Of one reading's value: ``scalar`` (), ``joints`` (N,), ``point`` (3,), ``quaternion`` (4,), ``symmetric``
+        Shape of one reading's value: ``scalar`` (), ``joints`` (N,), ``point`` (3,), ``quaternion`` (4,), ``symmetric``
         (3, 3).
     dtype : type
         np.float64, np.int64, np.int8 or str.
@@ -73,14 +73,15 @@ class Column:
     required : bool
         Whether every reading has it.
     fill : float, optional
-        Value of missing entries in a column that is always there. Without it a column is None where no reading has a
-        value, and NaN stands in single readings without one.
+        Value of missing entries in a column that is always there. If None, the column is None if no reading has a
+        value; else readings without a value hold NaN.
     allowed : tuple, optional
-        The only values (besides a missing one) that are accepted.
+        The only accepted values (besides a missing one).
     expected : str
         These values in words.
     check : function, optional
-        Finds the first implausible value in a CSV file, given the values as a matrix (n, w), w numbers per reading.
+        Function that finds the first implausible value in a CSV file, given the values as a matrix (n, w), w numbers
+        per reading.
     since : int
         Schema of the run file that introduced the column.
     """
@@ -107,39 +108,39 @@ class Column:
     def sql_declaration(self) -> str:
         """Name and type for CREATE TABLE and ALTER TABLE.
 
-        Scalar floats have no declared type: SQLite would store some of them as integers. Several numbers are JSON text,
-        whose shortest decimals give back the same float64 and stay legible to any SQLite tool.
+        Scalar floats have no declared type: SQLite would store some of them as integers. Several numbers are stored as
+        JSON text, whose shortest decimals restore the same float64 and stay legible in any SQLite tool.
         """
         kind = " INTEGER" if self.dtype is np.int64 else " TEXT" if self.dtype is str or self.shape != "scalar" else ""
         always = self.required or (self.fill is not None and not math.isnan(self.fill))
         return f"{self.sql_name}{kind}{' NOT NULL' if always else ''}"
 
     def csv_names(self, joints: int) -> tuple[str, ...]:
-        """Names in a CSV file for an arm with this number of joints, in the order of ``matrix``."""
+        """Return the names in a CSV file for an arm with this number of joints, in the order of ``matrix``."""
         if self.shape == "joints":
             return tuple(f"{self.csv[0]}{joint}" for joint in range(1, joints + 1))
         return self.csv
 
     def array_shape(self, n: int, joints: int) -> tuple[int, ...]:
-        """Shape of the column of n readings."""
+        """Return the shape of the column of n readings."""
         shapes = {"scalar": (), "joints": (joints,), "point": (3,), "quaternion": (4,), "symmetric": (3, 3)}
         return (n, *shapes[self.shape])
 
     def missing(self, n: int, joints: int) -> NDArray[Any] | None:
-        """The column of n readings of which none has a value."""
+        """Return the column of n readings without any value."""
         if self.fill is None:
             return None
         return np.full(self.array_shape(n, joints), self.fill, dtype=self.dtype)
 
     def matrix(self, values: NDArray[Any]) -> NDArray[Any]:
-        """A column as a matrix (n, w); of symmetric matrices the upper triangles, row by row."""
+        """Return a column as a matrix (n, w); for symmetric matrices the upper triangles, row by row."""
         if self.shape == "symmetric":
             return values[:, _UPPER[0], _UPPER[1]]
         return values[:, np.newaxis] if self.shape == "scalar" else values
 
     def from_matrix(self, matrix: NDArray[Any]) -> NDArray[Any]:
-        """The column of which ``matrix`` (n, w) is the matrix; NaN becomes ``fill`` where there is one, and quaternions
-        that were rounded get the length one."""
+        """Return the column from its ``matrix`` (n, w), the reverse of the method ``matrix``. NaN becomes ``fill``
+        unless that is None; rounded quaternions are normalised."""
         if self.fill is not None:
             matrix = np.where(np.isnan(matrix), self.fill, matrix)
         matrix = matrix.astype(self.dtype)
@@ -154,7 +155,7 @@ class Column:
         return matrix[:, 0] if self.shape == "scalar" else matrix
 
     def is_given(self, values: Values | None) -> bool:
-        """Whether any reading has a value that is not the one for missing entries."""
+        """Return whether any reading has a value other than the one for missing entries."""
         if values is None or self.fill is None or isinstance(values, tuple):
             return values is not None
         return bool(np.any(~np.isnan(values) if math.isnan(self.fill) else values != self.fill))
@@ -169,7 +170,7 @@ def _in_reach(points: NDArray[Any]) -> Fault | None:
 
 
 def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Fault | None]:
-    """A check that finds values that no measurement of this kind has; missing ones pass."""
+    """Return a check that finds values outside the range of this kind of measurement; missing values pass."""
 
     def check(values: NDArray[Any]) -> Fault | None:
         wrong = np.argwhere((values < low) | (values > high))
@@ -182,15 +183,15 @@ def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Faul
 
 
 def beyond_limits(q: NDArray[Any], limits: NDArray[Any], guess: str = "degrees?") -> list[Fault]:
-    """The first joint position of each joint that is beyond its limits by more than a revolution.
+    """Return the first joint position of each joint that exceeds its limits by more than a revolution.
 
     Parameters
     ----------
     q : array, shape (n, N) [rad]
     limits : array, shape (N, 2) [rad]
-        Lower and upper one. A controller may count a revolution that the limits of the cell do not have.
+        Lower and upper limits. A controller may count a revolution that the limits of the cell do not include.
     guess : str
-        Said of a value that would be within the limits in degrees.
+        Message for a value that would be within the limits in degrees.
     """
     faults = []
     for joint, (low, high) in enumerate(limits.tolist()):
@@ -304,10 +305,10 @@ def _places(sequence: NDArray[Any]) -> Fault | None:
 _DEGREES_C = _within(-273.15, 1e3, "degC")
 
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
-"""The number of the stop, with the arm the key of a reading."""
+"""Number of the stop; with the arm it is the key of a reading."""
 
 MEASURED_POINT = "p_M"
-"""The quantity that a reading of a ball in a socket has not: it names the point instead."""
+"""Quantity that a reading of a ball in a socket lacks: it names the point instead."""
 
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,
@@ -357,4 +358,4 @@ COLUMNS: tuple[Column, ...] = (
     Column("point", "", ("point",), dtype=str, since=7),
     Column("split", "", ("split",), dtype=str, allowed=SPLITS, expected="identify, train, validate or nothing"),
 )
-"""In the order of an exported CSV file."""
+"""All columns, in the order of an exported CSV file."""

@@ -1,4 +1,4 @@
-"""Touches of one arm's ball in sockets on the flange of the other arm: both arms' joints, and which socket."""
+"""Touches of one arm's ball in sockets on the flange of the other arm: joint positions of both arms, and the socket."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class FlangeTouches:
-    """n touches of an arm whose ball rests in a socket that the other arm of the cell carries.
+    """n touches of an arm whose ball rests in a socket on the other arm of the cell.
 
     Attributes
     ----------
     socket : tuple of n str
-        Name of the socket; those of one name are one place on the other arm's flange.
+        Names of the sockets; equal names are one place on the other arm's flange.
     q, other_q : arrays, shapes (n, N), (n, K)
-        Joint positions of the arm with the ball, and of the one with the socket [rad].
+        Joint positions of the arm with the ball, and of the arm with the socket [rad].
     """
 
     socket: tuple[str, ...]

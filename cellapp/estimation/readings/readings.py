@@ -19,7 +19,7 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """One arm at one stop, N joints.
+    """Reading of one arm with N joints at one stop.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Reading:
     extras: dict[str, str] = field(default_factory=dict)
 
     def as_readings(self, configuration: int) -> Readings:
-        """This reading as the only row of ``Readings``, at the given stop.
+        """Return this reading as the only row of ``Readings``, at the given stop.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class Distance:
 class Readings:
     """The n readings of one arm with N joints.
 
-    An optional quantity is None where no reading has it; where only some have it, the others hold NaN.
+    An optional quantity is None if no reading has it; if only some have it, the others hold NaN.
 
     Attributes
     ----------
@@ -169,11 +169,11 @@ class Readings:
     on_flange : FlangeTouches or None
         Touches of sockets on the other arm's flange, beside the n readings.
     turning_covariance_M : array, shape (n, 3, 3), or None
-        Covariance of a rotation about the axes of M [rad^2], of an orientation that follows from several nests; it
-        comes before ``sigma_rad``. No column: it is computed from the rows of the nests.
+        Covariance of a rotation about the axes of M [rad^2], for an orientation from several nests; it takes precedence
+        over ``sigma_rad``. Not a column: it is computed from the rows of the nests.
     other_q : array, shape (n, K), or None
-        Joint positions of the other arm where it has no reading of its own at the stop, as in samples of recordings
-        [rad]; NaN where they are not known. No column: it is that of recordings.
+        Joint positions of the other arm if that has no reading of its own at the stop, as in samples of recordings
+        [rad]; NaN if unknown. Not a column: it comes from recordings.
     split : tuple of n (str or None), or None
         identify, train or validate.
     extras : dict
@@ -234,7 +234,7 @@ class Readings:
         return int(self.q.shape[1])
 
     def take(self, indices: Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]) -> Readings:
-        """The rows at ``indices`` (integers, or a mask of n booleans), in that order."""
+        """Return the rows at ``indices`` (integers, or a mask of n booleans), in that order."""
         chosen = np.arange(len(self))[np.asarray(indices, dtype=None if len(indices) else np.intp)]
         arrays = {
             entry.name: getattr(self, entry.name)[chosen]
@@ -254,19 +254,19 @@ class Readings:
         )
 
     def in_split(self, name: str) -> NDArray[np.intp]:
-        """Indices of the rows of one split; empty where no splits are assigned."""
+        """Return the indices of the rows of one split; empty if no splits are assigned."""
         split = self.split or ()
         return np.array([index for index, word in enumerate(split) if word == name], dtype=np.intp)
 
 
 def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str, tuple[str, ...]]) -> Readings:
-    """Readings from the values of every column of ``COLUMNS`` by name."""
+    """Build readings from the values of every column of ``COLUMNS`` by name."""
     attributes: dict[str, Any] = dict(values)
     return Readings(**attributes, extras=extras)
 
 
 def joined(parts: Sequence[Readings]) -> Readings:
-    """The rows of several readings of one arm, one after the other, without unknown columns of imported files.
+    """Concatenate readings of one arm, without unknown columns of imported files.
 
     Raises
     ------
@@ -293,7 +293,7 @@ def joined(parts: Sequence[Readings]) -> Readings:
 
 
 def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:
-    """Arrays one after the other, with NaN in the place of those that are missing; None where all are."""
+    """Concatenate arrays, with NaN in place of missing ones; None if all are missing."""
     if all(array is None for array in arrays):
         return None
     return np.concatenate(
@@ -302,9 +302,9 @@ def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, 
 
 
 def stated_uncertainty(readings: Readings) -> _Floats | None:
-    """Uncertainty of the points as the readings state it, for all of them or not at all.
+    """Return the uncertainty that the readings state for their points, if all of them do.
 
-    Covariances (n, 3, 3) [m^2] where every reading has one, else standard uncertainties (n,) [m], else None.
+    Return covariances (n, 3, 3) [m^2] if every reading has one, else standard uncertainties (n,) [m], else None.
     """
     for stated in (readings.covariance_M, readings.sigma_m):
         if stated is not None and not np.isnan(stated).any():
@@ -313,7 +313,7 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
 
 
 def coordinate_uncertainty(readings: Readings) -> _Floats | None:
-    """Standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; the rms over all three of a covariance.
+    """Return the standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; rms of a covariance's three.
 
     None where that is None.
     """

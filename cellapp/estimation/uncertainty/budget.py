@@ -1,9 +1,9 @@
-"""Uncertainty budget of a measured error of position, by JCGM 100:2008 (GUM). Pure functions, no I/O.
+"""Uncertainty budget of a measured position error, by JCGM 100:2008 (GUM). Pure functions, no I/O.
 
-The measured error is the distance of the measured SMR from where it was commanded. Each contribution is the standard
+The measured error is the distance of the measured SMR from its commanded position. Each contribution is the standard
 uncertainty of a coordinate in its worst direction; the error is a length, whose sensitivity to a shift is at most 1
-(GUM 5.1.3). The contributions are independent of each other, so that their variances add (GUM 5.1.2, equation 10), and
-the expanded uncertainty is twice the combined one (GUM 6.2.1, k = 2).
+(GUM 5.1.3). The contributions are independent, so their variances add (GUM 5.1.2, equation 10). The expanded
+uncertainty is twice the combined one (GUM 6.2.1, k = 2).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MPE_WORDS: Mapping[MpeRule, str] = {
     "rectangular": "divided by the square root of 3 (rectangular: any error up to it is as likely)",
     "half": "divided by 2 (tolerances.mpe: half was chosen)",
 }
-"""How the standard uncertainty is taken from a maximum permissible error."""
+"""Explanation of how the standard uncertainty follows from a maximum permissible error."""
 
 TRACKER, CENTERING, AIR = "tracker", "SMR centering", "air temperature"
 REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model", "station", "thermal growth of the arm"
@@ -42,21 +42,21 @@ REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model",
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a run knows of the errors of one arm, beside its profile; only what is not out of date, but ``calibrated``.
+    """Data of a run on the errors of one arm, beside its profile. Only ``calibrated`` may be out of date.
 
     Attributes
     ----------
     calibrated, discovered : results, optional
-        Of the calibration and of the discovery.
+        Results of the calibration and of the discovery.
     commands : tuple
         Uncertainties of the compensated commands.
     verified_m : float, optional
         Largest distance of a verified target from the tracker [m].
     station_mm : float, optional
-        Uncertainty of the station, where the tracker was moved and located [mm].
+        Uncertainty of the station, if the tracker was moved and located [mm].
     measured : MeasuredConditions, optional
-        Conditions of the readings: the thermal growth of the arm is only stated where they have temperatures, and
-        distances are theirs where no target was verified.
+        Conditions of the readings. The thermal growth of the arm is stated only if they have temperatures; their
+        distances are used if no target was verified.
     """
 
     calibrated: ArmCalibrationResult | None = None
@@ -75,14 +75,14 @@ class Evidence:
 
 
 def position_budget(profile: Profile, arm: str, known: Evidence) -> tuple[UncertaintyContribution, ...]:
-    """Contributions to the uncertainty of a position error of ``arm``; those that nobody gave have no value."""
+    """Return the contributions to the uncertainty of a position error of ``arm``; unstated ones have no value."""
     return _position(profile, arm, known, known.farthest_m, _model(known))
 
 
 def target_budget(
     profile: Profile, arm: str, known: Evidence, distance_m: float, parts: UncertaintyParts | None = None
 ) -> tuple[UncertaintyContribution, ...]:
-    """The same contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
+    """Return the contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
     model = _model(known)
     if parts is not None:
         model = _line(MODEL, _of_model_mm(parts), "A", "posterior of the model in force at the command")
@@ -90,10 +90,10 @@ def target_budget(
 
 
 def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[UncertaintyContribution, ...]:
-    """Contributions to the error of the distance between two positions of one arm, from those of a position.
+    """Return the contributions to the error of the distance between two positions of one arm, from those of a position.
 
-    Both positions count, as if they were independent: a bound, because what both have in common cancels. The station
-    does not matter: a motion of the whole frame changes no distance.
+    Both positions count as if independent: an upper bound, as common errors cancel. The station does not matter: a
+    motion of the whole frame changes no distance.
     """
     return tuple(
         one if one.standard_mm is None else one.model_copy(update={"standard_mm": math.sqrt(2.0) * one.standard_mm})
@@ -103,30 +103,30 @@ def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[Uncert
 
 
 def combined(standard: Iterable[float | None]) -> float | None:
-    """Combined standard uncertainty, in any unit; None where a contribution was not given: it would be too small."""
+    """Combine standard uncertainties, in any unit; None if one is missing, as the result would be too small."""
     values = list(standard)
     known = [value for value in values if value is not None]
     return math.hypot(*known) if known and len(known) == len(values) else None
 
 
 def combined_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
-    """Combined standard uncertainty [mm]; None as in ``combined``."""
+    """Return the combined standard uncertainty [mm]; None as in ``combined``."""
     return combined(one.standard_mm for one in contributions)
 
 
 def expanded_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
-    """Expanded uncertainty [mm], k = 2; None as in ``combined``."""
+    """Return the expanded uncertainty [mm], k = 2; None as in ``combined``."""
     standard_mm = combined_mm(contributions)
     return None if standard_mm is None else COVERAGE * standard_mm
 
 
 def not_given(contributions: Iterable[UncertaintyContribution]) -> list[str]:
-    """Names of the contributions without a value."""
+    """Return the names of the contributions without a value."""
     return list(dict.fromkeys(one.source for one in contributions if one.standard_mm is None))
 
 
 def permissible_mm(error: PermissibleError, distance_m: float) -> float:
-    """A maximum permissible error at a distance [mm]."""
+    """Return a maximum permissible error at a distance [mm]."""
     return (error.constant + error.proportional * distance_m) * 1e3
 
 
@@ -162,10 +162,10 @@ def _air(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
 
 
 def _repeatability(known: Evidence) -> UncertaintyContribution:
-    """What the readings scatter beyond the tracker's statement: about the model with its effects, else of repeats.
+    """Return the scatter of readings beyond the tracker's stated one: about the model with effects, else of repeats.
 
-    The model with effects comes first: repeats of an arm with backlash scatter by the side that they came from, which
-    a compensated command accounts for.
+    The model with effects takes precedence: repeats of an arm with backlash scatter by the side of approach, which a
+    compensated command accounts for.
     """
     found = known.discovered
     if found is not None and found.scatter is not None and found.noise_mm is not None:
@@ -190,7 +190,7 @@ def _repeatability(known: Evidence) -> UncertaintyContribution:
 
 
 def _model(known: Evidence) -> UncertaintyContribution:
-    """Where the target is in the tracker frame rests on the calibrated model: its posterior at the commands."""
+    """Return the uncertainty of the target in the tracker frame: the model's posterior at the commands."""
     if known.commands:
         return _line(
             MODEL,
@@ -207,10 +207,10 @@ def _model(known: Evidence) -> UncertaintyContribution:
 def _growth(
     arm_type: ArmType, found: ArmDiscoveryResult | None, measured: MeasuredConditions | None
 ) -> UncertaintyContribution | None:
-    """Growth of the arm over the temperatures that were measured; None without any.
+    """Return the growth of the arm over the measured temperatures; None if there are none.
 
-    Where a discovery holds, readings at all these temperatures were compared with the model: growth that it lacks is
-    part of their scatter, which counts as repeatability.
+    If there is a valid discovery, readings at all these temperatures were compared with the model: growth that it lacks
+    is part of their scatter, which counts as repeatability.
     """
     spans = [] if measured is None else [span for span in (measured.air_c, measured.joints_c) if span is not None]
     if not spans:
@@ -249,7 +249,7 @@ def _position(
 
 
 def _of_model_mm(parts: UncertaintyParts) -> float:
-    """Standard uncertainty [mm] of a coordinate by the model alone."""
+    """Return the standard uncertainty [mm] of a coordinate by the model alone."""
     return math.hypot(parts.parameters, parts.effects, parts.network, parts.extrapolation)
 
 

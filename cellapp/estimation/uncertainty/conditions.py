@@ -1,4 +1,4 @@
-"""What an arm was measured under: distances from the tracker, temperatures, payload. No I/O."""
+"""Conditions of an arm's measurements: distances from the tracker, temperatures, payload. No I/O."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class MeasuredConditions:
-    """Smallest and largest values over the readings of one arm; None where no reading has the quantity.
+    """Smallest and largest values over the readings of one arm; None if no reading has the quantity.
 
     ``distance_m`` is from the tracker to the SMR, ``air_c`` the air or arm temperature of the readings, ``joints_c``
     that of the joints [degC], ``payload_kg`` the payload.
@@ -29,7 +29,7 @@ class MeasuredConditions:
 
 
 def measured_conditions(readings: Mapping[str, Readings]) -> dict[str, MeasuredConditions]:
-    """The conditions of the readings of each arm."""
+    """Return the conditions of the readings of each arm."""
     return {name: _of_arm(arm) for name, arm in readings.items()}
 
 

@@ -1,6 +1,6 @@
-"""The one decision rule: whether an error conforms to its tolerance, with regard to its uncertainty.
+"""The single decision rule: whether an error conforms to its tolerance, given its uncertainty.
 
-Certificate, verification of targets, paths, tests by ISO 9283, predictions and the terminal application all ask here.
+Certificate, verification of targets, paths, tests by ISO 9283, predictions and the terminal application all use it.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ TARGET_WORDS: Mapping[Conformity, ToleranceVerdict] = {
     "does not conform": "out",
     "cannot say": "cannot say",
 }
-"""The same decision in the words of targets and paths."""
+"""The decision in the words of targets and paths."""
 
 
 def conformity(value: float | None, expanded: float | None, tolerance: float, rule: DecisionRule) -> Conformity:
     """Decide on an error against an upper limit; all in one unit.
 
-    ``guarded`` is ISO 14253-1: conformity is proven where ``value + expanded <= tolerance``, nonconformity where
-    ``value - expanded > tolerance``, and neither between. Without an expanded uncertainty it decides nothing.
-    ``simple`` compares the value alone (ISO/IEC Guide 98-4, simple acceptance). Nothing is said of a missing value.
+    ``guarded`` is ISO 14253-1: conformity is proven if ``value + expanded <= tolerance``, nonconformity if ``value -
+    expanded > tolerance``, and neither between; without an expanded uncertainty there is no decision. ``simple``
+    compares the value alone (ISO/IEC Guide 98-4, simple acceptance). A missing value gives no decision.
     """
     if value is None:
         return "cannot say"
@@ -33,7 +33,7 @@ def conformity(value: float | None, expanded: float | None, tolerance: float, ru
 
 
 def decided(low: float, high: float, tolerance: float) -> Conformity:
-    """Decide where an error is between two bounds: proven inside, proven outside, or neither."""
+    """Decide for an error between two bounds: proven inside, proven outside, or neither."""
     if high <= tolerance:
         return "conforms"
     return "does not conform" if low > tolerance else "cannot say"
@@ -42,7 +42,7 @@ def decided(low: float, high: float, tolerance: float) -> Conformity:
 def target_verdict(
     value: float | None, expanded: float | None, tolerance: float | None, rule: DecisionRule
 ) -> ToleranceVerdict:
-    """``conformity`` in the words of targets; empty without a tolerance or a measurement."""
+    """Return ``conformity`` in the words of targets; empty without a tolerance or a measurement."""
     if value is None or tolerance is None:
         return ""
     return TARGET_WORDS[conformity(value, expanded, tolerance, rule)]

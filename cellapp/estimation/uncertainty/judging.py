@@ -1,7 +1,7 @@
-"""What was measured at targets and along paths against their tolerances: by the one rule, with the same uncertainty.
+"""Judgement of measured targets and paths against their tolerances, by the single rule and with the same uncertainty.
 
-The expanded uncertainty of a distance from a target is that of the certificate: its contributions at the place that was
-measured and for the command that was sent. Where one was not given, it is not known, and the rule decides nothing.
+The expanded uncertainty of a distance from a target is that of the certificate: its contributions at the measured place
+and for the command sent. If one is missing, the uncertainty is unknown and the rule decides nothing.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges errors in one cell.
+    """Judge of errors in one cell.
 
-    ``known`` is what the run knows of the errors of each arm.
+    ``known`` holds the data of the run on the errors of each arm.
     """
 
     profile: Profile
@@ -31,24 +31,24 @@ class Judge:
 
     @property
     def rule(self) -> DecisionRule:
-        """The rule that the profile chooses."""
+        """Rule chosen in the profile."""
         return self.profile.tolerances.decision
 
     def expanded_mm(
         self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
     ) -> float | None:
-        """Expanded uncertainty [mm] of the error at measured SMRs, arm -> (3,) [m]; of two arms that of their distance.
+        """Return the expanded uncertainty [mm] at measured SMRs, arm -> (3,) [m]; for two arms of their distance.
 
-        None where a contribution was not given.
+        None if a contribution is missing.
         """
         return expanded_mm(self._budget(measured_M, parts))
 
     def verdict(self, error_mm: float | None, expanded: float | None, tolerance_mm: float | None) -> ToleranceVerdict:
-        """Decide; empty without a tolerance or an error."""
+        """Return the verdict; empty without a tolerance or an error."""
         return target_verdict(error_mm, expanded, tolerance_mm, self.rule)
 
     def not_given(self, arms: Sequence[str]) -> tuple[str, ...]:
-        """The contributions that nobody gave, without which nothing is decided by the guarded rule."""
+        """Return the missing contributions, without which the guarded rule decides nothing."""
         if self.rule != "guarded":
             return ()
         somewhere = {arm: np.array([1.0, 0.0, 0.0]) for arm in arms}

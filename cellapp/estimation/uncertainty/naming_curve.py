@@ -1,10 +1,9 @@
-"""How often something is found over its size, from few trials: a curve with its uncertainty, and what to try next.
+"""Detection rate over size from few trials: a psychometric curve with its uncertainty, and the sizes to try next.
 
-The share found at a size x is ``(1 - lapse) / (1 + exp(-(ln x - middle) / width))``: a logistic curve of the logarithm
-of the size (Kingdom, Prins, Psychophysics, 2nd ed., 2016, ch. 4) that ends below one where even the largest are missed
-at times. All three parameters have a prior on a grid, so that few trials give wide intervals and no failed fit; the
-next sizes are taken where the belief expects the curve to pass the wanted share (Watson, Pelli, Percept. Psychophys. 33
-(1983) 113).
+The share found at a size x is ``(1 - lapse) / (1 + exp(-(ln x - middle) / width))``: a logistic curve of the log size
+(Kingdom, Prins, Psychophysics, 2nd ed., 2016, ch. 4) that ends below one if even the largest are sometimes missed. All
+three parameters have a prior on a grid, so few trials give wide intervals instead of failed fits. The next sizes are
+where the belief expects the curve to pass the wanted share (Watson, Pelli, Percept. Psychophys. 33 (1983) 113).
 """
 
 from __future__ import annotations
@@ -18,25 +17,25 @@ from scipy.special import expit
 from cellapp.robot.kinematics.transforms import Array
 
 _MIDDLES, _BEYOND = 80, 8.0
-"""Values of the middle, from half the smallest size to this many times the largest one."""
+"""Number of values of the middle, from half the smallest size to ``_BEYOND`` times the largest one."""
 _WIDTHS = np.geomspace(0.06, 0.8, 9)
-"""In natural logarithms of the size: laws that are drawn differ in what geometry can follow of them."""
+"""Widths in natural logarithms of the size: simulated laws differ in how much of them geometry can follow."""
 _LAPSES = np.array([0.0, 0.01, 0.03, 0.1, 0.3, 0.6])
 _LAPSE_PRIOR = np.array([0.4, 0.3, 0.17, 0.07, 0.04, 0.02])
 _NEXT = (0.25, 0.5, 0.75)
-"""Quantiles of the belief about the wanted size that are tried next."""
+"""Quantiles of the belief about the wanted size to try next."""
 _ABOVE = 1.8
-"""And this many times its median: what is missed there is not missed because it is small."""
+"""Multiple of its median to try as well: a miss there is not due to small size."""
 
 
 @dataclass(frozen=True, eq=False)
 class NamingCurve:
-    """Belief about the curve.
+    """Belief about the curve, on a grid.
 
     Attributes
     ----------
     low, high : float
-        Smallest and largest size that is tried, in any unit.
+        Smallest and largest size to try, in any unit.
     weights : array, shape (middles, widths, lapses)
         Probability of each curve of the grid.
     """
@@ -47,7 +46,7 @@ class NamingCurve:
 
     @classmethod
     def of(cls, low: float, high: float, sizes: Sequence[float] = (), found: Sequence[bool] = ()) -> NamingCurve:
-        """The belief after trials of some ``sizes``; without any, that before."""
+        """Compute the belief after trials of some ``sizes``; without any, the prior."""
         prior = np.ones((_MIDDLES, len(_WIDTHS), 1)) * _LAPSE_PRIOR
         log_weights = np.log(prior)
         middles = _middles(low, high)
@@ -58,7 +57,7 @@ class NamingCurve:
         return cls(low, high, weights / weights.sum())
 
     def size_at(self, share: float, quantiles: Sequence[float]) -> list[float]:
-        """Quantiles of the belief about the size of which ``share`` are found; infinite where it may not exist."""
+        """Return quantiles of the belief about the size of which ``share`` are found; infinite if it may not exist."""
         log_size = np.full(self.weights.shape, np.inf)
         reached = share / (1.0 - _LAPSES)
         able = reached < 1.0
@@ -70,7 +69,7 @@ class NamingCurve:
         return [float(value) for value in np.exp(log_size.ravel()[order][places])]
 
     def next_sizes(self, share: float) -> list[float]:
-        """Four sizes that tell most of the size of which ``share`` are found."""
+        """Return the four most informative sizes for the size of which ``share`` are found."""
         wanted = self.size_at(share, _NEXT)
         return [min(max(size, self.low), self.high) for size in (*wanted, _ABOVE * wanted[len(_NEXT) // 2])]
 
@@ -80,6 +79,6 @@ def _middles(low: float, high: float) -> Array:
 
 
 def _share(log_size: float, middles: Array) -> Array:
-    """Share found at a size by every curve of the grid."""
+    """Return the share found at a size by every curve of the grid."""
     curve = expit((log_size - middles[:, None]) / _WIDTHS)
     return np.asarray(curve[:, :, None] * (1.0 - _LAPSES))

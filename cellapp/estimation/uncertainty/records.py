@@ -8,7 +8,7 @@ from typing import Literal
 from cellapp.ground.results import DecisionRule, Record
 
 ToleranceVerdict = Literal["in", "out", "cannot say", ""]
-"""Whether a target is met to its tolerance; empty where it has none, or where there is nothing to judge."""
+"""Whether a target is within its tolerance; empty if it has none, or if there is nothing to judge."""
 
 Conformity = Literal["conforms", "does not conform", "cannot say"]
 Characteristic = Literal[
@@ -72,7 +72,7 @@ class Judgement(Record):
 
 
 def overall(judgements: Sequence[Judgement]) -> Conformity | None:
-    """The worst of all judgements; None if nothing is judged."""
+    """Return the worst of all judgements; None if nothing is judged."""
     found = {one.conformity for one in judgements}
     order: tuple[Conformity, ...] = ("does not conform", "cannot say", "conforms")
     return next((one for one in order if one in found), None)

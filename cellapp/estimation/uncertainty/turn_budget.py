@@ -1,4 +1,4 @@
-"""The uncertainty of a measured error of orientation by its contributions (JCGM 100): independent, of one component."""
+"""Uncertainty budget of a measured orientation error (JCGM 100): independent contributions, for one component."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cellapp.ground.profile import Profile
 def turn_budget(
     profile: Profile, arm: str, model_mrad: float, noise_mrad: float, basis: str = "at the command"
 ) -> tuple[TurnContribution, ...]:
-    """Contributions to the uncertainty of the rotation of a flange that a probe or several SMRs measured [mrad].
+    """Return the contributions to the uncertainty of a flange rotation measured by a probe or several SMRs [mrad].
 
-    What several SMRs tell is known by its scatter about the model alone, which the arm's repeatability is part of.
+    With several SMRs only the scatter about the model is known, which includes the arm's repeatability.
 
     Parameters
     ----------
     model_mrad : float
-        Standard uncertainty of a component by the model in force, with how the probe is mounted.
+        Standard uncertainty of a component by the model in force, including the mounting of the probe.
     noise_mrad : float
         Scatter of measured orientations about the model.
     basis : str
-        Of which command ``model_mrad`` is.
+        Words that say to which command ``model_mrad`` belongs.
     """
     smr, scatter = profile.arms[arm].smr, f"orientations scatter by {noise_mrad:.4f} mrad about the model"
     stated = None if smr.probe is None else smr.probe.sigma * 1e3
@@ -46,6 +46,6 @@ def turn_budget(
 
 
 def expanded_mrad(contributions: Sequence[TurnContribution]) -> float | None:
-    """Expanded uncertainty [mrad], k = 2; None where a contribution was not given."""
+    """Return the expanded uncertainty [mrad], k = 2; None if a contribution is missing."""
     standard_mrad = combined(one.standard_mrad for one in contributions)
     return None if standard_mrad is None else COVERAGE * standard_mrad

@@ -1,4 +1,4 @@
-"""Named features of a joint for methods without a library, the effects that they stand for, and regression by joint."""
+"""Named features of a joint for methods without a library, the effects they stand for, and regression by joint."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CYCLES = (1, 2, 3, 4)
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """A quantity (n,) that may move a joint, and the slug of the effect that acts so."""
+    """A quantity (n,) that may move a joint, and the slug of the effect it stands for."""
 
     name: str
     slug: str
@@ -24,7 +24,7 @@ class Feature:
 
 
 def joint_features(context: EffectContext, joint: int) -> list[Feature]:
-    """Features of a joint (from 0): waves of its angle, its load, its last motion, time and temperature."""
+    """Return the features of a joint (from 0): waves of its angle, its load, its last motion, time and temperature."""
     q, j = context.q[:, joint], joint
     found = [
         Feature(f"{name}({k} q)", "encoder_eccentricity" if k == 1 else "transmission_error", wave(k * q))
@@ -48,19 +48,19 @@ def joint_features(context: EffectContext, joint: int) -> list[Feature]:
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Mean and standard deviation of features over the readings to learn from; constant ones stay zero."""
+    """Mean and standard deviation of features over the readings to learn from; constant features are scaled to zero."""
 
     mean: Array
     sd: Array
 
     @classmethod
     def of(cls, features: list[Feature]) -> Scaling:
-        """Over all rows."""
+        """Compute the scaling over all rows."""
         table = np.column_stack([one.values for one in features])
         return cls(table.mean(axis=0), table.std(axis=0))
 
     def table(self, features: list[Feature]) -> Array:
-        """Standardised values (n, m)."""
+        """Standardise features; return values (n, m)."""
         table = np.column_stack([one.values for one in features]) - self.mean
         return np.where(self.sd > 0.0, table / np.where(self.sd > 0.0, self.sd, 1.0), 0.0)
 
@@ -68,11 +68,11 @@ class Scaling:
 JointRule = Callable[[Array], Array]
 """Standardised features (n, m) of a joint -> its offsets (n,) [rad]."""
 Regression = Callable[[Array, Array], tuple[JointRule, Mapping[int, float]]]
-"""Learns standardised features (n, m) and offsets (n,) [rad]; the probability of each feature that the rule needs."""
+"""(standardised features (n, m), offsets (n,) [rad]) -> the rule, and the probability of each feature that it needs."""
 
 
 def regressed_by_joint(problem: Problem, regression: Regression) -> Answer:
-    """Predict the offsets of each joint by its features, and name the effects of the features that are needed."""
+    """Predict each joint's offsets from its features, and name the effects of the features that are needed."""
     model, projection = problem.geometry_fit.model, JointProjection.of(problem)
     learn = model.context(problem.learn.q, conditions=problem.learn_conditions)
     held = model.context(problem.held_out.q, conditions=problem.held_out_conditions)

@@ -1,8 +1,8 @@
-"""A problem of the benchmark, what a method answers, and the projection to joints that methods without a library need.
+"""A problem of the benchmark, a method's answer, and the projection to joints for methods without a library.
 
-A method is a function from a ``Problem`` to an ``Answer``. It sees how an arm is built, what was measured at some stops
-and under which conditions, and the conditions of further stops. It names the effects that are missing, each with a
-probability, and predicts where the SMR was at the further stops.
+A method is a function from a ``Problem`` to an ``Answer``. It gets the design of an arm, the measurements at some stops
+with their conditions, and the conditions of further stops. It names the missing effects, each with a probability, and
+predicts the SMR positions at the further stops.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One arm from which something is hidden, or nothing.
+    """One arm in which something is hidden, or nothing.
 
     Attributes
     ----------
     name : str
-        The same for the same problem: ``single/run-0003/left``.
+        Identifies the problem: ``single/run-0003/left``.
     profile : Profile
-        The cell as its user describes it, without what is hidden. ``profile.arms[arm]`` has rows, masses and limits.
+        The cell as its user describes it, without hidden effects. ``profile.arms[arm]`` has rows, masses and limits.
     arm : str
     learn : Readings
         Joint positions (n, N), points (n, 3) [m] in the tracker frame, and their conditions.
     held_out : Readings
         Joint positions and conditions (m, ...) of the stops to predict; their points are NaN.
     learn_conditions, held_out_conditions : MeasurementConditions
-        The same conditions as effects take them; with the load of the other arm.
+        The same conditions in the form that effects need, with the load of the other arm.
     motion : Motion or None
-        What was recorded in motion, if anything was; ``learn`` then has samples of it, too, at clocks that agree.
+        The recordings in motion; None if there are none. ``learn`` then includes samples of them, with clocks aligned.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Problem:
     def of(
         cls, name: str, profile: Profile, arm: str, readings: Readings, conditions: MeasurementConditions
     ) -> Problem:
-        """The problem of an arm's readings: those of the validate split are held out."""
+        """Build the problem of an arm's readings; the validate split is held out."""
         held = np.zeros(len(readings), dtype=np.bool_)
         held[readings.in_split("validate")] = True
         hidden = readings.take(held)
@@ -85,7 +85,7 @@ class Problem:
         )
 
     def with_motion(self, recordings: tuple[Recording, ...]) -> Problem:
-        """The same arm with recordings of motion. Raises ``InputError`` if one is of no use."""
+        """Return the same arm with recordings of motion. Raises ``InputError`` if one cannot be used."""
         fit, _ = calibrate_arm_with_motion(self.profile, self.arm, self.learn, recordings)
         samples = samples_of(fit, self.learn.joints)
         samples = samples.take(samples.in_split("identify"))
@@ -97,7 +97,7 @@ class Problem:
 
     @cached_property
     def data(self) -> ArmData:
-        """The readings to learn from as cellapp's discovery takes them: weights, and geometry that fits them best."""
+        """The readings to learn from in the form of cellapp's discovery: weights, and the best-fitting geometry."""
         nominal = registered_model(self.profile, self.arm, self.learn.q, self.learn.p_M)
         return ArmData.of(self.profile, nominal, self.learn, self.learn_conditions)
 
@@ -108,22 +108,23 @@ class Problem:
 
     @cached_property
     def geometry_residual(self) -> Array:
-        """What that fit leaves of the points to learn from, (n, 3) [m]."""
+        """Residuals of that fit at the points to learn from, (n, 3) [m]."""
         return self.learn.p_M - self.geometry_fit.model.predict(self.learn.q, conditions=self.learn_conditions)
 
     def predicted(self, model: ArmModel) -> Array:
-        """SMR positions (m, 3) [m] at the held-out stops by a model."""
+        """Predict SMR positions (m, 3) [m] at the held-out stops with a model."""
         return model.predict(self.held_out.q, conditions=self.held_out_conditions)
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method says of a problem.
+    """A method's answer to a problem.
 
     Attributes
     ----------
     names : mapping
-        Slug of each accepted effect -> its probability; ``unknown`` for one without a name. Empty: nothing is missing.
+        Slug of each accepted effect -> its probability; ``unknown`` for an effect without a name. Empty: nothing
+        missing.
     p_M : array, shape (m, 3)
         SMR positions at the held-out stops [m], tracker frame.
     """
@@ -133,7 +134,7 @@ class Answer:
 
 
 class NotTaken(Exception):
-    """A method cannot take this kind of problem, and says why. It counts as not answered."""
+    """Error: a method does not accept this kind of problem, and says why. It counts as not answered."""
 
 
 Method = Callable[[Problem], Answer]
@@ -141,9 +142,9 @@ Method = Callable[[Problem], Answer]
 
 @dataclass(frozen=True, eq=False)
 class JointProjection:
-    """The residual of the geometry as offsets of the joints: for methods that regress joint by joint.
+    """Residuals of the geometry as joint offsets, for methods that regress joint by joint.
 
-    Three coordinates do not determine six joints: each reading's least offsets are taken, damped by the noise.
+    Three coordinates do not determine six joints: each reading gets its smallest offsets, damped by the noise.
 
     Attributes
     ----------
@@ -156,7 +157,7 @@ class JointProjection:
 
     @classmethod
     def of(cls, problem: Problem) -> JointProjection:
-        """Project the residual that the best geometry leaves."""
+        """Project the residuals of the best geometry."""
         J = _by_joints(problem.geometry_fit.model, problem.learn.q)
         gram = np.einsum("naj,nbj->nab", J, J)
         damped = gram + 1e-4 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -164,12 +165,12 @@ class JointProjection:
         return cls(problem, np.einsum("naj,na->nj", J, projected))
 
     def predicted(self, offsets: Array) -> Array:
-        """SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""
+        """Predict SMR positions (m, 3) [m] at the held-out stops with joint offsets (m, N) [rad]."""
         own = self.problem
         J = _by_joints(own.geometry_fit.model, own.held_out.q)
         return np.asarray(own.predicted(own.geometry_fit.model) + np.einsum("naj,nj->na", J, offsets))
 
 
 def _by_joints(model: ArmModel, q: Array) -> Array:
-    """Derivatives (n, 3, N) [m/rad] of the SMR position by the joints."""
+    """Compute the derivatives (n, 3, N) [m/rad] of the SMR position by the joints."""
     return joint_jacobian(model.geometry, JointAngles.of(q))[1].transpose(2, 0, 1)

@@ -1,4 +1,4 @@
-"""Real series of the league among the problems: nobody knows their truth, so held-out errors are judged, not names."""
+"""Real series of the league as problems: their truth is unknown, so held-out errors are judged, not names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
 
 REAL = "real"
-"""First word of their sets."""
+"""Prefix of the names of their sets."""
 
 
 class RealQuestion(Record):
@@ -28,7 +28,7 @@ class RealQuestion(Record):
 
 
 def _answered(entrants: Mapping[str, Entrant], asked: RealQuestion) -> ScoredAnswer:
-    """Let the method learn from the rows and predict all others."""
+    """Let the method learn from some rows and predict all others."""
     entrant = entrants[asked.series]
     drawn = draw_rows(entrant, asked.rows, asked.seed)
     readings = drawn.split(entrant.readings)
@@ -63,7 +63,7 @@ REAL_ANSWERS = TaskKind(
 
 
 def records_words(series: Sequence[str]) -> list[str]:
-    """What others published of these series."""
+    """State the errors that others published for these series."""
     return [
         f"{SERIES[name].title}: {SERIES[name].published_mm} mm published for the rows that its authors held out,"
         f" {SERIES[name].published_how}"

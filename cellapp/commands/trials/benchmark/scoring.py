@@ -1,4 +1,4 @@
-"""Scores of answers: exact names, false names, honest probabilities, held-out error, time; by set and in total."""
+"""Scores of answers: exact names, false names, calibrated probabilities, held-out error, time; by set and in total."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cellapp.ground.results import Record
 from cellapp.robot.kinematics.transforms import Array
 
 CLEAN = "clean"
-"""Set of the arms in which nothing is hidden."""
+"""Name of the set of arms without hidden effects."""
 
 
 class Statement(Record):
@@ -98,9 +98,9 @@ def scored(
     seconds: float,
     cell: str = "",
 ) -> ScoredAnswer:
-    """Compare an answer with the truth; ``measured`` (m, 3) [m] are the held-out points of the arm.
+    """Compare an answer with the truth; ``measured`` (m, 3) [m] are the arm's held-out points.
 
-    None is no answer. ``cell`` is the set of a further cell.
+    The answer is None if the method gave none. ``cell`` is the set of a further cell.
     """
     here = truth.effects if arm == truth.arm else ()
     kind = truth.kind if here and truth.kind != NONE else CLEAN
@@ -128,12 +128,12 @@ def scored(
 
 
 def by_set(answers: Sequence[ScoredAnswer]) -> Mapping[str, SetScore]:
-    """Score of each set, in the order in which they first occur."""
+    """Return the score of each set, in the order of their first occurrence."""
     return {name: set_score(own) for name, own in grouped((one.set, one) for one in answers).items()}
 
 
 def set_score(answers: Sequence[ScoredAnswer]) -> SetScore:
-    """Score over some answers, at least one."""
+    """Compute the score over some answers, at least one."""
     stated = [one for answer in answers for one in answer.statements]
     known = [one for one in answers if one.exact is not None]
     told = [one for one in answers if one.answered]
@@ -151,5 +151,5 @@ def set_score(answers: Sequence[ScoredAnswer]) -> SetScore:
 
 
 def _over(values: Sequence[Any], of: Callable[[Any], Any] = np.mean) -> float | None:
-    """The mean of some values, or what else is asked for; None of none."""
+    """Return the mean of some values, or another statistic ``of``; None if there are no values."""
     return float(of(values)) if values else None

@@ -1,4 +1,4 @@
-"""``trials benchmark``: methods on sealed problems. The truth is opened after a method has answered."""
+"""``trials benchmark``: methods on sealed problems. The truth is opened only after a method has answered."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.transforms import Array
 
 KINDS = (ONE, PAIR, OUT)
-"""Sets of sealed runs. One arm of each run is without effects: these arms are the set ``clean``."""
+"""Sets of sealed runs. One arm of each run has no effects: these arms form the set ``clean``."""
 ALL = "all"
 
 
@@ -94,7 +94,7 @@ ANSWERS = TaskKind(
 
 @dataclass(frozen=True)
 class RealProblems:
-    """Real series among the problems: their texts, and rows to learn from in so many draws."""
+    """Real series as problems: their texts, numbers of rows to learn from, and how many draws."""
 
     texts: SeriesTexts
     rows: Rows = 300
@@ -113,28 +113,28 @@ def benchmark_trials(
     real: RealProblems | None = None,
     sweeps: int | None = None,
 ) -> BenchmarkResult:
-    """Let each method answer every problem of a folder; problems that are not there yet are made first.
+    """Let each method answer every problem of a folder; missing problems are made first.
 
     Parameters
     ----------
     folder : Path
-        Sealed problems, a folder for each of ``KINDS``; a former benchmark's are used as they are.
+        Sealed problems, a folder for each of ``KINDS``; those of an earlier benchmark are reused.
     methods : sequence of str
         Names of ``METHODS``; ``all`` stands for all of them.
     n : int
         Runs of each kind to make, two arms each, by laws of other shapes than the library's.
     seed : int or None
-        Draws the problems; None draws a secret one.
+        Draws the problems; None draws a secret seed.
     cells : sequence of Profile
-        Further simulated cells, as of another make or with orientations: a set of mixed runs each, named as the cell.
+        Further simulated cells, as of another make or with orientations: each a set of mixed runs with the cell's name.
     real : RealProblems, optional
     sweeps : int, optional
-        Stops with a sweep of each arm on record: the set ``motion``, whose held-out stops are at rest.
+        Stops at which a sweep of each arm is recorded: the set ``motion``, whose held-out stops are at rest.
 
     Raises
     ------
     InputError
-        For a method that is not known, a folder that holds something else, or a run that is missing.
+        For an unknown method, a folder that holds something else, or a missing run.
     CheckFailed
         If a seal is broken, or the readings of a run are not those that were sealed.
     Cancelled
@@ -174,7 +174,7 @@ def benchmark_trials(
 
 
 def benchmark_table(result: BenchmarkResult) -> Table:
-    """A row for each method and set."""
+    """Build a table with a row for each method and set."""
     everything = {result.method: MethodScore(sets=result.sets, total=result.total), **result.compared}
     rows = [
         (method, name, score)
@@ -198,7 +198,7 @@ def benchmark_table(result: BenchmarkResult) -> Table:
 
 
 def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
-    """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
+    """Return an arm of a sealed run as a problem, and its held-out points (m, 3) [m]."""
     with RunFile.open(folder / run) as file:
         profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
         recordings = read_recordings_of(file, arm)
@@ -211,7 +211,7 @@ def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
 
 
 def refused(result: BenchmarkResult) -> str:
-    """What could not be answered, in words; empty if all was."""
+    """State what could not be answered; empty if all was."""
     said = not_computed(result.failed)
     return f"trials benchmark: {said}" if said else ""
 
@@ -220,7 +220,7 @@ def refused(result: BenchmarkResult) -> str:
 
 
 def _sets(profile: Profile, cells: Sequence[Profile], sweeps: int | None) -> dict[str, tuple[Profile, Setup]]:
-    """Set -> its cell and conditions. Raises ``InputError`` if two cells have one name."""
+    """Return set -> its cell and conditions. Raises ``InputError`` if two cells have the same name."""
     sets = {kind: (profile, Setup(kind=kind, laws="same" if kind == OUT else "other")) for kind in KINDS}
     if sweeps is not None:
         sets[MOTION] = profile, Setup(kind=MOTION, laws="other", sweeps=sweeps)
@@ -232,7 +232,7 @@ def _sets(profile: Profile, cells: Sequence[Profile], sweeps: int | None) -> dic
 
 
 def _known(methods: Sequence[str]) -> list[str]:
-    """The methods that are meant. Raises ``InputError`` for one that is not there or cannot run here."""
+    """Return the requested methods. Raises ``InputError`` for one that does not exist or cannot run here."""
     names = [name for one in methods for name in (METHODS if one == ALL else (one,))]
     for name in names:
         if name not in METHODS:

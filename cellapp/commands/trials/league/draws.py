@@ -92,7 +92,7 @@ class DrawTask(Record):
 
 
 def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
-    """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` if there are too few rows."""
+    """Learn from the drawn rows, and judge by the held-out ones. Raises ``InputError`` if there are too few rows."""
     rows = draw_rows(entrant, task.rows, task.seed, task.learnable)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     readings = rows.split(entrant.readings)
@@ -126,7 +126,7 @@ def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
 
 
 def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
-    """Score of what the models leave (n, 3) [m], beside the stated standard deviations (n,) [m]."""
+    """Score residuals (n, 3) [m] by model, beside the stated standard deviations (n,) [m]."""
     means = {name: float(np.linalg.norm(off, axis=1).mean()) * 1e3 for name, off in left.items()}
     return HeldOutScore(
         n=len(sd),
@@ -140,7 +140,7 @@ def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
 def _turn_score(
     readings: Readings, conditions: MeasurementConditions, geometry: ArmModel, discovery: ArmModel
 ) -> TurnScore | None:
-    """Score of the orientations at held-out rows; None where none was measured."""
+    """Score the orientations at held-out rows; None if none was measured."""
     its = measured_quantities(readings, conditions)
     if its.turned is None:
         return None

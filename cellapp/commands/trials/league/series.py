@@ -1,4 +1,4 @@
-"""The measured series of the league, and the draws of rows that are learned from and held out."""
+"""Measured series of the league, and draws of rows for learning and held-out rows."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record
 
 Group = Literal["all", "others", "published"]
-"""Held-out rows: all of them; those that the authors of the data held out; and the others."""
+"""Group of held-out rows: all; those that the authors of the data held out; the others."""
 Rows = int | Literal["all"]
-"""How many rows are learned from."""
+"""Number of rows to learn from."""
 
 _DRAW_SEED = 0x1EA6
-"""Beside the seed of a draw: it is then independent of all other draws of the program."""
+"""Mixed with the seed of a draw, so that it is independent of all other draws of the program."""
 _HELD_OUT_OF_ALL = 0.2
-"""Share that is held out where all rows of a series are learned from and its authors held none out."""
+"""Share that is held out if all rows of a series are learned from and its authors held none out."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class Series:
     folder : str
         Its folder below the data, and the stem of its profile.
     bars_mm : mapping
-        Number of rows learned from -> largest allowed mean over draws of the mean held-out position error of discovery.
+        Number of rows to learn from -> largest allowed mean over draws of discovery's mean held-out position error.
     bars_mrad : mapping
-        The same of the mean held-out orientation error [mrad].
+        The same for the mean held-out orientation error [mrad].
     published_mm : float, optional
-        Mean position error that the authors of the data published for the rows that they held out.
+        Mean position error that the authors of the data published for their held-out rows.
     published_how : str
-        How they reached it.
+        How the authors reached it.
     """
 
     title: str
@@ -79,7 +79,7 @@ class Entrant:
 
     @property
     def pool(self) -> NDArray[np.intp]:
-        """Rows that may be learned from: those that the authors did not hold out."""
+        """Rows that may be used for learning: those that the authors did not hold out."""
         return np.setdiff1d(np.arange(len(self.readings)), self.readings.in_split("validate"))
 
 
@@ -96,7 +96,7 @@ class DrawnRows:
         return next(iter(self.held_out.values()))
 
     def split(self, readings: Readings) -> Readings:
-        """The readings, divided into those to learn from and the held-out ones."""
+        """Return the readings with their splits: rows to learn from, and held-out rows."""
         words = np.full(len(readings), None, dtype=object)
         words[self.learned], words[self.judged] = "identify", "validate"
         return replace(readings, split=tuple(words.tolist()))
@@ -121,14 +121,14 @@ def load_entrant(name: str, data: Path, profiles: Path) -> Entrant:
     Raises
     ------
     InputError
-        If there is no such series, its files are not there, or they are not as expected.
+        If there is no such series, or its files are missing or not as expected.
     """
     profile, csv = _files(name, data, profiles)
     return _entrant(name, profile, csv)
 
 
 def series_texts(names: Sequence[str], data: Path, profiles: Path) -> SeriesTexts:
-    """The texts of some series. Raises ``InputError`` as ``load_entrant`` does."""
+    """Return the texts of some series. Raises ``InputError`` as ``load_entrant`` does."""
     texts = {}
     for name in dict.fromkeys(names):
         profile, csv = _files(name, data, profiles)
@@ -137,7 +137,7 @@ def series_texts(names: Sequence[str], data: Path, profiles: Path) -> SeriesText
 
 
 def parse_entrants(texts: SeriesTexts) -> dict[str, Entrant]:
-    """The series with their readings. Raises ``InputError`` if a text is not as expected."""
+    """Return the series with their readings. Raises ``InputError`` if a text is not as expected."""
     entrants = {}
     with TemporaryDirectory() as folder:
         for name, its in texts.series.items():
@@ -148,7 +148,7 @@ def parse_entrants(texts: SeriesTexts) -> dict[str, Entrant]:
 
 
 def _files(name: str, data: Path, profiles: Path) -> tuple[Profile, Path]:
-    """Profile of a series, and the file of its readings."""
+    """Return profile of a series, and the file of its readings."""
     if name not in SERIES:
         raise InputError(f"--series: '{name}' is not a series of the league; series are {', '.join(SERIES)}")
     csv = data / SERIES[name].folder / "readings.csv"
@@ -172,9 +172,9 @@ def _entrant(name: str, profile: Profile, csv: Path) -> Entrant:
 
 
 def draw_rows(entrant: Entrant, rows: Rows, seed: int, learnable: int | None = None) -> DrawnRows:
-    """Draw the rows to learn from; all others are held out, with those that the authors of the data held out.
+    """Draw the rows to learn from; all others are held out, including those that the authors held out.
 
-    Draws of one seed are nested: more rows include the fewer ones. ``learnable`` rows of the permutation are never
+    Draws of one seed are nested: more rows include the fewer. The first ``learnable`` rows of the permutation are never
     held out, so that draws of different sizes are judged on the same rows.
 
     Raises
@@ -200,7 +200,7 @@ def draw_rows(entrant: Entrant, rows: Rows, seed: int, learnable: int | None = N
 
 
 def parse_rows(text: str) -> list[Rows]:
-    """Numbers of rows, or ``all``, separated by commas. Raises ``InputError`` for anything else."""
+    """Parse numbers of rows, or ``all``, separated by commas. Raises ``InputError`` for anything else."""
     sizes: list[Rows] = []
     for word in (word.strip() for word in text.split(",")):
         if word != "all" and not (word.isascii() and word.isdigit() and int(word) > 0):

@@ -13,7 +13,7 @@ _MM = ".4f"
 
 
 def league_tables(result: LeagueResult) -> list[Table]:
-    """Errors, names and times, bars; and the learning curve where it was asked for."""
+    """Show errors, effects and times, bars; and the learning curve if requested."""
     title = "League of real robots: mean held-out position error [mm]"
     turned = [line for line in result.lines if line.turned is not None]
     tables = [_error_table(title, result.lines), *([_turn_table(turned)] if turned else [])]
@@ -25,7 +25,7 @@ def league_tables(result: LeagueResult) -> list[Table]:
 
 
 def league_sentences(result: LeagueResult) -> list[str]:
-    """How the tables came about."""
+    """State the conditions of the tables."""
     names = dict.fromkeys(line.series for line in result.lines)
     titles = ", ".join(f"{name}: {SERIES[name].title}" for name in names)
     said = [
@@ -58,7 +58,7 @@ def _error_table(title: str, lines: Sequence[LeagueLine]) -> Table:
 
 
 def _turn_table(lines: Sequence[LeagueLine]) -> Table:
-    """Errors of orientations."""
+    """Show errors of orientations."""
 
     def of(line: LeagueLine, name: str) -> float | None:
         return None if line.turned is None else getattr(line.turned, name)
@@ -75,7 +75,7 @@ def _turn_table(lines: Sequence[LeagueLine]) -> Table:
 
 
 def _name_table(lines: Sequence[LeagueLine]) -> Table:
-    """Names and times of the draws of every series and size; the lines of one size differ in the rows held out only."""
+    """Show named effects and times of each series and size; draws of one size differ only in the held-out rows."""
     return table_of(
         "Discovery: time of a draw, effects named and in how many draws",
         {(line.series, line.learned): line for line in lines}.values(),

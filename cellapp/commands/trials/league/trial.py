@@ -1,4 +1,4 @@
-"""All draws of the league, means over draws, and the bars they are held to."""
+"""All draws of the league, means over draws, and the bars that they must meet."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 
 CURVE_SERIES = "C"
-"""The longest series."""
+"""The longest series, used for the learning curve."""
 CURVE_ROWS = (100, 200, 300, 600, 1200, 2200)
-"""Sizes of the learning curve; the rows beyond the largest are held out for all of them."""
+"""Sizes of the learning curve; the rows beyond the largest size are held out for all sizes."""
 _BAR_ROWS: Rows = 300
 """Size at which no draw may be much worse than the mean."""
 _MOST_ABOVE_MEAN = 1.15
 _WITHIN_95 = (0.90, 0.98)
-"""Share of measured coordinates that stated 95 % intervals must hold."""
+"""Range of the share of measured coordinates that stated 95 % intervals must contain."""
 
 
 BarKind = Literal[
@@ -110,7 +110,7 @@ class LeagueResult(Result, schema="cellapp-trials-league"):
     failed: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Draws that failed and bars that are missed, in words."""
+        """Return draws that failed and bars that are missed, in words."""
         return [
             *self.failed,
             *(
@@ -122,7 +122,7 @@ class LeagueResult(Result, schema="cellapp-trials-league"):
 
 
 def bar_words(bar: LeagueBar) -> str:
-    """The limits in words."""
+    """State the limits in words."""
     return f"at most {bar.most:g}" if bar.least is None else f"{bar.least:g} to {bar.most:g}"
 
 
@@ -137,7 +137,7 @@ def league_trials(
     network: bool = False,
     curve: bool = False,
 ) -> LeagueResult:
-    """Run every series with every number of rows over some seeds of draws.
+    """Run every series with every number of rows over several seeds.
 
     Parameters
     ----------
@@ -146,12 +146,12 @@ def league_trials(
     network : bool
         Train the residual networks of ``calibrate`` too; slow.
     curve : bool
-        Also learn from 100 to 2200 rows of series C, held out the same rows each time.
+        Also learn from 100 to 2200 rows of series C, with the same held-out rows each time.
 
     Raises
     ------
     InputError
-        If a series, or the asked number of rows, is not there.
+        If a series is missing, or has fewer rows than requested.
     Cancelled
         On request.
     """
@@ -167,7 +167,7 @@ def league_trials(
     curve_tasks = _curve_tasks(seeds) if curve else []
     every = [*tasks, *curve_tasks]
     entrants = parse_entrants(texts)
-    for task in every:  # too few rows are said before hours of work
+    for task in every:  # report too few rows before hours of work
         draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
     gathered = work.gather(DRAWS, "league", texts, every, "series {0.series}, {0.rows} rows, seed {0.seed}")
     draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
@@ -183,7 +183,7 @@ def results_of(
     jobs: int,
     failed: tuple[str, ...] = (),
 ) -> LeagueResult:
-    """Lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
+    """Return lines and bars of draws over ``seeds`` seeds by ``jobs`` processes."""
     lines = _lines(draws)
     return LeagueResult(
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
@@ -213,7 +213,7 @@ def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
 
 
 def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
-    """Means over the draws of one series and size."""
+    """Average the draws of one series and size."""
     first, scores = draws[0], [draw.scores[group] for draw in draws]
     errors = [score.discovery_mm for score in scores]
     networks = [score.network_mm for score in scores if score.network_mm is not None]
@@ -240,7 +240,7 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
 
 
 def _mean_turns(scores: Sequence[TurnScore]) -> TurnScore | None:
-    """Means over draws; None where no orientation was measured."""
+    """Average orientation scores over draws; None if no orientation was measured."""
     if not scores:
         return None
     means = {name: float(np.mean([getattr(one, name) for one in scores])) for name in TurnScore.model_fields}
@@ -248,7 +248,7 @@ def _mean_turns(scores: Sequence[TurnScore]) -> TurnScore | None:
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
-    """The bars of every series and size, on all held-out rows; a single draw has no worst."""
+    """Return the bars of every series and size, on all held-out rows; a single draw has no bar for its worst."""
     judged: dict[tuple[str, Rows], LeagueLine] = {}
     for line in lines:
         judged.setdefault((line.series, line.rows), line)  # the first line is that of all held-out rows

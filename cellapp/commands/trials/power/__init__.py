@@ -1,1 +1,1 @@
-"""Which effects of which size a plan would have named."""
+"""Which effects, from which size on, a plan would find."""

@@ -1,4 +1,4 @@
-"""``power``: which effects of which size would be named."""
+"""``power``: from which size on effects would be named."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.ground.results import Record, Result
 
 SHARE = 0.95
-"""Share of the trials in which an effect shall be named."""
+"""Share of the trials in which an effect must be named."""
 
 
 class NamingTrial(Record):

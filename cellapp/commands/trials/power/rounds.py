@@ -1,4 +1,4 @@
-"""Rounds of blind trials of planned stops, at sizes that the trials before suggest, and what they say together."""
+"""Rounds of blind trials of planned stops, at sizes that earlier trials suggest, and their joint result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LIMITS = (0.05, 0.5, 0.95)
 _ENOUGH = 8
 """Trials after which an effect that was never named is given up."""
 _FOLLOWED = 0.3
-"""Share that geometry follows from which that is said to limit naming."""
+"""Share absorbed by geometry from which that is stated as the limit of naming."""
 
 
 def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
@@ -44,7 +44,7 @@ def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit
 def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
     """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` draws them all.
 
-    What the time allows is shared among the effects; the intervals say what that leaves open.
+    The time limit is shared among the effects; the intervals state the remaining uncertainty.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
         if not reason
     ]
     failed: list[str] = []
-    allowed = len(tried)  # the first trial of each says how long they last
+    allowed = len(tried)  # the first trial of each shows its duration
     while asked := _round(tried, trials)[:allowed]:
         name = "arm {0.arm}, {0.effect}, {0.size_mm:.3f} mm"
         began_s = limit.now()
@@ -101,9 +101,9 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
 
 @dataclass(frozen=True)
 class _Tried:
-    """One effect in one arm, and the trials of it so far; ``noise_mm`` is the rms length of the noise.
+    """One effect in one arm and its trials so far; ``noise_mm`` is the rms length of the noise.
 
-    ``failed`` counts those that could not be computed: they are not asked for again.
+    ``failed`` counts trials that could not be computed: they are not repeated.
     """
 
     arm: str
@@ -115,7 +115,7 @@ class _Tried:
 
     @property
     def belief(self) -> NamingCurve:
-        """About the share that is named over the size [mm]."""
+        """Estimate of the share that is named, over the size [mm]."""
         sizes = [trial.size_mm for trial in self.trials]
         named = [trial.named is not None for trial in self.trials]
         return NamingCurve.of(_LOWEST * self.noise_mm, _HIGHEST * self.noise_mm, sizes, named)
@@ -127,7 +127,7 @@ class _Tried:
         return not acts or (len(self.trials) >= _ENOUGH and not any(trial.named for trial in self.trials))
 
     def next_trials(self, most: int) -> Iterator[NamingTrial]:
-        """The trials of the next round, none after ``most``."""
+        """Yield the trials of the next round, at most up to ``most`` in all."""
         if self.is_hopeless:
             return
         made = len(self.trials) + self.failed
@@ -137,7 +137,7 @@ class _Tried:
             yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
 
     def with_trials(self, asked: Sequence[NamingTrial], found: Sequence[NamingTrial | None]) -> _Tried:
-        """The same with those of the trials ``asked`` that are of this effect and arm; None for one that failed."""
+        """Add those of the trials ``asked`` that are of this effect and arm; the result of a failed one is None."""
         own = [
             result
             for trial, result in zip(asked, found, strict=True)
@@ -147,7 +147,7 @@ class _Tried:
         return replace(self, trials=(*self.trials, *done), failed=self.failed + len(own) - len(done))
 
     def power(self) -> EffectPower:
-        """What the trials say."""
+        """Summarize the trials."""
         low, middle, high = self.belief.size_at(SHARE, _LIMITS)
         largest = max((trial.size_mm for trial in self.trials), default=0.0)
         shown = middle <= largest and any(trial.named for trial in self.trials)
@@ -173,13 +173,13 @@ class _Tried:
 
 
 def _round(tried: Sequence[_Tried], most: int) -> list[NamingTrial]:
-    """Next trials of all effects, the first of each before the second of any; none after ``most`` of each."""
+    """Return the next trials, the first of each effect before the second of any; at most ``most`` of each."""
     each = [list(one.next_trials(most)) for one in tried]
     return [trial for together in zip_longest(*each) for trial in together if trial is not None]
 
 
 def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
-    """Arm and effect -> why its data cannot show it; empty where they may."""
+    """Return (arm, effect) -> why its data cannot show it, for effects that cannot be shown."""
     conditions = conditions_of_arms(cell.models, cell.readings)
     return {
         (name, slug): EFFECTS[slug].missing_data(model.context(cell.readings[name].q, conditions=conditions[name]))
@@ -190,7 +190,7 @@ def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
 
 
 def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize | None:
-    """The largest value that an effect of a size [mm] has, as in trials that named it; None if units differ."""
+    """Convert a size [mm] to an effect's largest value, by the trials that named it; None if their units differ."""
     ratios = [(trial.named.value / trial.size_mm, trial.named.unit) for trial in named if trial.named is not None]
     ((unit, count),) = Counter(unit for _, unit in ratios).most_common(1)
     if 2 * count <= len(ratios):
@@ -200,7 +200,7 @@ def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize |
 
 
 def _limit(trials: Sequence[NamingTrial], from_mm: float) -> str:
-    """What limits naming, from the trials of sizes from ``from_mm`` on."""
+    """Say what limits naming, from the trials with sizes from ``from_mm`` [mm] on."""
     if not any(trial.visible for trial in trials):
         return "it does not move the SMR at these stops"
     said = []

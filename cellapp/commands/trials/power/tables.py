@@ -1,4 +1,4 @@
-"""How the sizes from which effects are named are shown."""
+"""Tables and charts of the sizes from which effects are named."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.ground.counting import counted
 
 
 def power_parts(result: PowerResult) -> Parts:
-    """What the plan would name: how it was found, then a table and a chart for each arm."""
+    """Show what the plan would name: the method, then a table and a chart for each arm."""
     parts: list[str | Table | Chart] = [power_sentence(result)]
     for name, arm in result.arms.items():
         parts += [power_chart(name, arm), power_table(name, arm)]
@@ -20,7 +20,7 @@ def power_parts(result: PowerResult) -> Parts:
 
 
 def power_sentence(result: PowerResult) -> str:
-    """What was tried, in one sentence."""
+    """Say what was tried, in one sentence."""
     ended = f"; the time ended them before all {result.trials_of_each} of each" if result.ended_by_time else ""
     return (
         f"Sizes from which an effect is named in {result.share:.0%} of the runs, from {len(result.trials)} blind trials"
@@ -29,7 +29,7 @@ def power_sentence(result: PowerResult) -> str:
 
 
 def power_table(name: str, arm: ArmPower) -> Table:
-    """Every effect of an arm; those that are named soonest first."""
+    """Show every effect of an arm; those named from the smallest sizes first."""
     return table_of(
         f"Arm {name}: {counted(arm.stops, 'stop')}, noise {arm.noise_rms_mm:.3f} mm rms",
         _ordered(arm),
@@ -46,7 +46,7 @@ def power_table(name: str, arm: ArmPower) -> Table:
 
 
 def power_chart(name: str, arm: ArmPower) -> Chart:
-    """A bar for each effect that is named from some size on."""
+    """Show a bar for each effect that is named from some size on."""
     shown = {one.title: one.named_from for one in _ordered(arm) if one.named_from is not None}
     bars = {title: (size.value_mm, _words(size)) for title, size in shown.items()}
     least = next((f"{title} from {text}" for title, (_, text) in bars.items()), "no effect")

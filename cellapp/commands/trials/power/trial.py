@@ -1,7 +1,7 @@
-"""One blind trial of a plan: an effect of a given size hidden in an arm, measured at the planned stops, and searched.
+"""One blind trial of a plan: hide an effect of a given size in an arm, measure the planned stops, and search.
 
-The law is one of the simulated cell, of another shape than the library's where there is one. Its displacements of the
-SMR are scaled to the size that is asked for: so sizes of all effects are comparable, and a law keeps its shape.
+The law is one of the simulated cell, of another shape than the library's if there is one. Its SMR displacements are
+scaled to the requested size, so that the sizes of all effects are comparable and a law keeps its shape.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from drivers.plant import Plant, suggest_other_law
 from drivers.plant.conditions import Conditions
 
 _JOINT_RISE_K, _WARM_UP_S = 10.0, 3000.0
-"""Final temperature of joints above the air, and its time constant."""
+"""Final temperature of joints above the air [K], and its time constant [s]."""
 _AIR_K, _AIR_PERIOD_S = 1.0, 1.5e4
-"""Amplitude and period of the air's temperature."""
+"""Amplitude [K] and period [s] of the air's temperature."""
 _STILL_M = 1e-9
-"""An effect of realistic size that moves the SMR by less does not act at these stops."""
+"""An effect of realistic size that moves the SMR by less [m] does not act at these stops."""
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -60,7 +60,7 @@ class PlannedCell(Record):
 
     @classmethod
     def of(cls, profile: Profile, stops: PlannedStops) -> PlannedCell:
-        """The cell of a profile at the stops of a plan, reserves left out."""
+        """Return the cell of a profile at the stops of a plan, reserves left out."""
         reserves = profile.plan.reserves(len(stops))
         visited = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
         times = stop_times_of(profile, visited)
@@ -80,11 +80,11 @@ class TrialCell:
     Attributes
     ----------
     profile, simulated : Profile
-        As it is evaluated, and as it is simulated: without effects, the masses and geometry of a typical arm.
+        The profile for evaluation, and the simulated one: without effects, with masses and geometry of a typical arm.
     conditions : mapping
         Arm -> conditions of its planned stops.
     readings : mapping
-        Arm -> readings of an arm as published, without noise; their points are replaced in each trial.
+        Arm -> readings of the published arm, without noise; each trial replaces their points.
     """
 
     profile: Profile
@@ -94,18 +94,18 @@ class TrialCell:
 
     @cached_property
     def models(self) -> dict[str, ArmModel]:
-        """Published arms, registered to their readings: what an arm needs to know of the others."""
+        """Published arms, registered to their readings: needed for effects that depend on the other arms."""
         return {name: registered_model(self.profile, name, own.q, own.p_M) for name, own in self.readings.items()}
 
     def noise_rms_m(self, name: str) -> float:
-        """Rms length of the tracker's noise at the stops of an arm [m]."""
+        """Return the rms length of the tracker's noise at the stops of an arm [m]."""
         covariance = self.readings[name].covariance_M
         assert covariance is not None
         return float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
 
 
 def trial_cell(planned: PlannedCell) -> TrialCell:
-    """Prepare a cell. Raises ``InputError`` if the profile does not say where arms and tracker stand."""
+    """Prepare a cell. Raises ``InputError`` if the profile does not give the poses of arms and tracker."""
     simulated = _simulated(planned.profile)
     plant = build_plant(simulated)
     time_s, dwell_s = np.array(planned.time_s), np.array(planned.dwell_s)
@@ -146,7 +146,7 @@ def trial_cell(planned: PlannedCell) -> TrialCell:
 
 
 def naming_trial(cell: TrialCell, asked: NamingTrial) -> NamingTrial:
-    """Hide the effect, measure, calibrate and search; the trial with what was found."""
+    """Hide the effect, measure, calibrate and search; return the trial with the findings."""
     rng = np.random.default_rng([asked.seed, 0xB0E2])
     name = asked.arm
     true_arms = int(rng.integers(2**31))
@@ -172,7 +172,7 @@ def _rows(values: Array) -> Rows:
 
 
 def _simulated(profile: Profile) -> Profile:
-    """The profile with a simulated cell behind it: that of its section ``plant``, or of a typical cell."""
+    """Return the profile with a simulated cell: that of its section ``plant``, or a typical one."""
     plant = (profile.plant or PlantSection()).model_copy(update={"effects": {}, "noise": True})
     arms = {
         name: arm
@@ -186,9 +186,10 @@ def _simulated(profile: Profile) -> Profile:
 def _measured(
     cell: TrialCell, name: str, plant: Plant, hidden: Plant, size_m: float, rng: np.random.Generator
 ) -> tuple[Readings, float] | None:
-    """Readings of an arm with the effect of a size [m], and the share of it that geometry cannot follow.
+    """Simulate readings of an arm with an effect of a size [m]; also return the share of it that geometry cannot
+    absorb.
 
-    None where the effect does not act at these stops.
+    None if the effect does not act at these stops.
     """
     own, conditions = cell.readings[name], cell.conditions[name]
     scatter = 0.0 if cell.simulated.plant is None else cell.simulated.plant.repeatability
@@ -212,10 +213,10 @@ def _measured(
 
 
 def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: float) -> NamingTrial:
-    """The trial with what calibration and search accept."""
+    """Return the trial with what calibration and search accept."""
     name = asked.arm
     profile = cell.profile.model_copy(update={"seed": asked.seed})
-    splits, _ = profile_splits(profile, cell.readings)  # of the stops, whatever was measured there
+    splits, _ = profile_splits(profile, cell.readings)  # by the stops, independent of the measurements
     own = replace(readings, split=splits[name])
     model = calibrate_arm(profile, name, own)[0].model
     conditions = conditions_of_arms({**cell.models, name: model}, {**cell.readings, name: own})[name]
@@ -231,7 +232,7 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
 
 
 def _largest(effect: AcceptedEffect) -> SmallestSize:
-    """The largest value among the parameters of the unit that its law names first."""
+    """Return the largest value among the parameters with the unit that the law names first."""
     values = list(effect.parameters.values())
     unit = values[0].unit if values else ""
     return SmallestSize(value=max((abs(one.value) for one in values if one.unit == unit), default=0.0), unit=unit)

@@ -1,1 +1,1 @@
-"""Pictures of fitted terms: partial residuals and model against what the term depends on."""
+"""Pictures of fitted terms: partial residuals and model against the variable of the term."""

@@ -30,15 +30,15 @@ _LABELS = {
     Quantity.Y: ("y in the base frame [m]", 1.0),
     Quantity.Z: ("z in the base frame [m]", 1.0),
 }
-"""Label of a variable of data-driven terms, with a place for the joint, and the factor from SI units to the label's."""
+"""Label of a variable of data-driven terms, with a placeholder for the joint, and the factor from SI units."""
 _LOADED_JOINT = 1
-"""Joint (from 0) whose gravity torque stands for the load on the whole arm: the shoulder carries it on most arms."""
+"""Joint (from 0) whose gravity torque represents the load on the whole arm: the shoulder carries it on most arms."""
 
 
 def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | None = None) -> list[Axis]:
-    """Axes to show a term against; of a data-driven term one for each of its variables.
+    """Return the axes to show a term against; for a data-driven term one for each of its variables.
 
-    ``joint`` (from 0) is the one that the term offsets; ``beside`` is a joint that the term acts at without an offset.
+    ``joint`` (from 0) is the joint that the term offsets; ``beside`` a joint on which the term acts without an offset.
     """
     if term.slug != UNKNOWN or is_borrowed(term.law):
         return [_axis_of_effect(data, term, joint, beside)]
@@ -54,7 +54,7 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
 
 
 def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: int | None) -> Axis:
-    """Axis of an effect of the library: the first that applies of motion, time, temperature, field, load, angle."""
+    """Return the axis of a library effect: the first that applies of motion, time, temperature, field, load, angle."""
     variables = term.law.form.variables or EFFECTS[term.slug].variables
     axis = None if joint is None else _motion_axis(data, variables, joint)
     axis = axis or _time_or_temperature_axis(data, variables, joint) or _field_axis(data, variables)
@@ -69,7 +69,7 @@ def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: i
 
 
 def _motion_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int) -> Axis | None:
-    """Last step, gravity torque or approach direction of a joint."""
+    """Return last step, gravity torque or approach direction of a joint; None if none applies."""
     context = data.context
     if DriverVariable.STEP in variables and data.conditions.step is not None:
         return f"last step of joint {joint + 1} [deg]", np.degrees(context.step[:, joint])
@@ -84,7 +84,7 @@ def _motion_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int
 
 
 def _time_or_temperature_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int | None) -> Axis | None:
-    """Time, or temperature of the air or of joints."""
+    """Return time, or temperature of the air or of joints; None if none applies."""
     conditions = data.conditions
     if DriverVariable.TIME in variables and conditions.time_s is not None and np.isfinite(conditions.time_s).any():
         return "time [h]", conditions.time_s / 3600.0
@@ -98,7 +98,7 @@ def _time_or_temperature_axis(data: ArmData, variables: frozenset[DriverVariable
 
 
 def _field_axis(data: ArmData, variables: frozenset[DriverVariable]) -> Axis | None:
-    """The other arm's load, or the place in the tracker's field."""
+    """Return the other arm's load, or the place in the tracker's field; None if none applies."""
     context, conditions = data.context, data.conditions
     if DriverVariable.OTHER_ARM in variables and conditions.other_moment_M is not None:
         return "moment of the other arm [Nm]", np.linalg.norm(conditions.other_moment_M, axis=1)

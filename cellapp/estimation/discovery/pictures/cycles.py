@@ -12,13 +12,13 @@ from cellapp.robot.effects import EffectColumn
 from cellapp.robot.kinematics.transforms import Array
 
 _BAND = (0.1, 0.9)
-"""Shares of the cumulated power between which the dominant cycles lie: the middle 80 %."""
+"""Shares of the cumulative power that bound the dominant cycles: the middle 80 %."""
 
 
 def dominant_cycles(
     columns: Sequence[EffectColumn], values: Array, covariance: Array | None = None
 ) -> dict[str, CycleBand]:
-    """Dominant cycles per revolution of each joint (key: its number) of columns that are waves, with values (m,) [rad].
+    """Return the dominant cycles per revolution by joint (key: its number), from wave columns with values (m,) [rad].
 
     ``covariance`` (m, m) of the values gives the standard error of each joint's rms.
     """
@@ -36,7 +36,7 @@ def dominant_cycles(
 def _with_error(
     band: CycleBand, joint: int, columns: Sequence[EffectColumn], values: Array, covariance: Array
 ) -> CycleBand:
-    """The band with the standard error of its rms; rms^2 is half the sum of the squares of its coefficients."""
+    """Add to the band the standard error of its rms; rms^2 is half the sum of the squared coefficients."""
     own = np.array([column.cycles is not None and column.joint == joint for column in columns])
     gradient = np.where(own, values, 0.0) / (2e-6 * band.rms_urad)
     error = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))

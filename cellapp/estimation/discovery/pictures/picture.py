@@ -1,4 +1,4 @@
-"""One picture of a term: measured and computed values against what the term depends on, thinned and sorted."""
+"""One picture of a term: measured and computed values against the variable of the term, thinned and sorted."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cellapp.estimation.discovery.records import CurveRecord, Picture
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_POINTS = 600
-"""Points of one picture: as many as a figure of that width in pixels can show."""
+"""Most points of one picture: as many as a figure of that width in pixels can show."""
 _DIGITS = 5
 """Significant digits of its numbers: far finer than a figure, and a third of the size in JSON."""
 
@@ -53,5 +53,5 @@ def make_picture(
 
 
 def rounded(values: Array) -> tuple[float, ...]:
-    """Values with the digits that a picture needs."""
+    """Round values to the digits that a picture needs."""
     return tuple(float(f"{value:.{_DIGITS}g}") for value in values)

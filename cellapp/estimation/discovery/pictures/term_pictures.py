@@ -1,11 +1,11 @@
-"""Pictures of a fit: each term's partial residuals in its own channel, against what the term depends on.
+"""Pictures of a fit: each term's partial residuals in its own channel, against the variable of the term.
 
-The partial residual is residual + term: the readings minus everything else in the model. For a joint offset it is
-estimated along the direction J_j in which the joint moves the SMR,
+The partial residual is residual + term: the readings minus everything else in the model. A joint offset is estimated
+along the direction J_j in which the joint moves the SMR,
 
     dq_j = J_j^T r / (J_j^T J_j)   (whitened),
 
-of a shift of the SMR along its main direction or, where it has none, along the computed shift.
+a shift of the SMR along its main direction or, if it has none, along the computed shift.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from cellapp.robot.effects.data_driven import data_driven_form
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_JOINTS = 6
-"""Joints of one term that are shown: all of the usual arms."""
+"""Most joints of one term that are shown: all joints of the usual arms."""
 _LEAST_LEVER = 0.05
-"""Joints whose lever is below this share of the longest are not shown: their offsets hardly move the SMR."""
+"""Share of the longest lever below which a joint is not shown: its offsets hardly move the SMR."""
 _LEAST_OWN_LEVER = 0.2
-"""Readings where a joint's lever is below this share of its median are not shown: noise over lever would fill it."""
+"""Share of a joint's median lever below which a reading is not shown: noise over lever would fill the picture."""
 _MOST_DRAWN = 40
-"""Lines of more cycles per revolution are too dense to be drawn over a whole turn: below 9 degrees a cycle."""
+"""Most cycles per revolution of a line drawn over a whole turn: more, below 9 degrees a cycle, are too dense."""
 _ONE_DIRECTION = 0.9
-"""Share of the squares of a shift in one direction from which it is shown along that, with its sign."""
+"""Share of a shift's sum of squares in one direction at which it is shown along that direction, with its sign."""
 _NO_SHIFT = 1e-9
-"""Shifts below this length [m] have no direction."""
+"""Length [m] below which a shift has no direction."""
 _CYCLE_POINTS = 181
-"""Points of a curve over one cycle; over a turn twice as many."""
+"""Points of a curve over one cycle; twice as many over a turn."""
 _POINTS_A_CYCLE = 7
 """Points for each cycle of a curve over a turn."""
 
 
 def pictures(data: ArmData, fit: JointFit) -> tuple[Picture, ...]:
-    """One picture for each joint with a lever that a term offsets, or one for the term's shift of the SMR.
+    """Draw one picture for each joint with a lever that a term offsets, or one for the term's shift of the SMR.
 
-    The term that moves the SMR most comes first, and in each the joint that moves it most.
-    A data-driven term of two variables has one against each of them.
+    The term that moves the SMR most comes first, and within a term the joint that moves it most. A data-driven term of
+    two variables has one picture against each of them.
     """
     levers = np.sqrt(np.mean(np.einsum("cjn,cjn->jn", fit.by_joint, fit.by_joint), axis=1))
     found: list[Picture] = []
@@ -73,7 +73,7 @@ def pictures(data: ArmData, fit: JointFit) -> tuple[Picture, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _JointView:
-    """Columns of a joint to show together, against what, and their curve over a turn or a cycle."""
+    """Columns of a joint to show together, their horizontal axis, and their curve over a turn or a cycle."""
 
     columns: Sequence[int]
     x_label: str
@@ -106,7 +106,7 @@ class _TermPictures:
         return title if channel.channel is Channel.JOINT else f"{title}, {channel.name}"
 
     def of_joint(self, joint: int) -> list[Picture]:
-        """The offset of a joint (from 0)."""
+        """Draw the offset of a joint (from 0)."""
         fit, n = self.fit, len(self.data)
         lever = fit.by_joint[:, joint]
         square = np.maximum(np.einsum("cn,cn->n", lever, lever), 1e-300)
@@ -131,7 +131,7 @@ class _TermPictures:
         return found
 
     def _joint_views(self, joint: int) -> list[_JointView]:
-        """Views of one joint: waves by cycle count, all other columns together."""
+        """Return the views of one joint: waves by cycle count, all other columns together."""
         columns = self.fit.term_columns(self.number)
         own = [k for k, column in enumerate(columns) if column.joint == joint]
         cycles = {k: count for k in own if (count := columns[k].cycles) is not None}
@@ -141,7 +141,7 @@ class _TermPictures:
         return self._periodic_views(joint, cycles)
 
     def _periodic_views(self, joint: int, cycles: dict[int, int]) -> list[_JointView]:
-        """Waves over a whole turn; fast lines, which would be a blur there, with their cycles overlaid."""
+        """Return views of waves over a whole turn; fast lines, which would blur there, have their cycles overlaid."""
         angle = np.degrees(self.data.readings.q[:, joint])
         smooth = self.fit.terms[self.number].smooth is not None
         fast = [] if smooth else sorted({count for count in cycles.values() if count > _MOST_DRAWN})
@@ -165,7 +165,7 @@ class _TermPictures:
         return views
 
     def _curve(self, own: Sequence[int], angle_deg: Array) -> CurveRecord:
-        """The curve of waves, also where no reading was taken."""
+        """Return the curve of waves, also at angles without readings."""
         columns = self.fit.term_columns(self.number)
         waves = np.array([wave(np.radians(angle_deg)) for k in own if (wave := columns[k].wave) is not None])
         chosen = list(own)
@@ -174,7 +174,7 @@ class _TermPictures:
         return CurveRecord(x=rounded(angle_deg), value=rounded(value * 1e6), band=rounded(band * 1e6))
 
     def of_shift(self, axis: int | None) -> list[Picture]:
-        """The shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""
+        """Draw the shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""
         term, columns, here = self.fit.terms[self.number], self.fit.term_columns(self.number), self.fit.positions
         own = [k for k, one in enumerate(columns) if one.shift_M is not None and axis in (None, one.index)]
         shifts = np.array([columns[k].shift_M for k in own]).reshape(-1, len(self.data), 3)[:, here]
@@ -193,9 +193,9 @@ class _TermPictures:
 
 
 def _shift_direction(shift_M: Array) -> tuple[Array, str, str]:
-    """Unit direction (n, 3) along which shifts are shown, zero without one; label of that axis; addition to the title.
+    """Return the unit direction (n, 3) of the shown shifts (zero without one), the axis label and a title suffix.
 
-    One direction for all where that holds nearly all of the shifts, else that of each.
+    One direction serves for all if it holds nearly all of the shifts; else each has its own.
     """
     _, sizes, directions = np.linalg.svd(shift_M, full_matrices=False)
     if sizes[0] ** 2 >= _ONE_DIRECTION * np.sum(sizes**2) and sizes[0] > 0.0:
@@ -210,5 +210,5 @@ def _shift_direction(shift_M: Array) -> tuple[Array, str, str]:
 
 
 def _standard_deviation(columns: Array, covariance: Array) -> Array:
-    """Standard deviation (n,) of the sum of columns (k, n) whose coefficients have ``covariance`` (k, k)."""
+    """Return the standard deviation (n,) of the sum of columns (k, n) whose coefficients have ``covariance`` (k, k)."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("kn,kn->n", columns, covariance @ columns), 0.0)))

@@ -1,1 +1,1 @@
-"""What is left after geometry and named laws, as one structured Gaussian process: components, evidence, fit."""
+"""Residuals of geometry and named laws as one structured Gaussian process: components, evidence, fit."""

@@ -1,9 +1,9 @@
 """Components of the structured process: an effect's smooth law on the data at hand, and its hyperparameters.
 
-A component is a channel (what moves) times a driver (what it depends on), as a smooth form of a named effect: about
-the axis against its own angle is a transmission error, across the axis a wobble, against gravity's torque a compliance,
-and so on. Its columns are weighted by a spectrum that depends on an amplitude and, for functions of an angle, on a
-length scale.
+A component is a channel (what moves) with a driver (what it depends on), as a smooth form of a named effect. A turn
+about the axis that depends on its own angle is a transmission error, one across the axis a wobble, one that depends on
+gravity's torque a compliance, and so on. The columns are weighted by a spectrum that depends on an amplitude and, for
+functions of an angle, on a length scale.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ from cellapp.robot.kinematics.transforms import Array
 CURVE_CYCLES = 80
 """Highest cycle count of a joint's curve: at the shortest length scale, 3 degrees, 1 % of its variance is beyond."""
 _LEAST_LEVER = 0.05
-"""Joints whose rms lever is below this share of the longest get no curve: their errors do not show at the SMR."""
+"""Share of the longest rms lever below which a joint gets no curve: its errors do not show at the SMR."""
 
 
 CURVE_LENGTHS = LengthRange(math.radians(5.0), math.radians(3.0), math.radians(40.0))
-"""A gear's errors have periods from a few degrees to a turn; below 3 degrees lines of the spectrum describe them."""
+"""Length scales of a joint's curve: a gear's errors have periods from a few degrees to a turn; below 3 degrees lines of
+the spectrum describe them."""
 FIELD_LENGTHS = LengthRange(0.5, 0.2, 3.0)
-"""Layers of air and bent stands act over a good part of the workspace; shorter fields need more readings than there
-are."""
+"""Length scales of a field: layers of air and bent stands act over a good part of the workspace, and shorter fields
+need more readings than there are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,21 +52,21 @@ class Component:
     rows : array, shape (m, d)
         Their whitened displacements.
     constants : mapping
-        Constants of the law that are no hyperparameters.
+        Constants of the law that are not hyperparameters.
     form : LawForm
     groups : array, shape (m,)
-        Amplitude of each column, an index into ``amplitude_keys``.
+        Index into ``amplitude_keys`` of each column's amplitude.
     amplitude_keys : tuple of str
         Constants of the law that hold the amplitudes.
     start : float
         First guess of the amplitudes.
     weights : array, shape (m,)
-        Relative prior variances where no length scale is fitted; else not used.
+        Relative prior variances if no length scale is fitted; else unused.
     lengths : LengthRange, optional
     length_keys : tuple of str
         Constants of the law that hold the length scale; one value for all.
     frequencies : array, shape (m,), optional
-        Of a field over the workspace: angular frequency of each column [1/m].
+        For a field over the workspace: angular frequency of each column [1/m].
     """
 
     slug: str
@@ -83,11 +84,11 @@ class Component:
 
     @property
     def hyperparameters(self) -> int:
-        """How many are fitted: amplitudes, and a length scale where it has one."""
+        """Number of fitted hyperparameters: amplitudes, and a length scale if there is one."""
         return len(self.amplitude_keys) + (0 if self.lengths is None else 1)
 
     def relative_variances(self, length: float) -> Array:
-        """Prior variances (m,) at unit amplitude."""
+        """Return prior variances (m,) at unit amplitude."""
         if self.lengths is None:
             return self.weights
         if self.frequencies is not None:
@@ -96,18 +97,18 @@ class Component:
 
     @cached_property
     def _cycles(self) -> NDArray[np.intp]:
-        """Cycles a turn of each column (m,), zero for those that are no wave."""
+        """Cycles a turn of each column (m,), zero for columns that are no waves."""
         return np.array([column.cycles or 0 for column in self.columns], dtype=np.intp)
 
     def law(self, amplitudes: Array, length: float) -> Law:
-        """The law with its hyperparameters."""
+        """Return the law with its hyperparameters."""
         found = dict(self.constants)
         found |= dict(zip(self.amplitude_keys, amplitudes.tolist(), strict=True))
         found |= dict.fromkeys(self.length_keys, length)
         return self.form.law(found)
 
     def of_amplitudes(self, kept: Sequence[int]) -> Component:
-        """The component with some of its amplitudes only."""
+        """Return the component with some of its amplitudes only."""
         places = np.flatnonzero(np.isin(self.groups, list(kept)))
         keys = [self.amplitude_keys[k] for k in kept]
         lengths = [key for key in self.length_keys if len(self.length_keys) == 1 or _same_joint(key, keys)]
@@ -116,7 +117,7 @@ class Component:
         return replace(some, groups=groups, amplitude_keys=tuple(keys), length_keys=tuple(lengths))
 
     def coarse(self) -> Component:
-        """The component with the slower half of its waves, where it has a length scale."""
+        """Return the component with the slower half of its waves, if it has a length scale."""
         if self.lengths is None:
             return self
         fast = self._cycles if self.frequencies is None else self.frequencies
@@ -139,16 +140,16 @@ def _same_joint(length_key: str, amplitude_keys: Sequence[str]) -> bool:
 
 
 def components(data: ArmData, fit: JointFit) -> list[Component]:
-    """All components that the data allow, beside a fit."""
+    """Return all components that the data allow beside a fit."""
     smooth = (_plain(data, fit, effect, law) for effect in EFFECTS.values() for law in effect.smooth_laws(data.context))
     found = [_curves(data, fit), *smooth, _field(data, fit)]
     return [one for one in found if one is not None]
 
 
 def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Component | None:
-    """A component with one amplitude, and one length scale for all its columns where the law has one.
+    """Build a component with one amplitude and at most one length scale for all its columns; None if nothing moves.
 
-    The columns' priors at unit amplitude are the relative ones.
+    The columns' priors at unit amplitude are the relative variances.
     """
     form = effect.form(law.form)
     starts = {AMPLITUDE.name: 1.0} if law.lengths is None else {AMPLITUDE.name: 1.0, LENGTH.name: law.lengths.start}
@@ -172,7 +173,7 @@ def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Comp
 
 
 def _curves(data: ArmData, fit: JointFit) -> Component | None:
-    """A curve for each joint with a lever: an amplitude each, one length scale."""
+    """Build curves of all joints with a lever: an amplitude for each, one length scale; None if there is none."""
     levers = np.sqrt(np.mean(np.sum(fit.by_joint**2, axis=0), axis=1))
     joints = np.flatnonzero(levers > _LEAST_LEVER * levers.max()).tolist()
     if not joints:
@@ -198,7 +199,7 @@ def _curves(data: ArmData, fit: JointFit) -> Component | None:
 
 
 def _field(data: ArmData, fit: JointFit) -> Component:
-    """A field over the workspace: one amplitude for its three directions, one length scale."""
+    """Build a field over the workspace: one amplitude for its three directions, one length scale."""
     box = box_of(position_in_base(data.context))
     law = FIELD.law({**box, AMPLITUDE.name: 1.0, FIELD_LENGTH.name: FIELD_LENGTHS.start})
     columns = tuple(data.columns(UNKNOWN, law))

@@ -1,11 +1,11 @@
-"""Evidence of a structured process from one Gram matrix, with its gradient, and the most evident hyperparameters.
+"""Evidence of a structured process from one Gram matrix, its gradient, and the hyperparameters that maximise it.
 
     y = X w + e,   w_k ~ N(0, v_k(theta)),   e ~ N(0, s I)
 
-y and the columns X stand behind the nuisance parameters (geometry, named laws). The evidence (marginal likelihood)
-follows from ``G = X^T X``, ``b = X^T y`` and ``y^T y`` alone (Rasmussen, Williams, Gaussian Processes for Machine
-Learning, 2006, section 5.4, in weight space, section 2.1): its cost does not depend on the number of readings. Columns
-whose prior is negligible beside the noise are left out.
+y and the columns X are taken in the complement of the nuisance parameters (geometry, named laws). The evidence
+(marginal likelihood) follows from ``G = X^T X``, ``b = X^T y`` and ``y^T y`` alone (Rasmussen, Williams, Gaussian
+Processes for Machine Learning, 2006, section 5.4, in weight space, section 2.1): its cost does not depend on the number
+of readings. Columns whose prior is negligible against the noise are left out.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from cellapp.estimation.discovery.process.components import Component
 from cellapp.robot.kinematics.transforms import Array
 
 NEGLIGIBLE_COLUMN = 1e-2
-"""Prior variance of a column's signal over that of the noise below which the column is left out: it would change the
-log evidence by half of that. All such columns of a measured arm together change it by less than 0.5."""
+"""Ratio of prior signal variance to noise variance below which a column is left out: it would change the log evidence
+by half of that. All such columns of a measured arm together change it by less than 0.5."""
 _LOG_AMPLITUDE = (-7.0, 5.0)
-"""Bounds of the logarithm of an amplitude over its first guess: from a thousandth to 150 times."""
+"""Bounds of the log ratio of an amplitude to its first guess: from a thousandth to 150 times."""
 _LOG_NOISE = (-9.0, 0.5)
-"""Bounds of the logarithm of the noise variance over that of the data: at most slightly above all of it."""
+"""Bounds of the log ratio of the noise variance to that of the data: at most slightly above all of it."""
 _START_NOISE = 0.2
 """First guess of the noise's share of the variance."""
 _LENGTH_STEP = 1e-4
-"""Step of the logarithm of a length scale for the derivative of its spectrum by forward difference."""
+"""Step of the log length scale for the derivative of its spectrum by forward difference."""
 _LEAST_GAIN = 1e-6
 """Relative gain of the evidence at which the optimiser stops: 1e-3 on usual values, far below a score that counts."""
 _IMPOSSIBLE = 1e300
@@ -40,7 +40,7 @@ _IMPOSSIBLE = 1e300
 
 @dataclass(frozen=True, eq=False)
 class ProcessData:
-    """G (m, m), b (m,) and y^T y of the columns of some components, one after the other; d independent coordinates."""
+    """G (m, m), b (m,) and y^T y of the columns of some components in order; d independent coordinates."""
 
     gram: Array
     moment: Array
@@ -49,25 +49,25 @@ class ProcessData:
 
     @classmethod
     def behind(cls, normal: NormalMatrix, flat: int, precision: Array, coordinates: int) -> ProcessData:
-        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given."""
+        """Eliminate the first ``flat`` columns, with prior precisions (flat,), and keep the others."""
         rest, determined = normal.behind(flat, precision)
         return cls(rest.gram, rest.moment, rest.square, coordinates - determined)
 
     def take(self, places: NDArray[np.intp]) -> ProcessData:
-        """Some of the columns."""
+        """Return the data of some of the columns."""
         return ProcessData(self.gram[np.ix_(places, places)], self.moment[places], self.square, self.coordinates)
 
 
 @dataclass(frozen=True, eq=False)
 class Hyperparameters:
-    """Amplitudes of each component, its length scale (1 where it has none), and the noise variance s."""
+    """Amplitudes of each component, its length scale (1 if it has none), and the noise variance s."""
 
     amplitudes: tuple[Array, ...]
     lengths: tuple[float, ...]
     noise: float
 
     def without(self, component: int) -> Hyperparameters:
-        """Those of all components but one."""
+        """Return the hyperparameters of all components but one."""
         return Hyperparameters(
             self.amplitudes[:component] + self.amplitudes[component + 1 :],
             self.lengths[:component] + self.lengths[component + 1 :],
@@ -75,7 +75,7 @@ class Hyperparameters:
         )
 
     def variances(self, components: Sequence[Component]) -> Array:
-        """Prior variances of all columns."""
+        """Return the prior variances of all columns."""
         found = [
             one.relative_variances(length) * amplitudes[one.groups] ** 2
             for one, amplitudes, length in zip(components, self.amplitudes, self.lengths, strict=True)
@@ -85,7 +85,7 @@ class Hyperparameters:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Log evidence, and its derivatives by log v_k (m,) and by log s."""
+    """Log evidence, and its derivatives with respect to log v_k (m,) and to log s."""
 
     value: float
     by_variance: Array
@@ -94,7 +94,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class _Factored:
-    """Columns that matter, the roots of their prior variances, and ``I + V^1/2 G V^1/2 / s = L L^T``."""
+    """Indices of the active columns, the roots of their prior variances, and ``I + V^1/2 G V^1/2 / s = L L^T``."""
 
     active: NDArray[np.intp]
     root: Array
@@ -103,7 +103,7 @@ class _Factored:
 
     @classmethod
     def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
-        """None where the matrix is not positive definite: the noise is nearly zero."""
+        """Factor the matrix; None if it is not positive definite, as the noise is nearly zero."""
         active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
         gram = data.gram if len(active) == len(variance) else data.gram[active].take(active, axis=1)
@@ -117,7 +117,7 @@ class _Factored:
         return None if failed else cls(active, root, gram, lower)
 
     def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
-        """Log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
+        """Return the log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
         scaled = self.root * data.moment[self.active] / noise
         solution = scipy.linalg.lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
         log_determinant = 2.0 * float(np.log(np.diag(self.lower)).sum())
@@ -126,22 +126,22 @@ class _Factored:
 
 
 def log_evidence(data: ProcessData, variance: Array, noise: float) -> float:
-    """The log evidence at prior variances (m,) and a noise variance."""
+    """Return the log evidence at prior variances (m,) and a noise variance."""
     factored = _Factored.of(data, variance, noise)
     return -_IMPOSSIBLE if factored is None else factored.value(data, noise)[0]
 
 
 def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
-    """The evidence at prior variances (m,) and a noise variance, with its derivatives."""
+    """Return the evidence at prior variances (m,) and a noise variance, with its derivatives."""
     factored = _Factored.of(data, variance, noise)
-    if factored is None:  # so low a value makes the optimiser step back
+    if factored is None:  # this low value makes the optimiser step back
         return Evidence(-_IMPOSSIBLE, np.zeros(len(variance)), 0.0)
     value, solution = factored.value(data, noise)
     active = factored.active
     by_variance = np.zeros(len(variance))
     inverse = np.zeros(0)
     if len(active):
-        # in single precision, which is enough for a gradient; zero above the diagonal, as the factor
+        # single precision is enough for a gradient; zero above the diagonal, like the factor
         triangle = scipy.linalg.lapack.strtri(factored.lower.astype(np.float32), lower=1)[0]
         inverse = np.einsum("kl,kl->l", triangle, triangle).astype(np.float64)
         by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
@@ -153,7 +153,7 @@ def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
 
 
 def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]) -> Array:
-    """Loss of log evidence (c,) without each of c groups of columns, which follow one another and end at ``ends``.
+    """Return the loss of log evidence (c,) without each of c consecutive groups of columns, which end at ``ends``.
 
     With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
     ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
@@ -176,7 +176,7 @@ def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]
 
 @dataclass(frozen=True, eq=False)
 class _Packing:
-    """Hyperparameters as one vector of logarithms: amplitudes, length scales of those that have one, noise."""
+    """Conversion of hyperparameters to one vector of logarithms: amplitudes, existing length scales, noise."""
 
     components: tuple[Component, ...]
 
@@ -216,7 +216,7 @@ class _Packing:
 
 
 def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperparameters:
-    """Where the search for hyperparameters begins."""
+    """Return start values of the hyperparameters."""
     return Hyperparameters(
         tuple(np.full(len(one.amplitude_keys), one.start) for one in components),
         tuple(one.lengths.start if one.lengths else 1.0 for one in components),
@@ -227,7 +227,7 @@ def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperpara
 def most_evident(
     components: Sequence[Component], data: ProcessData, start: Hyperparameters, evaluations: int
 ) -> tuple[Hyperparameters, float]:
-    """Hyperparameters of greatest evidence near ``start``, and the log evidence there."""
+    """Maximise the evidence near ``start``; return the hyperparameters and the log evidence there."""
     packing = _Packing(tuple(components))
 
     def objective(theta: Array) -> tuple[float, Array]:

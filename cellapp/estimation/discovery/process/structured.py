@@ -1,10 +1,10 @@
-"""Fit of the structured process to what a model leaves: hyperparameters by evidence, components that it needs, terms.
+"""Fit of the structured process to a model's residuals: hyperparameters by evidence, needed components, terms.
 
-1. All components that the data allow start together, with their slower waves; amplitudes, length scales and the noise
-   maximise the evidence. Amplitudes that do nothing are dropped, and components that lack as much as they would need.
-2. The readings are weighed by the stated uncertainty and the scatter that this finds; the rest is fitted, all waves.
-3. Components that the evidence does not need are removed, the least needed first, and the others fitted again.
-4. The rest become smooth terms of the model, which is then fitted jointly with the geometry.
+1. Start with the slower waves of all components that the data allow. Amplitudes, length scales and the noise maximise
+   the evidence. Drop amplitudes without signal, and components that fall short by as much as they would need.
+2. Weight the readings by the stated uncertainty and the scatter found; fit the remaining components with all waves.
+3. Remove components that the evidence does not need, the least needed first, and fit the others again.
+4. Turn the rest into smooth terms of the model, which is then fitted jointly with the geometry.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, Sm
 from cellapp.robot.kinematics.transforms import Array
 
 LEAST_READINGS = 40
-"""Readings from which a process is tried: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
+"""Least number of readings for a process: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
 _FIRST_EVALUATIONS = 40
-"""Evaluations of the evidence on the first weights; it settles to a part in a thousand after some 30."""
+"""Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
 _NEXT_EVALUATIONS = 12
-"""Evaluations after a change of weights or components, from the values found before."""
+"""Most evaluations after a change of weights or components, from the values found before."""
 _LEAST_SIGNAL = 0.03
-"""An amplitude whose signal is below this share of the noise (rms) is removed at once."""
+"""Ratio of signal to noise (rms) below which an amplitude is removed at once."""
 _SMALLEST = 1e-300
-"""Guards the precision of columns without any variance."""
+"""Guard for the precision of columns without any variance."""
 
 
 @dataclass(frozen=True, eq=False)
 class StructuredProcess:
-    """Components with their hyperparameters, behind a model's parameters.
+    """Components with their hyperparameters, in the complement of a model's parameters.
 
     Attributes
     ----------
     components : tuple of Component
     values : Hyperparameters
     gram : ProcessData
-        Of their columns.
+        Gram matrix of their columns.
     log_evidence : float
     """
 
@@ -68,14 +68,14 @@ class StructuredProcess:
     def fitted(
         cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None, evaluations: int
     ) -> StructuredProcess:
-        """Find hyperparameters from ``start``, without amplitudes that move the SMR by far less than the noise."""
+        """Find hyperparameters from ``start``; drop amplitudes that move the SMR by far less than the noise."""
         gram = gathered(fit, chosen)
         begin = first_guess(chosen, gram) if start is None else start
         values, log_evidence = most_evident(chosen, gram, begin, evaluations)
         return cls(tuple(chosen), values, gram, log_evidence).without_idle()
 
     def without_idle(self) -> StructuredProcess:
-        """The process without amplitudes whose signal is negligible beside the noise."""
+        """Return the process without amplitudes whose signal is negligible against the noise."""
         kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
         power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
         for number, one in enumerate(self.components):
@@ -93,7 +93,7 @@ class StructuredProcess:
         return StructuredProcess(tuple(kept_components), values, self.gram.take(taken), self.log_evidence)
 
     def without(self, component: int) -> StructuredProcess:
-        """The process without one component, at the hyperparameters of the others."""
+        """Return the process without one component, at the hyperparameters of the others."""
         first = sum(len(one.columns) for one in self.components[:component])
         count = len(self.components[component].columns)
         taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
@@ -102,7 +102,7 @@ class StructuredProcess:
         return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
 
     def without_hopeless(self, needed: float) -> StructuredProcess:
-        """The process without the components that lack as much as they would need to stay, the weakest first."""
+        """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""
         process, gains = self, self.gains()
         while gains and min(gains) <= -needed:
             process = process.without(gains.index(min(gains)))
@@ -110,23 +110,23 @@ class StructuredProcess:
         return process
 
     def refitted(self, evaluations: int) -> StructuredProcess:
-        """The process with hyperparameters fitted again from where they are."""
+        """Fit the hyperparameters again from their present values."""
         values, log_evidence = most_evident(self.components, self.gram, self.values, evaluations)
         return replace(self, values=values, log_evidence=log_evidence)
 
     def price(self, component: int) -> float:
-        """Price of the hyperparameters of a component, by the Bayesian information criterion."""
+        """Return the price of the hyperparameters of a component, by the Bayesian information criterion."""
         return self.components[component].hyperparameters * math.log(self.gram.coordinates)
 
     def gains(self) -> list[float]:
-        """Gain of the score by each component: twice the log evidence less its price, at the same hyperparameters."""
+        """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
         ends = np.cumsum([len(one.columns) for one in self.components])
         lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
         return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
 
 
 def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
-    """The Gram matrix of the components' columns behind all parameters of a fit."""
+    """Compute the Gram matrix of the components' columns in the complement of all parameters of a fit."""
     rows = np.concatenate([fit.rows, *(one.rows for one in chosen)])
     normal = NormalMatrix.of(rows, fit.target)
     return ProcessData.behind(normal, len(fit.rows), fit.precision, len(fit.residual))
@@ -135,10 +135,10 @@ def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
 def fit_process(
     data: ArmData, fit: JointFit, needed: float, candidates: Sequence[Component] | None = None
 ) -> tuple[StructuredProcess, Excess] | None:
-    """The process that the residuals of a fit need, and the scatter beyond the stated uncertainty; None for none.
+    """Fit the process that residuals need; return it and the scatter beyond the stated uncertainty. None if not needed.
 
-    ``needed`` is the gain of the score from which a component stays, ``candidates`` those to choose from; by default
-    all that the data allow.
+    ``needed`` is the gain of the score at which a component is kept. ``candidates`` are the components to choose from;
+    None for all that the data allow.
     """
     if len(data) < LEAST_READINGS:
         return None
@@ -151,7 +151,7 @@ def fit_process(
         return None
     weighed = _weighed(data, fit, screened)
     process = _fitted_anew(weighed, fit, _whole(candidates, screened.components), screened)
-    if data.turned is not None:  # what few waves leave weighs positions and orientations badly
+    if data.turned is not None:  # the residuals of few waves give poor weights of positions and orientations
         weighed = _weighed(weighed, fit_terms(weighed, fit.terms), process)
         process = _fitted_anew(weighed, fit, process.components, process)
     scatter = _scatter(weighed, process.values.noise)
@@ -162,14 +162,14 @@ def fit_process(
 def _fitted_anew(
     data: ArmData, fit: JointFit, chosen: Sequence[Component], before: StructuredProcess
 ) -> StructuredProcess:
-    """A process of some components after a change of weights, from the hyperparameters found ``before``."""
+    """Fit a process again after a change of weights, from the hyperparameters found ``before``."""
     fit = fit_terms(data, fit.terms)
     here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
     return StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
 
 
 def _weighed(data: ArmData, fit: JointFit, process: StructuredProcess) -> ArmData:
-    """The data with weights that include the scatter that a process leaves, beside the fit that it was fitted to."""
+    """Return the data with weights that include the scatter about a process, beside the fit that it was fitted to."""
     scatter = _scatter(data, process.values.noise)
     if data.turned is not None:
         of_points, of_turns = noise_of_kinds(fit, process, data.turned)
@@ -178,10 +178,10 @@ def _weighed(data: ArmData, fit: JointFit, process: StructuredProcess) -> ArmDat
 
 
 def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np.bool_]) -> tuple[float, float]:
-    """Variance of positions, and of orientations ``turned`` (n,), about a process, over that of the weights.
+    """Return the variances of positions and of orientations ``turned`` (n,) about a process, relative to the weights.
 
-    What each kind leaves, over its coordinates less the parameters that it determines (MacKay, Neural Comput. 4 (1992)
-    415): at the maximum of the evidence that is its noise.
+    The sum of squared residuals of each kind is divided by its coordinates less the parameters that it determines
+    (MacKay, Neural Comput. 4 (1992) 415): at the maximum of the evidence this is its noise variance.
     """
     rows = np.concatenate([one.rows for one in process.components])
     noise, projector = process.values.noise, fit.projector
@@ -202,7 +202,7 @@ def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np
 
 
 def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
-    """The candidates with the amplitudes that a screening left, and all their waves."""
+    """Return the candidates with the amplitudes left by a screening, and with all their waves."""
     found = []
     for one in screened:
         whole = next(other for other in candidates if (other.slug, other.form) == (one.slug, one.form))
@@ -211,9 +211,9 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
 
 
 def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
-    """The process without the components that the evidence does not need, the least needed removed first.
+    """Remove the components that the evidence does not need, the least needed first.
 
-    The evidence without a component only grows when the others are fitted again: that is done where it may decide.
+    Fitting the others again only raises the evidence without a component: that is done only if it may decide.
     """
     settled = True
     while process.components:
@@ -235,7 +235,7 @@ def needed_components(process: StructuredProcess, needed: float) -> StructuredPr
 
 
 def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
-    """The components as smooth terms of a model, with the columns whose prior matters."""
+    """Return the components as smooth terms of a model, with the columns whose prior matters."""
     terms, first = [], 0
     variances = process.values.variances(process.components)
     power = np.diag(process.gram.gram) * variances / process.values.noise
@@ -250,7 +250,7 @@ def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
 
 
 def _scatter(data: ArmData, noise: float) -> Excess:
-    """Standard deviations beyond the stated uncertainty, from the noise over that of the weights."""
+    """Return standard deviations beyond the stated uncertainty, from the noise relative to the weights."""
     if data.turned is None:
         return Excess(_beyond(noise, data.sigma, data.stated))
     kinds = (
@@ -260,6 +260,6 @@ def _scatter(data: ArmData, noise: float) -> Excess:
 
 
 def _beyond(noise: float, sigma: Array, stated: Array | None) -> float:
-    """Standard deviation beyond the stated one, of readings with weights from ``sigma``."""
+    """Return the standard deviation beyond the stated one of readings with weights from ``sigma``."""
     total = noise * mean_variance(sigma)
     return math.sqrt(max(total - (0.0 if stated is None else mean_variance(stated)), 0.0))

@@ -1,4 +1,4 @@
-"""Adding an effect of the library: the best law that passes threshold, physical bounds and cross-validation."""
+"""Addition of a library effect: the best law that passes threshold, physical bounds and cross-validation."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.robot.effects import EFFECTS, Channel
 
 _REMAINDER = 0.1
-"""Share (rms) of an effect that its law may leave over and that may look like another effect: laws are taken to
-describe their effects to 10 %."""
+"""Share (rms) of an effect that its law may leave as a residual, which may look like another effect: laws are taken to
+hold to 10 %."""
 
 _OTHER_WAY = 0.1
-"""Least share of what a wobble explains that its other direction holds."""
+"""Least share of the square explained by a wobble that its second direction must hold."""
 _SAME_DIRECTION = 0.995
-"""Cosine from which two columns are taken as the same motion: neighbouring axes of real arms meet to a few mrad."""
+"""Cosine from which two columns count as the same motion: neighbouring axes of real arms meet to a few mrad."""
 
 
 def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> SearchStep | None:
-    """The step that adds the law of ``score``; None where it does not hold."""
+    """Return the step that adds the law of ``score``; None if the law does not hold."""
     residual = state.fit.projected_residual
     possible = within_bounds(state.data, state.fit.terms, residual, score)
     if possible is None or possible.value <= problem.threshold or _is_remainder(state, possible):
@@ -41,7 +41,7 @@ def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> Sea
 
 
 def _is_remainder(state: SearchState, score: LawScore) -> bool:
-    """Whether a law probably explains only the imperfection of the law of a far larger look-alike."""
+    """Return whether a law probably explains only the imperfection of a far larger look-alike's law."""
     if not floor_reached(state):
         return False
     fit = state.fit
@@ -54,10 +54,10 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
 
 
 def _acts_as_one_joint(state: SearchState, score: LawScore) -> bool:
-    """Whether an axis would move in one direction only, and that is just an offset of a neighbouring joint.
+    """Return whether a wobble tilts an axis in one direction only, which is just an offset of a neighbouring joint.
 
-    The axis of a joint tilts about the axis of the joint before as that joint turns. Bearings tilt an axis both ways;
-    one way alone is an error of that joint that follows its neighbour's angle, which is no wobble.
+    The axis of a joint tilts about the axis of the preceding joint when that joint has an offset. Bearings tilt an axis
+    in both directions. A tilt in one direction only is an error of that joint that depends on its neighbour's angle.
     """
     rows = score.rows
     axial = [column.channel is Channel.AXIS and column.wave is not None for column in score.candidate.columns]
@@ -71,7 +71,7 @@ def _acts_as_one_joint(state: SearchState, score: LawScore) -> bool:
 
 
 def _is_joint_offset(state: SearchState, score: LawScore, place: int) -> bool:
-    """Whether a chosen column is the offset of some joint by the same wave."""
+    """Return whether a chosen column is the offset of some joint by the same wave."""
     column, row = score.candidate.columns[score.chosen[place]], score.rows[place]
     if column.wave is None or column.index is None:
         return False

@@ -1,8 +1,8 @@
-"""Evidence for a law outside the library in the place of a name, from readings too few for the search to try such laws.
+"""Evidence for a law outside the library in place of a name, if the readings are too few to search for such laws.
 
-A data-driven term is a competitor of every name where the readings determine all its values. Of fewer readings nothing
-else takes a name's place, and what looks a little like the cause is named. There the same functions in the same
-channels have normal priors: their evidence needs no value to be determined.
+If the readings determine all values of a data-driven term, it competes with every name. With fewer readings nothing
+else takes a name's place, and whatever looks a little like the cause is named. There the same functions in the same
+channels get normal priors: their evidence needs no value to be determined.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from cellapp.robot.effects.data_driven import DataChannel, channels, form_of
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
 COORDINATES_EACH = 4
-"""Measured coordinates that each parameter of a model with a data-driven term needs; with fewer it could fit noise."""
+"""Measured coordinates needed for each parameter of a model with a data-driven term; with fewer it could fit noise."""
 
 
 def fitted_parameters(fit: JointFit) -> int:
-    """Parameters of a model that a data-driven term stands beside: those without priors, and all of the geometry."""
+    """Count the parameters of a model beside a data-driven term: those without priors, and all of the geometry."""
     return int(np.count_nonzero(fit.precision == 0.0)) + fit.layout.geometric
 
 
 def too_few_to_compete(data: ArmData, fit: JointFit) -> bool:
-    """Whether the readings are too few for some data-driven laws of one or two joint angles."""
+    """Return whether the readings are too few for some data-driven laws of one or two joint angles."""
     most = max(Families.of(data, pair_families(data.context, own_angles(data.context))).sizes, default=0)
     return COORDINATES_EACH * (int(most) + fitted_parameters(fit)) > 3 * len(data)
 
 
 def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int]) -> list[float]:
-    """Twice the log evidence of the best law outside the library in the place of some terms, one by one, less the price
-    of choosing it.
+    """Return twice the log evidence of the best law outside the library in place of each term, less the price of
+    choosing.
 
-    What has the term's own cause is none: functions of what only the effect depends on, and of the angle of a joint
-    that it moves in the way that it moves it.
+    Laws with the term's own cause do not count: functions of variables that the effect depends on, and functions of a
+    moved joint's own angle in the same channel.
     """
     context, every = data.context, channels(data.context.joints)
     families = [*curve_families(context), *pair_families(context, own_angles(context))]
@@ -60,7 +60,7 @@ def _of_same_cause(
     every: tuple[DataChannel, ...],
     families: list[FunctionFamily],
 ) -> NDArray[np.bool_]:
-    """Which functions in which channels (channels, families) are a named effect in another shape."""
+    """Return a mask (channels, families) of the functions that are a named effect in another shape."""
     own = EFFECTS[term.slug].variables
     moved = {(column.channel, column.index) for column in columns}
     found = np.zeros((len(every), len(families)), dtype=bool)

@@ -1,8 +1,8 @@
-"""Which blocks (joints, lines) of one law a residual needs: forward selection, and backward elimination from all.
+"""Selection of the blocks (joints, lines) of one law that a residual needs: forward, and backward from all.
 
-Forward selection adds the best block while the score grows by more than ``NEXT_BLOCK``. Where an effect is spread
-evenly over many joints no single block may gain enough, so that backward elimination is tried from all blocks as well
-(Draper, Smith, Applied Regression Analysis, 3rd ed., chapter 15).
+Forward selection adds the best block while the score grows by more than ``NEXT_BLOCK``. If an effect is spread evenly
+over many joints, no single block may gain enough; backward elimination from all blocks is then tried as well (Draper,
+Smith, Applied Regression Analysis, 3rd ed., chapter 15).
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from cellapp.estimation.discovery.projected_residual import ProjectedResidual, b
 from cellapp.robot.kinematics.transforms import Array
 
 NEXT_BLOCK = 10.0
-"""Gain of the score from which another block joins: very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995)
-773), as what a law leaves over at one joint often looks a little like another joint's share."""
+"""Gain of the score at which another block joins: very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995)
+773), as the residual of a law at one joint often looks a little like another joint's share."""
 _MOST_TOGETHER = 24
-"""Columns from which backward elimination starts at most: six joints with up to four columns each. Beyond, as with
-hundreds of lines, all at once would fit noise."""
+"""Most columns from which backward elimination starts: six joints with up to four columns each. More at once, as
+hundreds of lines, would fit noise."""
 _MOST_TRIED = 40
-"""Blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
+"""Most blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
 _MOST_AT_ONCE = 128
-"""Columns up to which the information of all is computed at once; of more, as of hundreds of lines, only as needed."""
+"""Most columns whose information is computed at once; for more, as for hundreds of lines, only as needed."""
 _PSEUDO_INVERSE = 1e-10
-"""Relative cut of singular values where only a ranking depends on it; far above rounding."""
+"""Relative cut-off of singular values where only a ranking depends on it; far above rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlockSelection:
     """The visible blocks of a candidate law and a residual to be explained.
 
-    ``behind`` are the law's rows behind the model's parameters, ``norms`` (m,) those of its rows before, ``moments``
-    (m,) = B M y.
+    ``behind`` are the law's rows in the complement of the model's parameters, ``norms`` (m,) those of the original
+    rows, ``moments`` (m,) = B M y.
     """
 
     candidate: CandidateLaw
@@ -59,7 +59,7 @@ class BlockSelection:
         *,
         with_refinements: bool,
     ) -> BlockSelection | None:
-        """The visible blocks; None where none is visible but such as only refine others."""
+        """Take the visible blocks; None if all of these only refine others."""
         wanted = [block for block in candidate.blocks if with_refinements or not candidate.refines(block)]
         trimmed = (tuple(place for place in block if visible_share[place] > VISIBLE) for block in wanted)
         blocks = tuple(block for block in trimmed if block)
@@ -69,7 +69,7 @@ class BlockSelection:
         return cls(candidate, behind, norms, candidate.rows @ residual.projected, residual, blocks)
 
     def select(self, price: float) -> tuple[Block, float]:
-        """The chosen columns and their score; ``price`` is that of the law, paid again for each further line."""
+        """Choose columns; return them and their score. ``price`` is that of the law, paid for each further line."""
         line_price = price if len(self.candidate.blocks) > _MOST_TRIED else 0.0
         chosen, best = self._forward(line_price)
         if len(self.blocks) > 1 and sum(map(len, self.blocks)) <= _MOST_TOGETHER:
@@ -79,7 +79,7 @@ class BlockSelection:
         return chosen, best
 
     def score(self, columns: Sequence[int]) -> tuple[float, float]:
-        """BIC gain of some columns, without the price of choosing the law, and R^2."""
+        """Return the BIC gain of some columns, without the price of choosing the law, and R^2."""
         return self._scores([tuple(columns)])[0]
 
     @cached_property
@@ -88,7 +88,7 @@ class BlockSelection:
         return self.behind.gram()
 
     def most(self) -> float:
-        """A score, without the price of choosing the law, that no selection exceeds; infinite for very many columns."""
+        """Return an upper bound of any selection's score, without the law's price; infinite for very many columns."""
         if len(self.norms) > _MOST_AT_ONCE:
             return math.inf
         every = tuple(place for block in self.blocks for place in block)
@@ -96,7 +96,7 @@ class BlockSelection:
         return bic_gain(share, self.residual.freedom, 1)
 
     def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
-        """``score`` of several sets of columns; those of equal size are computed together."""
+        """Return ``score`` of several sets of columns; sets of equal size are computed together."""
         shares, ranks = np.zeros(len(sets)), np.zeros(len(sets), dtype=np.intp)
         sizes = np.array([len(one) for one in sets])
         place = np.concatenate(sets).astype(np.intp)
@@ -116,13 +116,13 @@ class BlockSelection:
         return [(bic_gain(share, self.residual.freedom, rank), share) for share, rank in found]
 
     def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
-        """The best score among sets of columns, and its number."""
+        """Return the best score among sets of columns, and the index of that set."""
         values = [value for value, _ in self._scores(sets)]
         number = max(range(len(sets)), key=lambda k: (values[k], sets[k]))
         return values[number], number
 
     def _forward(self, line_price: float) -> tuple[Block, float]:
-        """Add the best block while the score grows; one that only refines others cannot be the first."""
+        """Add the best block while the score grows; a block that only refines others cannot be the first."""
         main = [block for block in self.blocks if not self.candidate.refines(block)]
         main = self._promising(main, ())
         best, number = self._best(main)
@@ -139,7 +139,7 @@ class BlockSelection:
         return chosen, best
 
     def _backward(self) -> tuple[Block, float]:
-        """From all blocks, drop the least needed while that costs less than ``NEXT_BLOCK``."""
+        """Start from all blocks and drop the least needed one while that costs less than ``NEXT_BLOCK``."""
         together: Block = tuple(place for block in self.blocks for place in block)
         value = self.score(together)[0]
         while len(together) > 1:
@@ -157,7 +157,7 @@ class BlockSelection:
         return together, value
 
     def _promising(self, blocks: list[Block], chosen: Block) -> list[Block]:
-        """At most ``_MOST_TRIED`` blocks, those that explain most beside the chosen columns, each column on its own."""
+        """Return at most ``_MOST_TRIED`` blocks that explain most beside the chosen columns, column by column."""
         if len(blocks) <= _MOST_TRIED:
             return blocks
         moments, information = self.moments, self.behind.squares

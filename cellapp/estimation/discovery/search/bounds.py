@@ -1,6 +1,6 @@
-"""Laws without the blocks whose values are physically impossible, by a linear estimate or by a joint fit.
+"""Removal of the blocks of a law whose values are physically impossible, by a linear estimate or a joint fit.
 
-A negative stiffness at one joint is an alias of something else there. It says nothing against the effect at other
+A negative stiffness at one joint is an alias of another cause there. It is no evidence against the effect at other
 joints.
 """
 
@@ -22,11 +22,11 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms
 
 NEARLY = 0.3
-"""Share of a linearly estimated value by which a joint fit may change it."""
+"""Relative change of a linearly estimated value that a joint fit may bring."""
 
 
 def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
-    """The score without the blocks whose values, fitted beside ``others``, are impossible; None where none is left."""
+    """Remove blocks whose values, fitted beside ``others``, are impossible; return the new score, or None."""
 
     def impossible(current: LawScore) -> set[str]:
         perhaps, surely = impossible_blocks(residual, current, NEARLY)
@@ -43,10 +43,10 @@ def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual
 
 
 def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
-    """The score without the blocks that need impossible values; minus infinity where no other block is left.
+    """Return the score without blocks that need impossible values; minus infinity if no other block is left.
 
-    The values are estimated linearly. A joint fit (``within_bounds``) says the same more exactly at a hundred times the
-    cost, which is too much for every rival of every effect.
+    Values are estimated linearly. A joint fit (``within_bounds``) is more exact at a hundred times the cost, too much
+    for every rival of every effect.
     """
     possible = _without_blocks(
         residual, score, lambda current: impossible_blocks(residual, current)[1], with_refinements=False
@@ -61,7 +61,7 @@ def _without_blocks(
     *,
     with_refinements: bool,
 ) -> LawScore | None:
-    """The score of a law's other blocks, selected anew until ``impossible`` names none; None where none is left."""
+    """Select a law's other blocks again until ``impossible`` names none; None if no block is left."""
     candidate, current = score.candidate, score
     left = list(range(len(candidate.columns)))
     while banned := impossible(current):
@@ -78,9 +78,9 @@ def _without_blocks(
 
 
 def impossible_blocks(residual: ProjectedResidual, score: LawScore, nearly: float = 0.0) -> tuple[set[str], set[str]]:
-    """Blocks with a linearly estimated value outside its bounds by more than chance allows.
+    """Find blocks with a linearly estimated value outside its bounds by more than chance allows.
 
-    Those that may be so if values change by a share ``nearly`` and their errors, and those that are so in any case.
+    Return those that may be outside if values change by a share ``nearly`` and their errors, and those that surely are.
     """
     columns = [score.candidate.columns[place] for place in score.chosen]
     if all(math.isinf(column.lower) and math.isinf(column.upper) for column in columns):

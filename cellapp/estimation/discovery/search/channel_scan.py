@@ -1,12 +1,12 @@
-"""Scores of data-driven laws: every family of functions in every channel, without their rows.
+"""Scores of data-driven laws: every family of functions in every channel, without forming their rows.
 
-A law has the functions f (k, n) of its variables in a channel whose directions move the SMR by u_d (3, n) per unit,
+A law has functions f (k, n) of its variables, in a channel whose directions move the SMR by u_d (3, n) per unit,
 whitened: its rows are f u_d. In the complement M = I - Q Q^T of a model's parameters its information and moments are
 
     B M B^T = f K_de f^T,    K_de = sum_ab diag(u_da) M_ab diag(u_eb),    (n, n)
     B M y = f (u_d . M y)
 
-for directions d, e, with M and M y of coordinates a, b. K belongs to directions alone, so that all families share it.
+for directions d, e, with M and M y of coordinates a, b. K depends on the directions alone, so all families share it.
 The score is that of ``search.scan`` for a law of one block.
 """
 
@@ -31,13 +31,13 @@ from cellapp.robot.effects.unknown import FunctionFamily, channel_directions
 from cellapp.robot.kinematics.transforms import Array
 
 _FAMILIES_AT_ONCE = 128
-"""Families of equal size that are scored together: bounds the memory (24 functions each, 800 parameters: 20 MB)."""
+"""Batch size of families of equal size: bounds the memory (24 functions each, 800 parameters: 20 MB)."""
 _SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)
-"""Sizes of a law's functions over the noise (rms, at a coordinate) that are tried for its evidence."""
+"""Sizes of a law's functions relative to the noise (rms, of a coordinate), tried for its evidence."""
 MOST_COLUMNS = 72
-"""Columns of a law at most: a shift in three directions by 24 functions, an offset of a joint by all."""
+"""Most columns of a law: a shift in three directions by 24 functions, or an offset of a joint by all."""
 _Judge = Callable[[Array, Array, Array], Array]
-"""What laws are worth (b,), by their information, norms and moments."""
+"""Function that judges b laws: information, norms and moments -> values (b,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ChannelScan:
     Attributes
     ----------
     directions : mapping
-        Those of each channel.
+        Directions of each channel.
     residual : ProjectedResidual
     """
 
@@ -64,9 +64,9 @@ class ChannelScan:
 
     @classmethod
     def of(cls, data: ArmData, fit: JointFit, residual: ProjectedResidual | None = None) -> ChannelScan:
-        """Of all channels of an arm; a shift in any direction shares those of its parts.
+        """Compute the directions of all channels of an arm; a shift in any direction shares those of its parts.
 
-        ``residual`` is that of the fit if not given, or that of some of its terms.
+        ``residual`` is that of the fit if None, else for instance that without a term.
         """
         n, residual = len(data), fit.projected_residual if residual is None else residual
         left = residual.projected.reshape(3, n)
@@ -89,15 +89,15 @@ class ChannelScan:
         return cls(found, residual)
 
     def scores(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
-        """Score (channels, families) of each law, without the price of choosing it; minus infinity where it is
+        """Return the score (channels, families) of each law, without the price of choosing it; minus infinity if it is
         invisible or has too many columns."""
         return self._over(families, chosen, self._gain)
 
     def evidence(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
-        """Twice the log evidence (channels, families) that each law gains, as ``scores`` otherwise.
+        """Return twice the gain of log evidence (channels, families) by each law; otherwise as ``scores``.
 
-        Its values have normal priors of one size, in which each function moves the SMR alike, and of several sizes the
-        most evident one: few readings, that do not determine all values of a law, can show it.
+        The values of a law have normal priors of a common size, scaled so that each function moves the SMR alike; the
+        best of several sizes is taken. So few readings can show a law even if they do not determine all its values.
         """
         return self._over(families, chosen, self._log_evidence)
 
@@ -107,7 +107,8 @@ class ChannelScan:
         kernel = self.residual.projector.kernel
         for row, channel in enumerate(chosen):
             directions = self.directions[channel]
-            # of the distinct functions: families share many, and one large product is faster than many small ones
+            # project the distinct functions only: families share many, and one large product is faster than many small
+            # ones
             projected = [
                 [families.distinct @ kernel(one.unit, other.unit) for other in directions[: k + 1]]
                 for k, one in enumerate(directions)
@@ -119,7 +120,7 @@ class ChannelScan:
         return values
 
     def _gain(self, gram: Array, norms: Array, moments: Array) -> Array:
-        """Gain of the BIC (b,)."""
+        """Return the gain of the BIC (b,)."""
         explained, rank = visible_squares(gram, norms, moments)
         share = np.minimum(explained / self.residual.square, MOST_SHARE)
         freedom = self.residual.freedom
@@ -127,7 +128,7 @@ class ChannelScan:
         return np.where((rank > 0) & (norms.max(axis=1) > NO_DISPLACEMENT), value, -np.inf)
 
     def _log_evidence(self, gram: Array, norms: Array, moments: Array) -> Array:
-        """Twice the log evidence (b,) at the best of ``_SIZES`` and of noise, less the price of choosing the size."""
+        """Return twice the log evidence (b,) at the best of ``_SIZES`` and of noise, less the price of that choice."""
         scale = math.sqrt(len(self.residual)) / np.maximum(norms, NO_DISPLACEMENT)
         values, vectors = np.linalg.eigh(gram * scale[:, :, None] * scale[:, None, :])
         values = np.maximum(values, 0.0)[None]
@@ -141,9 +142,9 @@ class ChannelScan:
 def _information(
     functions: Array, directions: Sequence[_Direction], projected: Sequence[Sequence[Array]]
 ) -> tuple[Array, Array, Array]:
-    """Information (b, m, m), norms and moments (b, m) of b families of functions f (b, k, n) in one channel.
+    """Compute information (b, m, m), norms and moments (b, m) of b families of functions f (b, k, n) in one channel.
 
-    f K_de (b, k, n) is known.
+    ``projected`` holds f K_de (b, k, n).
     """
     size = functions.shape[1]
     gram = np.empty((len(functions), len(directions) * size, len(directions) * size))
@@ -162,7 +163,7 @@ def _information(
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """The ``distinct`` functions (u, n) of some families, and the places of each family's among these."""
+    """The ``distinct`` functions (u, n) of some families, and the indices of each family's functions among them."""
 
     distinct: Array
     places: tuple[NDArray[np.intp], ...]
@@ -180,11 +181,11 @@ class Families:
 
     @property
     def sizes(self) -> NDArray[np.intp]:
-        """Number of functions of each."""
+        """Number of functions of each family."""
         return np.array([len(one) for one in self.places], dtype=np.intp)
 
     def batches(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Numbers of families of equal size, and the places of their functions (b, k)."""
+        """Return batches of families of equal size: their indices, and those of their functions (b, k)."""
         found = []
         for size in np.unique(self.sizes):
             numbers = np.flatnonzero(self.sizes == size)

@@ -17,14 +17,14 @@ from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN
 
 FLOOR_CHANCE = 0.001
-"""Chance of the remaining scatter above which it counts as noise; the search goes on below."""
+"""p-value of the remaining scatter above which it counts as noise; below, the search goes on."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of residuals against the stated uncertainty.
+    """Scatter of residuals relative to the stated uncertainty.
 
-    ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the chance of one at least as large.
+    ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the probability of one at least as large.
     """
 
     ratio: float
@@ -32,7 +32,7 @@ class Scatter:
 
 
 def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
-    """Scatter that a model leaves; None where the readings state no uncertainty."""
+    """Compute the scatter that a model leaves; None if the readings state no uncertainty."""
     if data.stated is None:
         return None
     squares = np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2, axis=0)
@@ -48,18 +48,18 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
 
 
 def floor_reached(state: SearchState) -> bool:
-    """Whether the remaining scatter may be the stated noise; False where none is stated."""
+    """Return whether the remaining scatter may be the stated noise; False if none is stated."""
     found = scatter(state.data, state.fit)
     return found is not None and found.p_value > FLOOR_CHANCE
 
 
 def best_state(states: Sequence[SearchState]) -> SearchState:
-    """The state with the least criterion."""
+    """Return the state with the least criterion."""
     return min(states, key=lambda state: criterion(state.fit))
 
 
 def criterion(fit: JointFit) -> float:
-    """Bayesian information criterion of a model, and the prices of choosing laws and fitting their hyperparameters."""
+    """Return the Bayesian information criterion of a model plus the prices of laws and hyperparameters."""
     price = 0.0
     for term in fit.terms:
         price += choice_price(term.law) + SCORE_MARGIN * (2.0 if term.slug == UNKNOWN else 1.0)

@@ -1,7 +1,7 @@
 """Laws of the library that describe the residual only with physically impossible values.
 
-Such a law is not the effect that it is named after, but it is not nothing either: it joins the model as an unknown
-effect whose sentence says what it behaves like and what to check.
+Such a law is not the effect that it is named after, but there is a real cause. It joins the model as an unknown effect
+whose sentence says what it behaves like and what to check.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.contradiction import form_without_bounds, sentence
 
 _TRIED = 6
-"""Best laws whose values are fitted in full: the law with the right drivers is among the first."""
+"""Number of best laws whose values are fitted in full: the law with the right drivers is among the first."""
 MOSTLY = 0.5
-"""Share of the explained sum of squares that blocks with impossible values must hold: a negative value at one joint
-among many is an alias, not what the law is about."""
+"""Share of the explained sum of squares that blocks with impossible values must hold: a negative value at one joint of
+many is an alias, and does not contradict the law."""
 
 
 def with_contradiction(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the law that explains most with impossible values; None where none holds."""
+    """Add the law that explains most with impossible values; None if none holds."""
     step = _contradiction(problem, state)
     return None if step is None else apply_step(problem, state, step)
 
@@ -60,7 +60,7 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
 
 
 def _left_over(state: SearchState, score: LawScore) -> bool:
-    """Whether a named look-alike explains far more: an impossible law beside it is what its own law leaves over."""
+    """Return whether a named look-alike explains far more: an impossible law beside it is only that law's residual."""
     explained = score.explained_share * state.fit.projected_residual.square
     return any(
         explained < SAME_CAUSE * state.fit.removed_square(number)
@@ -70,7 +70,7 @@ def _left_over(state: SearchState, score: LawScore) -> bool:
 
 
 def _unused(state: SearchState, candidates: list[CandidateLaw]) -> list[CandidateLaw]:
-    """The laws without columns that the model already has."""
+    """Return the laws without the columns that the model already has."""
     taken = {(term.slug, name) for term in state.fit.terms for name in term.names}
     kept = []
     for one in candidates:
@@ -81,7 +81,7 @@ def _unused(state: SearchState, candidates: list[CandidateLaw]) -> list[Candidat
 
 
 def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
-    """The law as a term without bounds, with its sentence; None where its values are mostly possible."""
+    """Return the law as a term without bounds, with its sentence; None if its values are mostly possible."""
     terms, effect = state.fit.terms, EFFECTS[score.slug]
     law = score.candidate.law
     try:
@@ -105,7 +105,7 @@ def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
 
 
 def share_of(fit: JointFit, number: int, some: Sequence[bool]) -> float:
-    """Share of a term's visible signal that some of its columns hold."""
+    """Return the share of a term's visible signal that the columns in the mask ``some`` hold."""
     projector, chosen = fit.residual_without(number).projector, np.array(some)
     values, rows = fit.term_values(number), fit.term_rows(number)
     parts = projector.project(np.stack([values[chosen] @ rows[chosen], values[~chosen] @ rows[~chosen]]))

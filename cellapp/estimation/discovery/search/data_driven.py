@@ -1,4 +1,4 @@
-"""Data-driven terms for what no effect of the library explains: one channel as a function of one or two variables."""
+"""Data-driven terms for what no effect of the library explains: a function of one or two variables in one channel."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from cellapp.robot.effects.smooth import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
 _MOST_TERMS = 3
-"""Data-driven terms at most: a shift has three directions."""
+"""Most data-driven terms in a model: a shift has three directions."""
 _LEAST_SHARE = 0.1
 """Least share of the remaining sum of squares beyond the noise that a term must explain: 5 % of the rms error. A check
-on a hundred held-out stops does not show less: its rms is itself uncertain by 4 %, 1 / sqrt(2 x 300 coordinates)."""
+on a hundred held-out stops cannot show less: its rms has a standard error of 4 %, 1 / sqrt(2 x 300 coordinates)."""
 _PROMISE = 0.67
-"""Score of a term, in the scan, over the gain of a fitted model from which it may be better: the scan weighs all
-coordinates alike while the effect is still in the residual, and its scores are up to 30 % too low."""
+"""Ratio of a term's scan score to the gain of a fitted model from which the term may be better. The scan weights all
+coordinates alike while the effect is still in the residual, so its scores are up to 30 % too low."""
 _SELECTED = 5
-"""Laws of the best scores whose columns are made: selection drops columns that do not show, which changes a score by a
+"""Number of best laws whose columns are computed: the selection drops invisible columns, which changes a score
 little."""
 
 
 def with_data_driven_terms(problem: SearchProblem, state: SearchState, lead: float = 0.0) -> SearchState | None:
-    """The state with data-driven terms; None where none holds, or as many as the best would not make up for a ``lead``.
+    """Add data-driven terms to the state; None if none holds, or if the most terms could not make up for a ``lead``.
 
-    The lead is that of another model.
+    ``lead`` is the criterion by which another model is better.
     """
     scores = _best_scores(problem, state)
     if not scores or _MOST_TERMS * max(score.value for score in scores) <= _PROMISE * lead:
@@ -63,10 +63,10 @@ def with_data_driven_terms(problem: SearchProblem, state: SearchState, lead: flo
 
 
 def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchState) -> SearchState | None:
-    """Data-driven terms on the geometry alone, where one of them promises about as much as ``best``; else None.
+    """Return data-driven terms on the geometry alone if one of them promises about as much as ``best``; else None.
 
-    Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone.
-    A law of the channel and the variable of a named effect that has a free function of its own replaces nothing.
+    Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone. A
+    law replaces nothing if a named effect of its channel and variable has a free function of its own.
     """
     if not best.fit.terms:
         return None
@@ -81,9 +81,9 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
 
 
 def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
-    """Whether a named term moves what a data-driven law moves, by the same variable, and has a free function of it.
+    """Return whether a named term has a data-driven law's channel and variable, and its effect has a free function.
 
-    Such a law is the effect in a shape that its other laws do not have: a drift to and fro is a drift.
+    Such a law is the effect in a shape that its other laws lack: a drift to and fro is a drift.
     """
     term, form = state.fit.terms[number], data_driven_form(score.candidate.law)
     if not term.is_library_effect or not any(AMPLITUDE in one.constants for one in EFFECTS[term.slug].forms):
@@ -95,12 +95,12 @@ def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
 
 
 def without_imitations(problem: SearchProblem, state: SearchState) -> SearchState:
-    """The state with names that more probably stand in for something unknown as terms of that.
+    """Turn names that more probably stand in for something unknown into unknown terms; return the new state.
 
     One cause is one unknown: a hose about a joint looks like lines, or a curve, of its angle. A name that mostly moves
-    a joint by its angle belongs to an unknown term that does so too, and a curve of one joint alone, or a series of its
-    lowest cycles, has no name: gears err alike in several joints, a hose pulls at one. Of eight such names none was
-    right (seeds 20261226, 20261227, 20261128).
+    a joint by its angle loses its name beside an unknown term that does the same. So does a curve, or a series of
+    lowest cycles, of one joint alone: gears err alike in several joints, a hose pulls at one. Of eight such names none
+    was right (seeds 20261226, 20261227, 20261128).
     """
     fit, terms = state.fit, state.fit.terms
     unknown = {
@@ -127,14 +127,14 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
 
 
 def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
-    """The state with the first of some data-driven terms that holds; None where none does."""
+    """Add the first data-driven term that holds; None if none does."""
     data, fit = state.data, state.fit
     score = next((one for one in scores if _holds(problem, state, one)), None)
     if score is None:
         return None
     law = score.candidate.law
     choices: list[ModelTerms] = [(*fit.terms, ModelTerm(UNKNOWN, law, score.names))]
-    # The term describes its channel as any function of its variables: named effects that described a part may go.
+    # The term is a general function of its variables in its channel: named effects that described a part may go.
     where = score.candidate.columns[0].where
     others = tuple(term for term in fit.terms if not _acts_only_on(data, term, where))
     if len(others) < len(fit.terms):
@@ -145,9 +145,9 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
 
 
 def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
-    """Whether a term earns a visible share of what is left, on left-out readings too, although named laws may be off.
+    """Return whether a term explains a visible share of what is left, also on left-out readings and beside free parts.
 
-    What a slightly wrong law leaves over often looks like a law of other variables.
+    The residual of a slightly wrong law often looks like a law of other variables.
     """
     return (
         _share_beyond_noise(state, score) > _LEAST_SHARE
@@ -157,9 +157,9 @@ def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
 
 
 def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
-    """Share of the remaining sum of squares beyond the noise that a term explains beyond chance.
+    """Return the share of the remaining sum of squares beyond the noise that a term explains beyond chance.
 
-    Where no uncertainty is stated, the noise is not known: the share is that of all that is left.
+    If no uncertainty is stated, the noise is unknown: the share is then that of all that is left.
     """
     left = scatter(state.data, state.fit)
     beyond_noise = 1.0 if left is None else 1.0 - min(left.ratio**-2, 1.0)
@@ -168,7 +168,7 @@ def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
 
 
 def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
-    """The best law of two variables and of one that pass the threshold, the preferred one first."""
+    """Return the best laws of two variables and of one that pass the threshold, the preferred one first."""
     context = state.data.context
     scan, every = ChannelScan.of(state.data, state.fit), channels(context.joints)
     one = _best_law(state, _Tried.of(state, scan, curve_families(context), every))
@@ -188,7 +188,7 @@ def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """Laws of families in channels, in decreasing order of their scores, and how many were tried."""
+    """Best laws of families in channels, in decreasing order of score, and the number of laws tried."""
 
     best: tuple[tuple[float, FunctionFamily, DataChannel], ...]
     count: int
@@ -197,7 +197,7 @@ class _Tried:
     def of(
         cls, state: SearchState, scan: ChannelScan, families: Sequence[FunctionFamily], chosen: Sequence[DataChannel]
     ) -> _Tried:
-        """Score the laws that the readings can determine, of subjects that no term has."""
+        """Score the laws that the readings can determine, except those whose subject already has a term."""
         data, fit = state.data, state.fit
         taken = {
             data_driven_form(term.law).subject
@@ -217,13 +217,13 @@ class _Tried:
         return cls(best, int(np.count_nonzero(possible)))
 
     def with_others(self, others: _Tried) -> _Tried:
-        """Both together."""
+        """Merge both."""
         best = sorted((*self.best, *others.best), key=lambda one: -one[0])
         return _Tried(tuple(best[:_SELECTED]), self.count + others.count)
 
 
 def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
-    """The best of many data-driven laws, less the price of choosing among them; columns that do not show are left."""
+    """Return the best of many data-driven laws without invisible columns, less the price of choosing."""
     data, fit = state.data, state.fit
     candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for _, family, channel in tried.best]
     ranked = LawScan.of(candidates, fit.projector).ranked(fit.projected_residual)
@@ -234,9 +234,9 @@ def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
 
 
 def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
-    """The law with the functions that the criterion needs, if it is better so; choosing r of k costs 2 ln C(k, r).
+    """Keep only the functions that the criterion needs, if the score improves; choosing r of k costs 2 ln C(k, r).
 
-    Without column j of the rest the explained square falls by w_j^2 / (G^-1)_jj, w the solution and G the information.
+    Dropping column j reduces the explained square by w_j^2 / (G^-1)_jj, with the solution w and the information G.
     """
     residual, rows, price = fit.projected_residual, score.rows, math.log(fit.projector.freedom)
     gram, moments = rows @ fit.projector.project(rows).T, rows @ residual.projected
@@ -260,7 +260,7 @@ def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
 
 
 def _acts_only_on(data: ArmData, term: ModelTerm, where: str) -> bool:
-    """Whether a named term acts on one place alone."""
+    """Return whether a named term acts only on the place ``where``."""
     if not term.is_library_effect:
         return False
     return {column.where for column in data.columns(term.slug, term.law, term.names)} == {where}

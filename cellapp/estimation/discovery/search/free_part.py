@@ -1,19 +1,19 @@
-"""Free parts of the laws in a model: what a nearly right law leaves over stays with its effect.
+"""Free parts of laws: the residual of a nearly right law stays with its effect.
 
-A law that is nearly right leaves a remainder that often looks like a second effect. Each library effect may therefore
-have a free part (``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
+The residual of a nearly right law often looks like a second effect. Each library effect may therefore have a free part
+(``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
 
     coefficient of the function f_k of a driver ~ N(0, (share |v| w_k)^2),   w_k proportional to k^-2,
 
 scaled so that the modulation g has an rms of ``share``. Standard deviations that fall with k^-2 are the prior of a
 function with a finite mean square of its second derivative (the spline prior: Wahba, Spline Models for Observational
-Data, 1990), so that a law is preferred to be off smoothly. ``share`` maximises the evidence (marginal likelihood) of
-the residual in the complement of the other parameters. With M the projector there, Z the rows of the free part scaled
-by their standard deviations, noise variance s and f degrees of freedom,
+Data, 1990), so smooth errors of a law are preferred. ``share`` maximises the evidence (marginal likelihood) of the
+residual in the complement of the other parameters. With M the projector there, Z the rows of the free part scaled by
+their standard deviations, noise variance s and f degrees of freedom,
 
     2 ln evidence = -f ln s - ln det(I + Z M Z^T / s) - (y^T M y - y^T M Z^T (s I + Z M Z^T)^-1 Z M y) / s.
 
-For the scan for second names free parts count as nuisance parameters at a cautious share, kept or not.
+In the scan for second names all free parts, kept or not, count as nuisance parameters at a cautious share.
 """
 
 from __future__ import annotations
@@ -38,24 +38,23 @@ from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CY
 from cellapp.robot.kinematics.transforms import Array
 
 SHARES = (0.03, 0.1, 0.3)
-"""Shares of a law that its free part may have: a factor of 3 apart, as the evidence has a broad maximum. A law that is
-off by more than the largest is another effect's business."""
+"""Shares of a law that its free part may have: a factor of 3 apart, as the evidence has a broad maximum. A larger error
+of a law belongs to another effect."""
 CAUTIOUS_SHARE = 0.1
-"""Share at which every law counts as uncertain while second names are looked for: laws hold to some 10 %."""
+"""Share of every law that counts as uncertain in the search for second names: laws hold to some 10 %."""
 LEAST_EVIDENCE = SCORE_MARGIN / 2.0
-"""Gain of 2 ln evidence from which a free part is kept: positive to strong evidence, less than a name needs."""
+"""Gain of 2 ln evidence at which a free part is kept: positive to strong evidence, less than a name needs."""
 _MOST_COLUMNS = 160
-"""Columns of one term's free part: with more, as with many lines, only the lower orders are taken."""
+"""Most columns of one term's free part: with more, as with many lines, only the lower orders are taken."""
 _NOISE_SHARES = np.geomspace(0.02, 1.0, 40)
-"""Shares of the residual's variance that may be noise, 10 % apart."""
+"""Shares of the residual's variance that may be noise, in steps of 10 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreePart:
-    """Columns that a term's free part may have, with one driver.
+    """Possible columns of a term's free part for one driver.
 
-    ``rows`` (m, 3 n) are their whitened displacements, ``sd`` (m,) the standard deviations of their prior for a share
-    of one.
+    ``rows`` (m, 3 n) are their whitened displacements, ``sd`` (m,) their prior standard deviations at a share of one.
     """
 
     modulations: tuple[Modulation, ...]
@@ -64,7 +63,7 @@ class FreePart:
 
 
 def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreePart]:
-    """The free part of a term with each driver that its effect declares; none for terms without a law."""
+    """Return the possible free part of a term for each driver of its effect; none for terms without a law."""
     term = fit.terms[number]
     effect = term.effect
     if effect is None:
@@ -82,9 +81,9 @@ def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreeP
 
 
 def _sizes(fit: JointFit, number: int) -> dict[str, float]:
-    """Size of each column of a term: the rms value over its block's columns of the same unit, in that unit.
+    """Return the size of each column of a term: rms value over its block's columns of the same unit, in that unit.
 
-    The variance of the estimate is subtracted: what is not determined has no remainder either.
+    The variance of the estimate is subtracted: an undetermined value gives no free part.
     """
     columns = fit.term_columns(number)
     errors = fit.identification.standard_errors[fit.layout.parameters(number)].tolist()
@@ -96,7 +95,7 @@ def _sizes(fit: JointFit, number: int) -> dict[str, float]:
 
 
 def _lowest_orders(ones: tuple[Modulation, ...]) -> tuple[Modulation, ...]:
-    """The modulations up to the highest order with which there are not too many; at least those of the first."""
+    """Keep modulations up to the highest order that does not make them too many, at least the first."""
     for most in range(max((one.order for one in ones), default=0), 1, -1):
         kept = tuple(one for one in ones if one.order <= most)
         if len(kept) <= _MOST_COLUMNS:
@@ -119,7 +118,7 @@ def _free_part(
 
 
 def _weight(one: Modulation) -> float:
-    """Standard deviation of a coefficient for g of unit rms: k^-2, as a cosine over its range has a square of 1/2."""
+    """Return a coefficient's standard deviation for g of unit rms: k^-2, as a cosine has a mean square of 1/2."""
     harmonics = closes(one.driver)
     most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.driver is None else HALF_CYCLES)
     orders = np.arange(1, most + 1)
@@ -132,9 +131,9 @@ def _weight(one: Modulation) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FreePartEvidence:
-    """Twice the log evidence of scaled columns in the complement of a model's parameters.
+    """Evidence of scaled columns in the complement of a model's parameters.
 
-    ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both for prior standard deviations of one; ``square`` y^T M y.
+    ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both at prior standard deviations of one; ``square`` is y^T M y.
     """
 
     gram: Array
@@ -143,7 +142,7 @@ class FreePartEvidence:
     freedom: float
 
     def gain(self, sd: Array) -> float:
-        """Gain over a model without these columns, each with its best noise."""
+        """Return the gain of 2 ln evidence over a model without these columns, each at its best noise."""
         used = sd > 0.0
         scale = sd[used]
         values, vectors = np.linalg.eigh(self.gram[np.ix_(used, used)] * scale[:, None] * scale)
@@ -159,9 +158,9 @@ class FreePartEvidence:
 
 
 def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the free part of each effect's law where its evidence gains; None where none does.
+    """Add the free part of each effect's law if its evidence gains; None if none does.
 
-    Free parts that the laws already have are found anew.
+    Free parts that the laws already have are replaced.
     """
     terms = without_free_parts(state.fit.terms)
     had = any(term.modulations for term in state.fit.terms)
@@ -175,14 +174,14 @@ def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState |
 
 
 def without_free_parts(terms: ModelTerms) -> ModelTerms:
-    """The laws of some terms alone."""
+    """Return the terms without their free parts."""
     return tuple(replace(term, modulations=(), modulation_sd=()) for term in terms)
 
 
 def may_be_left_by_a_look_alike(state: SearchState, step: SearchStep) -> bool:
-    """Whether the free part of a look-alike in the model explains about as much as the new name that a step adds.
+    """Return whether the free part of a look-alike in the model explains about as much as the new name of a step.
 
-    What a law leaves over looks most like its look-alikes.
+    The residual of a law looks most like its look-alikes.
     """
     fit = state.fit
     if step.slug in state.slugs:
@@ -197,12 +196,12 @@ def may_be_left_by_a_look_alike(state: SearchState, step: SearchStep) -> bool:
 
 
 def are_look_alikes(first: str, second: str) -> bool:
-    """Whether one of two effects is among those that look like the other."""
+    """Return whether one of two effects is declared as a look-alike of the other."""
     return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes
 
 
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
-    """The terms with the free parts that gain, those of the largest effects first."""
+    """Return the terms with the free parts that gain evidence; those of the largest effects are chosen first."""
     fit, terms = state.fit, state.fit.terms
     nuisance, precision, projector = fit.rows, fit.precision, fit.projector
     order = sorted(range(len(terms)), key=lambda number: -float(np.sum(fit.signal(number) ** 2)))
@@ -227,14 +226,14 @@ def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
 def _best_shares(
     fit: JointFit, projector: NuisanceProjector, parts: Sequence[FreePart]
 ) -> tuple[list[tuple[FreePart, float]], float]:
-    """Drivers of a free part and the share of each behind other parameters, and twice the log evidence that they gain.
+    """Choose drivers of a free part and their shares beside other parameters; return also the gain of 2 ln evidence.
 
-    The best one joins while the evidence gains enough.
+    The best driver joins while the evidence gains enough.
     """
     if not parts:
         return [], 0.0
     evidence = _evidence_of(fit, projector, np.concatenate([part.rows for part in parts]))
-    if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters already take all that the readings hold
+    if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters leave no degrees of freedom
         return [], 0.0
     chosen: dict[int, float] = {}
     best = 0.0
@@ -254,7 +253,7 @@ def _best_shares(
 
 
 def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
-    """Standard deviations of all columns of some parts, zero for parts that are left out."""
+    """Return the standard deviations of all columns of some parts, zero for parts that are not chosen."""
     return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
 
 
@@ -272,10 +271,10 @@ def _evidence_of(fit: JointFit, projector: NuisanceProjector, rows: Array) -> Fr
 
 
 def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | None:
-    """Gain of the BIC by a new law behind the model and what its laws may leave over; None where nothing may be.
+    """Return a function for the BIC gain of a new law beside the model and its possible law errors; None without any.
 
-    Laws have free parts at the cautious share. A field over the workspace has all its waves, and the price of choosing
-    the new law counts: much depends on the position that was tried.
+    Laws have free parts at the cautious share. A field over the workspace has all its waves; there the price of
+    choosing the new law counts too, as many of the laws tried depend on the position.
     """
     fit = state.fit
     beside = BesideField.of(state.data, fit)
@@ -295,6 +294,6 @@ def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | 
 
 
 def explains_beside_free_parts(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
-    """Whether a new law passes the threshold although the laws in the model may be slightly off."""
+    """Return whether a new law passes the threshold even if the laws in the model are slightly off."""
     gain = gain_beside_free_parts(state)
     return gain is None or gain(score) > problem.threshold

@@ -1,10 +1,11 @@
-"""Search for effects from a ball in sockets: with few places, laws of any form fit what was learnt from.
+"""Search for effects from a ball in sockets: with few places, laws of any form fit the training readings.
 
-Elastic joints come first where they hold: every arm with gears has them, and at few places bending links and the base
-look alike. Another effect is added only if it predicts places that were left out, and most of them: with g the decrease
-of the sum of squares at each left-out placement, sum g > t (sum g^2)^1/2. The sum over m placements that gain alike is
-m^1/2 times the root, that of one placement alone is equal to it. An effect may show much more at some placements: it is
-also added if more than half of them have very strong evidence for it, and the rest together none against it.
+Elastic joints come first if they hold: every arm with gears has them, and at few places bending links and the base look
+alike. Another effect is added only if it improves the prediction of left-out places, and of most of them. With g the
+decrease of the sum of squares at each left-out placement, the condition is sum g > t (sum g^2)^1/2. If m placements
+gain alike, the sum is m^1/2 times the root; if one placement alone gains, both are equal. An effect may show much more
+at some placements. It is therefore also added if more than half of them have very strong evidence for it and the rest
+together none against it.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from cellapp.robot.kinematics.transforms import Array
 
 _FIRST = JointCompliance.slug
 _MOST_EFFECTS = 3
-"""Effects in one model: the issue of more at some ten places is chance."""
+"""Most effects in one model: with some ten places, more would be chance."""
 _MOST_TRIED = 12
-"""Laws, the best first, that are tried in one step."""
+"""Number of best laws tried in one step."""
 _CLEAR = 1.5
-"""t above: between one placement alone and four that gain alike (2)."""
+"""t above: between the ratio of one placement alone (1) and that of four that gain alike (2)."""
 
 
 def with_effects_in_sockets(problem: SearchProblem, start: SearchState) -> SearchState:
-    """The model with elastic joints if they hold, and with what else predicts the places that are left out."""
+    """Add elastic joints if they hold, then further effects that improve the prediction of left-out places."""
     ranked = start.scan(problem.slugs).ranked(start.fit.projected_residual)
     elastic = [score for score in ranked if score.slug == _FIRST]
     state = _first_that_holds(problem, start, elastic) or start
@@ -49,7 +50,7 @@ def with_effects_in_sockets(problem: SearchProblem, start: SearchState) -> Searc
 
 
 def _first_that_holds(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
-    """The state with the best law that passes threshold, bounds and cross-validation."""
+    """Return the state with the best law that passes threshold, bounds and cross-validation; None if none does."""
     for score in scores:
         if score.value <= problem.threshold:
             return None
@@ -60,7 +61,7 @@ def _first_that_holds(problem: SearchProblem, state: SearchState, scores: Sequen
 
 
 def _best_elsewhere(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
-    """The state with the law that predicts left-out placements best, if it does so at most of them."""
+    """Return the state with the law that predicts left-out placements best, if it holds at most of them; else None."""
     found: list[tuple[float, SearchStep]] = []
     for score in scores[:_MOST_TRIED]:
         if score.value <= problem.threshold:
@@ -79,7 +80,7 @@ def _best_elsewhere(problem: SearchProblem, state: SearchState, scores: Sequence
 
 
 def _holds_elsewhere(gains: Array) -> bool:
-    """Whether most left-out placements gain, alike or beyond doubt, from what each gains (m,)."""
+    """Return whether most left-out placements gain, alike or with very strong evidence, from their gains (m,)."""
     most = gains.sum() > _CLEAR * np.linalg.norm(gains)
     beyond_doubt = np.mean(gains > SCORE_MARGIN) > 0.5 and gains[gains < 0.0].sum() > -SCORE_MARGIN
     return bool(most or beyond_doubt)
@@ -88,5 +89,5 @@ def _holds_elsewhere(gains: Array) -> bool:
 def _applied(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState | None:
     try:
         return apply_step(problem, state, step)
-    except TooFewReadings:  # for all that the step brings
+    except TooFewReadings:  # too few for the parameters of the step
         return None

@@ -1,6 +1,6 @@
-"""Refining an effect that is in the model: another law of it, further joints, or sharp lines beside a free curve.
+"""Refinement of an effect in the model: another law of it, further joints, or sharp lines beside a free curve.
 
-The law of the first effect is refined before a second one is named: the residual of an imperfect law can look like
+The law of the first effect is refined before a second one is named, as the residual of an imperfect law can look like
 another effect.
 """
 
@@ -22,14 +22,14 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.periodic import CURVE, LINE_AMPLITUDE, LINES, lines_beside
 
 MANY_LINES = 10
-"""Columns of a transmission error from which free curves are tried in its place: five lines, more than a drive's
+"""Number of columns of a transmission error from which free curves are tried instead: five lines, more than a drive's
 first harmonics."""
 _TRIED = 3
-"""Best laws of an effect that are fitted in full to check their bounds; each costs a joint fit."""
+"""Number of best laws of an effect that are fitted in full to check their bounds; each costs a joint fit."""
 
 
 def refinement(problem: SearchProblem, state: SearchState, needed: float) -> SearchStep | None:
-    """The refinement that gains most, and more than ``needed``; None without one."""
+    """Return the refinement with the largest gain above ``needed``; None if there is none."""
     best: SearchStep | None = None
     for number, term in enumerate(state.fit.terms):
         least = needed if best is None else best.score
@@ -42,7 +42,7 @@ def refinement(problem: SearchProblem, state: SearchState, needed: float) -> Sea
 
 
 def _better_law(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """The best other law, or other columns, of a term."""
+    """Return a step to the best other law, or other columns, of a term; None if none gains more than ``needed``."""
     data, fit = state.data, state.fit
     term, residual = fit.terms[number], fit.residual_without(number)
     own = term_score(fit, number)
@@ -61,9 +61,9 @@ def _better_law(problem: SearchProblem, state: SearchState, number: int, needed:
 
 
 def _further_block(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """One more joint, or one more refining column, beside all that a term has, its free part included.
+    """Return a step to one more joint or refining column beside all that a term has, its free part included; else None.
 
-    A selection of the whole law anew leaves the free part out, whose remainder hides small blocks.
+    Selecting the whole law again would omit the free part, and its residual hides small blocks.
     """
     fit, term = state.fit, state.fit.terms[number]
     if term.law.form == LINES:  # each further line has a price of its own
@@ -87,7 +87,7 @@ def _further_block(problem: SearchProblem, state: SearchState, number: int, need
 
 
 def _refined(problem: SearchProblem, state: SearchState, number: int, score: LawScore, gain: float) -> SearchStep:
-    """The step that puts the law of ``score`` in place of a term."""
+    """Return the step that replaces the law of a term by that of ``score``."""
     term = ModelTerm(score.slug, score.candidate.law, score.names)
     words = term.law.name.replace("_", " ") or "more of it"
     terms = with_term(state.fit.terms, number, term)
@@ -95,7 +95,7 @@ def _refined(problem: SearchProblem, state: SearchState, number: int, score: Law
 
 
 def _laws_to_try(state: SearchState, number: int) -> list[CandidateLaw]:
-    """All laws of a term's effect, its own with tuned constants, and those that its columns suggest."""
+    """Return all laws of a term's effect, its own with tuned constants, and those that its columns suggest."""
     data, fit = state.data, state.fit
     term = fit.terms[number]
     candidates = fit.candidates(data, [term.slug])
@@ -108,7 +108,7 @@ def _laws_to_try(state: SearchState, number: int) -> list[CandidateLaw]:
 
 
 def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """Sharp lines of more cycles than the curves, which are smooth, reach; looked for once."""
+    """Return a step to sharp lines of more cycles than smooth curves reach, searched once; None if none."""
     data, fit = state.data, state.fit
     term = fit.terms[number]
     if LINE_AMPLITUDE.name in term.law.constants:

@@ -1,4 +1,4 @@
-"""Review of a model: drop terms that other terms make superfluous, and find rivals of the remaining ones."""
+"""Review of a model: drop terms made superfluous by others, and find rivals of the remaining ones."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 
 _AS_WELL = 0.5
-"""Share of the score of what it replaces that an effect must reach: a free part, which is made to fit, scores more."""
+"""Share of the score of the parameters it replaces that an effect must reach: a fitted free part scores more."""
 _SAME_SHAPE = 0.999
-"""Cosine from which two columns move the SMR alike."""
+"""Cosine from which two columns are taken to move the SMR alike."""
 SAME_CAUSE = 0.05
-"""A term that depends on the variables of another one and removes less than this share of that one's sum of squares is
-taken as the rest of an imperfect law (22 % in rms) and not as a second cause."""
+"""Share of a larger term's sum of squares. A term with common variables that removes less is taken for the residual of
+the larger term's imperfect law (22 % in rms), not for a second cause."""
 
 
 def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
-    """The state without superfluous terms, dropped one by one, the weakest first."""
+    """Drop superfluous terms one by one, the weakest first; return the new state."""
     dropped = list(state.dropped)
     while True:
         problem.cancel.check()
@@ -50,9 +50,9 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
 
 
 def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
-    """The term with the least score, if that does not pass the threshold.
+    """Return the term with the least score if that does not pass the threshold; else None.
 
-    Smooth terms have a test of their own, but for what stands beside a field over the workspace.
+    Smooth terms have a test of their own; only beside a field over the workspace they are judged here too.
     """
     beside = BesideField.of(state.data, state.fit)
     scores = {}
@@ -68,7 +68,7 @@ def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
 
 
 def _rest_of_a_law(state: SearchState) -> int | None:
-    """A small term that shares variables with a far larger one, where the noise floor is not reached."""
+    """Return a small term that shares variables with a far larger one; None if none, or at the noise floor."""
     fit = state.fit
     if floor_reached(state):
         return None
@@ -77,7 +77,7 @@ def _rest_of_a_law(state: SearchState) -> int | None:
         for other, larger in enumerate(fit.terms):
             if UNKNOWN in (term.slug, larger.slug) or number == other:
                 continue
-            # all effects depend on the configuration: that alone is no common cause
+            # all effects depend on the configuration: a common joint angle is no common cause
             shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {DriverVariable.JOINT_ANGLE}
             if shared and removed[number] < SAME_CAUSE * removed[other]:
                 return number
@@ -85,18 +85,18 @@ def _rest_of_a_law(state: SearchState) -> int | None:
 
 
 def term_score(fit: JointFit, number: int) -> float:
-    """Score of a term with its law's columns as they are, beside all other terms."""
+    """Return the score of a term with its law's present columns, beside all other terms."""
     return fit.residual_without(number).bic_gain(fit.law_rows(number)) - _price(fit, number)
 
 
 def _price(fit: JointFit, number: int) -> float:
-    """Price of choosing a term's law; of lines it is paid for each."""
+    """Return the price of choosing a term's law; lines pay it once each."""
     law = fit.terms[number].law
     return choice_price(law) * (len({column.block for column in fit.term_columns(number)}) if law.form == LINES else 1)
 
 
 def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
-    """Score of a term beside all others, and the effects of the library that could take its place."""
+    """Review a term: its score beside all others, and the effects of the library that could take its place."""
     fit = state.fit
     term = fit.terms[number]
     if term.smooth is not None:
@@ -127,10 +127,10 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
 
 
 def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[RunnerUp]:
-    """Look-alikes that a term's law may hold within itself, in place of columns of the same shape or of its free part.
+    """Find look-alikes that may hide in a term: in place of columns of the same shape, or of its free part.
 
-    Dry friction and play move a joint alike, and what a law leaves over may be the look-alike. Such an effect may be
-    there beside the named one: it scores, beside the rest of the law, about as much as what stands in its place.
+    Dry friction and play move a joint alike, and the residual of a law may be its look-alike. Such an effect may be
+    present beside the named one if, beside the rest of the law, it scores about as much as what it replaces.
     """
     fit, term = state.fit, state.fit.terms[number]
     if not term.is_library_effect:
@@ -154,7 +154,7 @@ def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[
 def _in_place_of(
     problem: SearchProblem, fit: JointFit, replaced: NDArray[np.bool_], target: Array, laws: Sequence[CandidateLaw]
 ) -> list[RunnerUp]:
-    """The best of some laws as a rival, if it explains ``target`` about as well as the parameters that it replaces."""
+    """Return the best of some laws as a rival if it explains ``target`` like the ``replaced`` parameters."""
     projector = fit.projector_of(~replaced)
     rest = ProjectedResidual(projector, target)
     gain = math.log(rest.square / fit.projected_residual.square) * rest.freedom
@@ -167,7 +167,7 @@ def _in_place_of(
 
 
 def _shared_columns(rows: Array, laws: Sequence[CandidateLaw]) -> NDArray[np.bool_]:
-    """Which rows (m, d) are, but for their size, a column of some law."""
+    """Return a mask of the rows (m, d) that equal a column of some law up to a factor."""
     shared = np.zeros(len(rows), dtype=bool)
     norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
     for law in laws:
@@ -177,7 +177,7 @@ def _shared_columns(rows: Array, laws: Sequence[CandidateLaw]) -> NDArray[np.boo
 
 
 def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:
-    """Whether a term still passes the threshold in a model that contains the rival."""
+    """Return whether a term still passes the threshold in a model that contains the rival."""
     kept = fit.layout.all_but(number)
     rows = np.concatenate([fit.rows[kept], rival.rows])
     precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])

@@ -1,11 +1,12 @@
-"""Scan of all candidate laws: the score of each for the residual in the complement of the model's parameters.
+"""Scan of all candidate laws: the score of each on the residual in the complement of the model's parameters.
 
 A law is a group of columns in blocks. Its score is
 
-    score = -f ln(1 - R^2) - k ln f - 2 ln T,   f coordinates behind the model, k visible columns, T laws tried:
+    score = -f ln(1 - R^2) - k ln f - 2 ln T,
 
-the gain of the Bayesian information criterion (see ``estimation.discovery.projected_residual``) less the price of
-choosing among T onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
+where f are the coordinates less the model's parameters, k the visible columns and T the number of laws tried. It is the
+gain of the Bayesian information criterion (see ``estimation.discovery.projected_residual``) less the price of choosing
+among T onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ from cellapp.robot.effects import Law
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_LAWS = 10
-"""Laws of one effect whose blocks are selected in full, the best by their best single block: selection costs a hundred
-times as much, and among dozens of onsets neighbours differ little."""
+"""Number of laws of one effect, ranked by their best single block, whose blocks are selected in full. A selection costs
+a hundred times as much, and among dozens of onsets neighbours differ little."""
 _SLACK = 1.0
-"""Score that a selection may have above the bound, as directions that hardly show are cut: far below what decides."""
+"""Score by which a selection may exceed the bound, as barely visible directions are cut: far below what decides."""
 NO_DISPLACEMENT = 1e-9
 """Whitened norm below which a column does not move the SMR: far below the standard uncertainty, which is 1."""
 _GRAMS_AT_ONCE = 256
-"""Blocks whose Gram matrices are computed together: bounds the memory for copies of their rows."""
+"""Batch size for Gram matrices of blocks: it bounds the memory for copies of their rows."""
 
 
 def choice_price(law: Law) -> float:
-    """Price of choosing a law among T tried ones, subtracted from its score: 2 ln T."""
+    """Return the price of choosing a law among T tried ones, subtracted from its score: 2 ln T."""
     return 2.0 * math.log(max(law.tried, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class _BlockGroup:
-    """Blocks of one size k: candidate (b,), places in it (b, k), root (b, k, k) of their information, its rank (b,)."""
+    """Blocks of one size k: candidate index (b,), column indices (b, k), information root (b, k, k) and rank (b,)."""
 
     candidate: NDArray[np.intp]
     places: NDArray[np.intp]
@@ -68,7 +69,7 @@ class LawScan:
     groups : tuple of _BlockGroup
         Blocks of equal size together, without those that only refine others.
     freedom : float
-        Coordinates less the parameters of the model that they determine, f.
+        Number of coordinates less the model's parameters that they determine, f.
     """
 
     candidates: tuple[CandidateLaw, ...]
@@ -80,10 +81,10 @@ class LawScan:
 
     @classmethod
     def of(cls, candidates: Sequence[CandidateLaw], projector: NuisanceProjector) -> LawScan:
-        """Project all columns of the candidates."""
+        """Project all columns of the candidates onto the complement of the model's parameters."""
         first = np.concatenate([[0], np.cumsum([len(one.columns) for one in candidates])]).astype(np.intp)
         rows = np.empty((int(first[-1]), len(projector.basis)))
-        # parts of the one array: the candidates' own ones are given up as they are copied
+        # candidates become views of one array; their own arrays are freed as they are copied
         own = list(candidates)
         del candidates
         for number, (begin, end) in enumerate(pairwise(first.tolist())):
@@ -92,7 +93,7 @@ class LawScan:
         return cls._of_rows(tuple(own), first[:-1], projector.behind(rows), projector.freedom)
 
     def behind_of(self, projector: NuisanceProjector) -> LawScan:
-        """The same laws in the complement of another model's parameters; the rows are shared."""
+        """Return the same laws in the complement of another model's parameters; the rows are shared."""
         return self._of_rows(self.candidates, self.first, projector.behind(self.behind.rows), projector.freedom)
 
     @classmethod
@@ -115,12 +116,12 @@ class LawScan:
         return cls(candidates, behind, first, np.sqrt(behind.squares) / norms, tuple(groups), freedom)
 
     def place(self, number: int) -> slice:
-        """Where the columns of a candidate are in ``behind`` and ``visible_share``."""
+        """Return the slice of a candidate's columns in ``behind`` and ``visible_share``."""
         begin = int(self.first[number])
         return slice(begin, begin + len(self.candidates[number].columns))
 
     def best_block_scores(self, projected: Array, squares: Array) -> Array:
-        """Score (candidates, s) with the best single block of each, for residuals M y (d, s), y^T M y (s,)."""
+        """Return scores (candidates, s) by the best single block of each, for residuals M y (d, s) and y^T M y (s,)."""
         best = np.full((len(self.candidates), projected.shape[1]), -np.inf)
         moments = self.behind.rows @ projected
         price = np.array([choice_price(one.law) for one in self.candidates])
@@ -137,9 +138,9 @@ class LawScan:
     def ranked(
         self, residual: ProjectedResidual, *, with_refinements: bool = False, least: float = -math.inf
     ) -> list[LawScore]:
-        """Scores of the candidates, best first, without those that no selection of blocks lifts above ``least``.
+        """Score the candidates, best first; omit those that no selection of blocks lifts above ``least``.
 
-        Blocks that only refine others join ``with_refinements`` alone: a name is given for an effect's main blocks. Of
+        Blocks that only refine others are used if ``with_refinements``: an effect is named for its main blocks. For
         each effect only the laws with the best single blocks are selected in full.
         """
         numbers = self._ahead(residual)
@@ -147,7 +148,7 @@ class LawScan:
         return sorted((one for one in found if one is not None), key=lambda score: -score.value)
 
     def best_of_each_effect(self, residual: ProjectedResidual, least: float = -math.inf) -> list[LawScore]:
-        """The best law of each effect, as ``ranked``: laws that cannot be better than one before are not selected."""
+        """Return the best law of each effect, as ``ranked``; skip laws that cannot beat an earlier one."""
         best: dict[str, LawScore] = {}
         for number in self._ahead(residual):
             slug = self.candidates[number].slug
@@ -158,7 +159,7 @@ class LawScan:
         return sorted(best.values(), key=lambda score: -score.value)
 
     def _ahead(self, residual: ProjectedResidual) -> list[int]:
-        """The laws of each effect with the best single blocks, the best first."""
+        """Return indices of the laws of each effect with the best single blocks, best first."""
         ahead = self.best_block_scores(residual.projected[:, None], np.array([residual.square]))[:, 0]
         by_slug = grouped(
             (self.candidates[number].slug, number)
@@ -175,9 +176,9 @@ class LawScan:
         with_refinements: bool = True,
         least: float = -math.inf,
     ) -> LawScore | None:
-        """Score of one candidate with the blocks that it needs.
+        """Score one candidate with the blocks that it needs.
 
-        None where nothing of it is visible, or where all its columns together show that it stays below ``least``.
+        None if no block is visible, or if a bound from all its columns is below ``least``.
         """
         one, place = self.candidates[number], self.place(number)
         selection = BlockSelection.of(
@@ -199,7 +200,7 @@ def _block_group(
     owner: NDArray[np.intp],
     places: NDArray[np.intp],
 ) -> _BlockGroup:
-    """Blocks ``places`` (b, k) of candidates ``owner`` (b,) with the roots of their information."""
+    """Build a group of blocks ``places`` (b, k) of candidates ``owner`` (b,), with the roots of their information."""
     chosen = first[owner][:, None] + places
     size = places.shape[1]
     gram = np.empty((len(chosen), size, size))

@@ -1,13 +1,13 @@
-"""Lines of many cycles beside the free curves of the joints: which cycle counts, and of which joints, by evidence.
+"""Lines of many cycles beside the free curves of the joints: selection of cycle counts and joints by evidence.
 
-The joints of an arm have gears and encoders of one make: a count that shows at one joint is the count to expect at the
-others. A line is therefore one cycle count with the joints that have it. With G and b the information and moments of
-its columns behind all that was fitted, noise 1, and the prior N(0, a^2) of every cosine and sine,
+The joints of an arm have gears and encoders of one make: a count that shows at one joint is likely at the others. A
+line is therefore one cycle count with the joints that have it. With G and b the information and moments of its columns
+in the complement of all fitted parameters, noise 1, and the prior N(0, a^2) of every cosine and sine,
 
     2 ln E = b^T (G + I / a^2)^-1 b - ln det(I + a^2 G)
 
-(Rasmussen, Williams, Gaussian Processes for Machine Learning, 2006, section 2.1), less 2 ln T for a choice among T. The
-prior keeps a line that was chosen for what noise adds to it from being taken as larger than it is.
+(Rasmussen, Williams, Gaussian Processes for Machine Learning, 2006, section 2.1), less 2 ln T for a choice among T.
+Noise makes a chosen line look larger than it is; the prior shrinks it.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.robot.kinematics.transforms import Array
 
 _AMPLITUDES = (1e-5, 1.5e-5, 2e-5, 3e-5, 4e-5, 6e-5)
-"""Standard deviations of the prior [rad] that are tried: gears and encoders of arms have lines of 10 to 80 µrad."""
+"""Standard deviations of the prior [rad] to try: gears and encoders of arms have lines of 10 to 80 µrad."""
 _PERIODS = (128, 256)
-"""Cycle counts that have half of the prior probability: absolute encoders have a power of two of periods a turn, and
-interpolate within each with an error that repeats."""
+"""Cycle counts that share half of the prior probability: absolute encoders have a power of two of periods a turn, and
+their interpolation error repeats in each period."""
 _MOST_LINES = 24
-"""Lines at most: more would be a spectrum without gaps, which is a rougher curve."""
+"""Most lines: more would be a spectrum without gaps, which is a rougher curve."""
 
 
 @dataclass(frozen=True)
 class ChosenLines:
-    """Lines that were chosen.
+    """The chosen lines.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class ChosenLines:
     amplitude : float
         Standard deviation of the prior [rad].
     tried : int
-        Number of alternatives that they were chosen from.
+        Number of alternatives that the choice was made from.
     columns : tuple of int
-        Places of their columns.
+        Indices of their columns.
     """
 
     value: float
@@ -56,10 +56,10 @@ class ChosenLines:
 
 @dataclass(frozen=True, eq=False)
 class _Bands:
-    """Cosines and sines of J joints at c cycle counts: ``places`` (c, J, 2) in the columns ``rows`` (m, d).
+    """Cosines and sines of J joints at c cycle counts; ``places`` (c, J, 2) are their indices in ``rows`` (m, d).
 
-    ``own`` (c, J, 2, 2) is the information of each pair. ``alternatives`` (c,) is T of each count: the counts of its
-    kind, expected or not, have half of the probability.
+    ``own`` (c, J, 2, 2) is the information of each pair. ``alternatives`` (c,) is T of each count: expected counts
+    share half of the probability, all others the other half.
     """
 
     rows: Array
@@ -86,7 +86,7 @@ class _Bands:
         return cls(rows, residual, rows @ residual.projected, places, own, alternatives)
 
     def beside(self, taken: Sequence[int], amplitude: float) -> tuple[Array, Array]:
-        """Information (c, J, 2, 2) and moments (c, J, 2) of each pair beside columns ``taken`` with their prior."""
+        """Return information (c, J, 2, 2) and moments (c, J, 2) of each pair beside the columns ``taken``."""
         kept = list(taken)
         cross = self.rows @ self.residual.projector.project(self.rows[kept]).T
         inverse = np.linalg.inv(cross[kept] + np.eye(len(kept)) / amplitude**2)
@@ -96,9 +96,9 @@ class _Bands:
 
 
 def shared_lines(candidate: CandidateLaw, residual: ProjectedResidual, by_joint: Array) -> ChosenLines | None:
-    """The lines that a residual needs; None where it needs none.
+    """Choose the lines that a residual needs; None if it needs none.
 
-    The candidate's columns are waves of joints, which move the SMR by ``by_joint`` (3, N, n) per radian, whitened.
+    The candidate's columns are waves of joints; ``by_joint`` (3, N, n) is the whitened SMR motion per radian.
     """
     bands = _Bands.of(candidate, residual, by_joint)
     best = max((_chosen(bands, amplitude) for amplitude in _AMPLITUDES), key=lambda one: one.value)
@@ -106,7 +106,7 @@ def shared_lines(candidate: CandidateLaw, residual: ProjectedResidual, by_joint:
 
 
 def _chosen(bands: _Bands, amplitude: float) -> ChosenLines:
-    """Lines added one after another, the one that gains most first, while one gains more than its price."""
+    """Add lines one by one, the one with the largest gain first, while the gain exceeds its price."""
     joints = bands.places.shape[1]
     which = np.array([joints * math.comb(joints, number) for number in range(1, joints + 1)])
     prices = 2.0 * np.log(bands.alternatives[:, None] * which)
@@ -127,7 +127,7 @@ def _chosen(bands: _Bands, amplitude: float) -> ChosenLines:
 
 
 def _evidence(information: Array, moments: Array, amplitude: float) -> Array:
-    """Twice the log evidence (c, J) of pairs of columns, with information (c, J, 2, 2) and moments (c, J, 2)."""
+    """Return twice the log evidence (c, J) of pairs of columns with information (c, J, 2, 2) and moments (c, J, 2)."""
     precision = information + np.eye(2) / amplitude**2
     explained = np.einsum("cjk,cjk->cj", moments, np.linalg.solve(precision, moments[..., None])[..., 0])
     return np.asarray(explained - np.linalg.slogdet(amplitude**2 * precision)[1])

@@ -1,8 +1,8 @@
 """Significance of scores over the whole scan: threshold, p-values, and smallest detectable sizes.
 
-The threshold is a high quantile of the largest score over everything that is scanned, in simulated data with nothing
-missing. Searching over many laws therefore does not raise the false-alarm rate (max-T: Westfall, Young,
-Resampling-Based Multiple Testing, 1993).
+The threshold is a high quantile of the largest score over all laws scanned, in simulated data without effects.
+Searching over many laws therefore does not raise the false-alarm rate (max-T: Westfall, Young, Resampling-Based
+Multiple Testing, 1993).
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.robot.kinematics.transforms import Array
 
 _TAIL = 0.15
-"""Share of the highest null maxima whose excess is taken as exponential (peaks over threshold): 60 of the default 400
-simulations, enough to estimate its mean to 13 %."""
+"""Share of the highest null maxima whose excess is modelled as exponential (peaks over threshold): 60 of the default
+400 simulations, enough to estimate its mean to 13 %."""
 
 _AT_ONCE = 100
-"""Simulations that are scored together: bounds the memory."""
+"""Batch size of simulations: bounds the memory."""
 
 
 def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulations: int, seed: tuple[int, ...]) -> Array:
-    """Largest score over all candidates in each of ``simulations`` residuals of pure noise, sorted.
+    """Return the largest score over all candidates in each of ``simulations`` residuals of pure noise, sorted.
 
-    One block of each candidate is tried: the larger gain that a second one needs leaves high quantiles as they are.
+    Only single blocks are tried: as a second block must gain more, high quantiles stay the same.
     """
     y = np.random.default_rng(seed).standard_normal((len(projector.basis), simulations))
     if not scan.candidates:
@@ -41,9 +41,9 @@ def simulate_null_maxima(scan: LawScan, projector: NuisanceProjector, simulation
 
 
 def score_threshold(null_maxima: Array, false_alarm: float) -> float:
-    """Score that noise alone exceeds with probability ``false_alarm``; never below zero.
+    """Return the score that noise alone exceeds with probability ``false_alarm``; never below zero.
 
-    Beyond the highest ``_TAIL`` the distribution is taken as exponential, which steadies quantiles of few simulations.
+    In the highest ``_TAIL`` the distribution is modelled as exponential, which steadies quantiles of few simulations.
     """
     if not len(null_maxima) or not np.isfinite(null_maxima).any():
         return 0.0
@@ -56,12 +56,12 @@ def score_threshold(null_maxima: Array, false_alarm: float) -> float:
 
 
 def corrected_p_value(null_maxima: Array, score: float) -> float:
-    """Share of null maxima at or above ``score``, counted together with the data, so that it is never zero."""
+    """Return the share of null maxima at or above ``score``; the data count as one more, so it is never zero."""
     return (1.0 + float(np.count_nonzero(null_maxima >= score))) / (len(null_maxima) + 1.0)
 
 
 def smallest_detectable(scan: LawScan, number: int, threshold: float) -> Mapping[str, float]:
-    """Smallest size of each single column of a candidate that would pass ``threshold``; infinite where invisible."""
+    """Return the smallest size of each column of a candidate that would pass ``threshold``; infinite if invisible."""
     one, place = scan.candidates[number], scan.place(number)
     norms = np.sqrt(scan.behind.squares[place])
     needed = threshold + math.log(scan.freedom) + choice_price(one.law)

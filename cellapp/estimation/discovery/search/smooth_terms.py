@@ -1,4 +1,4 @@
-"""Smooth free functions beside, or in place of, the effects that a search found: the structured process as a step."""
+"""Smooth free functions beside, or in place of, the effects found: the structured process as a step of the search."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cellapp.robot.effects.thermal import JointDrift
 
 
 def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with the smooth terms that its residuals need; None where they need none or it has some."""
+    """Add the smooth terms that the residuals need; None if they need none or the state already has some."""
     if has_smooth_terms(state.fit.terms):
         return None
     problem.say("free functions of joints, loads and time")
@@ -24,9 +24,9 @@ def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState
 
 
 def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | None:
-    """The state with a smooth drift, of base or joint zeros, for its effects of time; None where it has fewer than two.
+    """Replace the effects of time by a smooth drift of base or joint zeros; None if there are fewer than two.
 
-    What wanders looks like steps and warming up, one after the other.
+    A wandering drift looks like a sequence of steps and warm-ups.
     """
     of_time = [
         term.is_library_effect and DriverVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
@@ -42,7 +42,7 @@ def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | 
 def _with_process(
     problem: SearchProblem, state: SearchState, candidates: Sequence[Component] | None = None
 ) -> SearchState | None:
-    """The state with the smooth terms that its residuals need, of some or of all; None where they need none."""
+    """Add the smooth terms that the residuals need, of ``candidates`` or of all; None if they need none."""
     found = fit_process(state.data, state.fit, max(problem.threshold, SCORE_MARGIN), candidates)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""States of the search for missing effects: problem, current model, steps taken, review of the result."""
+"""States of the search for missing effects: problem, current model, steps taken, review and result."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from cellapp.robot.model import ArmModel
 
 SCORE_MARGIN = 10.0
 """Difference of scores that counts as very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773: twice the
-log Bayes factor above 10). Effects within it of an accepted one are its rivals; what is not in the library, and a more
-complicated law, must lead by it."""
+log Bayes factor above 10). Effects within this margin of an accepted one are its rivals. A law outside the library, and
+a more complicated law, must lead by it."""
 
 
 @dataclass(frozen=True)
 class SearchStep:
-    """A step of the search: effect, description, score, and the terms it leads to; the model once they are fitted."""
+    """A step of the search: effect, description, score, and the resulting terms; ``model`` once these are fitted."""
 
     slug: str
     what: str
@@ -38,7 +38,7 @@ class SearchStep:
 
 @dataclass(frozen=True, eq=False)
 class SearchState:
-    """A model in the search, the steps that led to it, and the effects dropped on the way."""
+    """A model in the search, the steps to it, and the effects dropped on the way."""
 
     data: ArmData
     fit: JointFit
@@ -51,7 +51,7 @@ class SearchState:
         return {term.slug for term in self.fit.terms}
 
     def scan(self, slugs: Sequence[str]) -> LawScan:
-        """Scan of all laws of some effects beside the model; the last one is kept until it is given up."""
+        """Scan all laws of some effects beside the model; the last scan is cached until ``give_up_scan``."""
         key = (LawScan, tuple(slugs))
         if key not in self.fit.derived:
             self.give_up_scan()
@@ -60,7 +60,7 @@ class SearchState:
         return found
 
     def give_up_scan(self) -> None:
-        """Free the memory of ``scan``, tens of megabytes."""
+        """Discard the cached scan, tens of megabytes."""
         for key in [key for key, kept in self.fit.derived.items() if isinstance(kept, LawScan)]:
             del self.fit.derived[key]
         give_back()
@@ -68,21 +68,21 @@ class SearchState:
 
 @dataclass(frozen=True, eq=False)
 class SearchProblem:
-    """What does not change during a search.
+    """The constants of a search.
 
     Attributes
     ----------
     data : ArmData
-        With the weights that the readings state.
+        The readings, with the weights that they state.
     slugs : tuple of str
         Effects of the library to look for.
     null_maxima : array
-        Largest scores of simulated data with nothing missing.
+        Largest scores in simulated data without effects.
     threshold : float
         Score that an effect must pass.
     cancel : CancelToken
     say : callable
-        Takes what the search does now, in a few words.
+        Callback for a short message on the current activity.
     """
 
     data: ArmData
@@ -93,23 +93,23 @@ class SearchProblem:
     say: Callable[[str], None]
 
     def p_value(self, score: float) -> float:
-        """Probability of a score at least this large where nothing is missing, corrected for the whole scan."""
+        """Return the probability of a score at least this large without effects, corrected for the whole scan."""
         return corrected_p_value(self.null_maxima, score)
 
     def state(self, terms: ModelTerms, near: SearchState) -> SearchState:
-        """The fitted state of some terms, from the values of a state nearby and with its history."""
+        """Fit some terms from the values of a nearby state; the new state keeps that state's history."""
         return SearchState(*refit(near.data.at(near.fit.model), terms), near.steps, near.dropped)
 
     def step(self, slug: str, what: str, score: float, terms: ModelTerms) -> SearchStep:
-        """A step with its p-value."""
+        """Return a step with its p-value."""
         return SearchStep(slug, what, score, self.p_value(score), terms)
 
 
 @dataclass(frozen=True)
 class Review:
-    """Score of an accepted term beside all others, and the effects that could take its place.
+    """Score of an accepted term beside all others, and its rivals.
 
-    ``alternatives`` are the scores of all effects in its place, with physically possible values, by slug.
+    ``alternatives`` maps the slug of every effect to its score in the term's place, with physically possible values.
     """
 
     term: ModelTerm
@@ -121,7 +121,7 @@ class Review:
 
 @dataclass(frozen=True)
 class Posteriors:
-    """Probability that each term's effect is there, in their order, and that of every effect that was tested."""
+    """Probability that each term's effect is present, in order, and that of every tested effect."""
 
     terms: tuple[float, ...]
     effects: Mapping[str, float]
@@ -129,12 +129,12 @@ class Posteriors:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The outcome of a search.
+    """Outcome of a search.
 
     Attributes
     ----------
     data, fit
-        The final model on the readings that were searched.
+        The final model and the readings that were searched.
     geometry_only : JointFit
         The fit before the search.
     reviews : tuple of Review
@@ -144,9 +144,9 @@ class SearchResult:
     threshold : float
         Score that an effect had to pass.
     improbable : mapping
-        Effects that were found but dropped, as they are more probably not there than there, with their probabilities.
+        Effects that were found but dropped as more probably absent than present, with their probabilities.
     posteriors : Posteriors or None
-        The probabilities; None of another fit than that in which the search ended.
+        The probabilities; None if ``fit`` is not the one in which the search ended.
     """
 
     data: ArmData
@@ -166,17 +166,17 @@ class SearchResult:
         return [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
 
     def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
-        """This result with another fit of the final model."""
+        """Return this result with another fit of the final model."""
         return replace(self, data=data, fit=fit, reviews=reviews, posteriors=None)
 
     def without_terms(self) -> SearchResult:
-        """This result with the geometry alone: everything that was added counts as dropped."""
+        """Return this result with the geometry alone; all terms count as dropped."""
         dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        # the search, and its fit of the geometry, may have seen a part of the readings
+        # the geometry fit of the search may have used only some of the readings
         bare = fit_terms(self.data, ())
         return replace(self.with_fit(self.data, bare, ()), geometry_only=bare, dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """What the readings look like where a law of the library holds with impossible values only."""
+        """Descriptions of the terms by which a law of the library fits, but only with impossible values."""
         return tuple(term.note for term in self.fit.terms if is_contradiction(term.law))

@@ -1,11 +1,11 @@
 """Stepwise search for the effects that a calibrated model lacks.
 
-1. Add effects of the library while one passes the threshold; refine the law of an effect before a second is named.
-2. Where the named effects leave more than the noise, extend the model by what the library lacks: data-driven terms or
-   free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
+1. Add effects of the library while one passes the threshold. Refine the law of an effect before a second is named.
+2. If the named effects leave more than the noise, extend the model beyond the library: by data-driven terms or free
+   curves of the joints. Try these beside the named effects and, unless the names explain nearly all, in their place.
 3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
-4. Drop a named effect that is more probably not there than there, and look once more without it. Take the name from
-   what more probably is a part of something unknown.
+4. Drop a named effect that is more probably absent than present, and search again without it. Withdraw the name of
+   a term that is more probably a part of something unknown.
 """
 
 from __future__ import annotations
@@ -52,29 +52,27 @@ from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 
 _MOST_EFFECTS = 5
-"""Effects of the library in one model at most: further ones would only explain the imperfection of
-the other laws."""
+"""Most effects of the library in one model: further ones would only explain the imperfection of the other laws."""
 _MOST_STEPS = 16
-"""Additions and refinements at most: three for each of the effects, and one more."""
+"""Most additions and refinements: three for each of the effects, and one more."""
 LEAST_FREEDOM = 30.0
-"""Measured coordinates beyond the determined parameters below which no effect is looked for: what geometry leaves of so
-few follows any law."""
+"""Least measured coordinates beyond the determined parameters for a search: any law fits the residuals of fewer."""
 _EVEN_ODDS = 0.5
-"""Probability below which no name, or answer set of names, is accepted."""
+"""Least probability at which a name, or an answer set of names, is accepted."""
 _FAR = 3.0
-"""Scatter over that of the stated noise from which free functions are tried before laws with impossible values."""
+"""Scatter over the stated noise from which free functions are tried before laws with impossible values."""
 _NULL_SEED = 0xD15C
-"""Beside the profile's seed: the simulated noise is then independent of all other draws."""
+"""Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
 
 
 SEARCH_STEPS = 4
-"""Steps that a search reports: simulations without effects, effects of the library, beyond the library, review."""
+"""Number of steps that a search reports: simulations without effects, library effects, beyond the library, review."""
 
 
 def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Report = ignore_report) -> SearchResult:
-    """Search for effects among ``slugs`` and, beyond them, for what no effect of the library explains.
+    """Search for effects among ``slugs`` and then for what no effect of the library explains.
 
-    ``report`` takes the steps done, of ``SEARCH_STEPS``.
+    ``report`` takes the number of steps done, of ``SEARCH_STEPS``.
     """
     progress = _SearchProgress(report)
     settings = data.profile.discovery
@@ -94,9 +92,9 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
-    """Probability of each term's name or of one that the data cannot distinguish from it, in the order of the terms.
+    """Return the probability of each term's name and of the rivals that the data cannot distinguish from it, in order.
 
-    Also whether such a rival is more probable than the name.
+    The second value tells whether such a rival is more probable than the name.
     """
     answers = []
     for own, one in zip(probable.terms, found.reviews, strict=True):
@@ -106,7 +104,7 @@ def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[t
 
 
 def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit) -> SearchResult:
-    """The outcome of a search that ends in some state, with the rivals of each of its terms."""
+    """Build the outcome of a search from its last state, with the rivals of each term."""
     reviews = []
     for number, term in enumerate(state.fit.terms):
         problem.cancel.check()
@@ -124,11 +122,12 @@ def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit)
 
 
 def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -> SearchResult:
-    """The outcome without names that are more probably not there than there, the least probable first.
+    """Drop the names that are more probably absent than present, the least probable first, and return the outcome.
 
-    Rivals that the data cannot distinguish from a name stand beside it in one answer set, and count with it. A rival
-    may take the place of what is dropped, and is held to the same. A name gives way to a more probable rival where the
-    search without it ends in a model that is no worse; else no rival in its place can score more than that leaves.
+    Rivals that the data cannot distinguish from a name form one answer set with it, and their probabilities add. A
+    rival may take the place of a dropped name; the same test applies to it. A name gives way to a more probable rival
+    if the search without the name ends in a model that is no worse. Otherwise the difference limits the score of any
+    rival in its place.
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
@@ -153,7 +152,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
                 probable = posteriors_of(found, remaining_scan(found))
                 left = [probability for probability, _ in _probability_of_answers(found, probable)]
                 if any(left[number] < _EVEN_ODDS for _, number in doubtful):
-                    continue  # without rivals that end worse it is improbable by itself
+                    continue  # with its rivals limited it is improbable by itself
             unnamed = without_imitations(problem, state)
             if unnamed is not state:
                 found = replace(_result(problem, unnamed, found.geometry_only), improbable=found.improbable)
@@ -165,10 +164,10 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
 
 
 def _searched_without(problem: SearchProblem, state: SearchState, number: int) -> tuple[SearchProblem, SearchState]:
-    """The problem without the effect of a term, and where the search for the others ends."""
+    """Search again without the effect of a term; return the reduced problem and the last state."""
     slug = state.fit.terms[number].slug
     problem = replace(problem, slugs=tuple(one for one in problem.slugs if one != slug))
-    # free parts were made to fit beside what is dropped, and may hold the name that takes its place
+    # free parts were fitted beside the dropped term, and may hold the effect that takes its place
     rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
     rest = replace(rest, dropped=(*rest.dropped, slug))
     if rest.data.points is None:
@@ -177,24 +176,24 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
 
 
 def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
-    """The outcome of a search among some readings, fitted to all of them."""
+    """Fit the outcome of a search on some readings to all of them."""
     here, fit = refit(data.at(found.fit.model), found.fit.terms)
     return found.with_fit(here, fit, found.reviews)
 
 
 @dataclass
 class _SearchProgress:
-    """Counts the steps of a search and passes words on; steps that are not needed are counted at the end."""
+    """Counter of the steps of a search that passes on messages; steps that are not needed are counted at the end."""
 
     report: Report
     done: int = 0
 
     def say(self, words: str) -> None:
-        """Report words within the present step."""
+        """Report a message within the current step."""
         self.report(self.done, words)
 
     def step(self, words: str) -> None:
-        """Report that a step is done and the next one begins."""
+        """Report that a step is done and that the next one begins."""
         self.done = min(self.done + 1, SEARCH_STEPS - 1)
         self.say(words)
 
@@ -205,7 +204,7 @@ class _SearchProgress:
 
 
 def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchProgress) -> SearchState:
-    """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
+    """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse."""
     if start.data.points is not None:
         return reviewed(problem, with_effects_in_sockets(problem, start))
     named = reviewed(problem, _with_library_effects(problem, start))
@@ -215,7 +214,7 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     drift = with_one_drift(problem, named)
-    named = named if drift is None else best_state([named, drift])  # one cause is one unknown
+    named = named if drift is None else best_state([named, drift])  # one common cause is one unknown effect
     instead = in_place_of_names(problem, start, named)
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
@@ -224,16 +223,16 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     free = _with_free_functions(problem, before_names(), named)
     if best_state([best, free]) is not best:
         best = free
-    if floor_reached(best) and best is not free:  # a free function reaches it whatever the cause
+    if floor_reached(best) and best is not free:  # a free function reaches the floor whatever the cause
         return best
-    # where one unknown law replaces all names, names beside it would only share it
+    # if one unknown law replaces all names, names beside it would only share its signal
     bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
     driven = [with_data_driven_terms(problem, one, criterion(one.fit) - criterion(best.fit)) for one in bases]
     return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
 
 
 def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
-    """The best of the named model and one with a law that holds with impossible values only, beside it or before it."""
+    """Return the better of the named model and one with a law of impossible values, beside or before names."""
     for state in dict.fromkeys((named, start)):
         found = with_contradiction(problem, state)
         if found is not None:
@@ -242,13 +241,13 @@ def _with_contradictions(problem: SearchProblem, start: SearchState, named: Sear
 
 
 def _far_from_floor(state: SearchState) -> bool:
-    """Whether the residuals are far above the noise: one more law will hardly bring them down to it."""
+    """Return whether the residuals are so far above the noise that one more law will hardly reach it."""
     left = scatter(state.data, state.fit)
     return left is None or left.ratio > _FAR
 
 
 def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState) -> bool:
-    """Whether free functions are better than names could be if every law added all that it explains alone."""
+    """Return whether free functions beat the names even if every law added all that it explains alone."""
     lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
@@ -257,7 +256,7 @@ def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: Se
 
 
 def _with_free_functions(problem: SearchProblem, first: SearchState | None, named: SearchState) -> SearchState:
-    """The best model with smooth free functions, ``first`` before names or else beside them; else ``named`` alone."""
+    """Return the best model with smooth free functions, ``first`` before names, or beside them; else ``named``."""
     if first is not None:
         first = reviewed(problem, _with_library_effects(problem, first))
         if best_state([named, first]) is first:
@@ -267,7 +266,7 @@ def _with_free_functions(problem: SearchProblem, first: SearchState | None, name
 
 
 def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
-    """The model with the library's effects that now show, reviewed."""
+    """Add the library's effects that now pass, and review the model."""
     return reviewed(problem, _with_library_effects(problem, state))
 
 
@@ -281,7 +280,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchS
         step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
             free = None if freed else with_free_parts(problem, state)
-            if free is not None:  # what the laws leave over is out of the way: look once more
+            if free is not None:  # the free parts hold the errors of the laws: search once more
                 state.give_up_scan()
                 state, freed = free, True
                 continue
@@ -289,10 +288,10 @@ def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchS
                 break
         try:
             after = apply_step(problem, state, step)
-        except TooFewReadings:  # for all that the step brings
+        except TooFewReadings:  # too few for the parameters of the step
             break
         if step.slug in state.slugs and best_state([after, state]) is state:
-            refining = False  # the refinement was better in the linear scan only
+            refining = False  # the refinement was better only in the linear scan
             continue
         state.give_up_scan()
         state, freed = after, False
@@ -306,7 +305,7 @@ def _next_step(
     *,
     refining: bool,
 ) -> SearchStep | None:
-    """The best refinement of an effect in the model, else the best new effect that holds; None if nothing passes.
+    """Return the best refinement of an effect in the model, else the best new effect that holds; None if none passes.
 
     Laws that do not hold join ``refused``.
     """
@@ -314,7 +313,7 @@ def _next_step(
     left = [slug for slug in problem.slugs if slug not in state.slugs]
     ranked = state.scan(left).ranked(fit.projected_residual, least=problem.threshold)
     scores = [score for score in ranked if score.key not in refused]
-    # beside smooth functions laws are seldom off, and their refinement is costly: last
+    # beside smooth functions laws are seldom off and their refinement is costly: try it last
     late = has_smooth_terms(fit.terms)
     if refining and not late:
         step = refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
@@ -329,7 +328,7 @@ def _next_step(
 def _next_addition(
     problem: SearchProblem, state: SearchState, scores: Sequence[LawScore], refused: set[tuple[str, str]]
 ) -> SearchStep | None:
-    """The best new effect that holds; laws that do not hold join ``refused``."""
+    """Return the best new effect that holds, None if there is none; laws that do not hold join ``refused``."""
     for score in scores:
         if score.value <= problem.threshold:
             break
@@ -343,7 +342,7 @@ def _next_addition(
 
 
 def _needed_gain(problem: SearchProblem, best_new: float) -> float:
-    """Gain that a refinement needs: it goes before a new name of about the same score, else it must be clear."""
+    """Return the gain that a refinement needs: about the score of the best new name, else a clear margin."""
     if best_new > problem.threshold:
         return max(best_new - SCORE_MARGIN, 0.0)
     return max(problem.threshold, SCORE_MARGIN)

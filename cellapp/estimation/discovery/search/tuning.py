@@ -1,7 +1,7 @@
-"""Tuning the constants of accepted laws (onset, time constant, knee, width), which enter the model non-linearly.
+"""Tuning of the non-linear constants of accepted laws (onset, time constant, knee, width).
 
-Coordinate search: each constant moves to a nearby value while the term then explains more of the residual beside all
-other terms; the distances shrink from round to round.
+Coordinate search: each constant moves to a nearby value if the term then explains more of the residual beside all other
+terms; the step shrinks from round to round.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from cellapp.estimation.discovery.terms import ModelTerms, with_term
 from cellapp.robot.effects import Law
 
 _SHRINKAGE = (1.0, 1.0, 0.5, 0.5, 0.25, 0.12)
-"""Factors on the distance of each round, 0.3 in the logarithm of a constant: down to 4 %, finer than data determine a
-time constant."""
+"""Factors on the step in each round, 0.3 in the logarithm of a constant: down to 4 %, finer than data determine a time
+constant."""
 _LEAST_IMPROVEMENT = 1e-9
-"""Relative gain below which two values of a constant count as equal; above rounding."""
+"""Relative gain below which two values of a constant count as equal; above rounding errors."""
 
 
 def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState:
-    """The state after a step: refitted with weights of its own, constants tuned, the step added to the history."""
+    """Apply a step: refit with re-estimated weights, tune constants, add the step to the history."""
     data, fit = refit(state.data.at(state.fit.model), step.terms)
     tuned = _tuned_terms(data, fit)
     if tuned is not step.terms:
@@ -32,7 +32,7 @@ def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> 
 
 
 def _tuned_terms(data: ArmData, fit: JointFit) -> ModelTerms:
-    """The terms with tuned constants of all library effects, one after the other, on the same weights."""
+    """Tune the constants of all library effects, one after the other, with fixed weights."""
     for number, term in enumerate(fit.terms):
         if term.is_library_effect:
             law = _tuned_law(data, fit, number)
@@ -42,7 +42,7 @@ def _tuned_terms(data: ArmData, fit: JointFit) -> ModelTerms:
 
 
 def _tuned_law(data: ArmData, fit: JointFit, number: int) -> Law:
-    """The law of a term with the constants that explain most; the law itself where none explains more."""
+    """Return the law of a term with the constants that explain most; the law itself if none explains more."""
     term, residual = fit.terms[number], fit.residual_without(number)
     names = set(term.names)
     law, explained = term.law, residual.explained(fit.law_rows(number))

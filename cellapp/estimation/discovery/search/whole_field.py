@@ -1,14 +1,14 @@
-"""Terms beside a field over the workspace, with all of the field: the waves that its columns leave out too.
+"""Judgement of terms beside a field over the workspace, with all waves of the field, also those without columns.
 
-A term for a field has its slow waves only; what is left of a field that changes within a few decimetres follows the
-position, and with it joint angles and the tracker's angles. With all its waves the field is a Gaussian process: no
-columns, but a covariance of the readings,
+A term for a field has only the slow waves. If the field changes within a few decimetres, the rest of it depends on the
+position, and so on the joint angles and the tracker's angles. With all waves the field is a Gaussian process, given by
+a covariance of the readings instead of columns,
 
     y = X b + e,   e ~ N(0, s I + a^2 K_l + Z V Z^T),
 
-X the columns without priors (geometry, named laws), Z those of other smooth terms with prior variances V, and K_l the
-Matern-5/2 covariance of the shift along each axis. Amplitude, length scale and noise maximise the evidence with b
-integrated out (restricted likelihood: Harville, J. Am. Stat. Ass. 72 (1977) 320).
+where X are the columns without priors (geometry, named laws), Z those of other smooth terms with prior variances V, and
+K_l the Matern-5/2 covariance of the shift along each axis. Amplitude, length scale and noise maximise the evidence with
+b integrated out (restricted likelihood: Harville, J. Am. Stat. Ass. 72 (1977) 320).
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 
 _EVALUATIONS = 30
-"""Evaluations of the evidence: three numbers from a start nearby."""
+"""Most evaluations of the evidence: three hyperparameters from a start nearby."""
 _SPREAD = 0.4
-"""First step of the logarithm of each of them."""
+"""First step in the logarithm of each hyperparameter."""
 _IMPOSSIBLE = 1e300
 
 
 @dataclass(frozen=True, eq=False)
 class BesideField:
-    """The linear model of a fit with a field as covariance of the readings.
+    """Linear model of a fit with the field as a covariance of the readings.
 
     Attributes
     ----------
     fit : JointFit
     field : int
-        The field among its terms.
+        Index of the field among the terms.
     unit : array, shape (3, 3 n)
         Whitened displacement by a unit shift along each axis.
     distance : array, shape (n, n)
-        Between the SMR positions [m].
+        Distances between the SMR positions [m].
     """
 
     fit: JointFit
@@ -59,7 +59,7 @@ class BesideField:
 
     @classmethod
     def of(cls, data: ArmData, fit: JointFit) -> BesideField | None:
-        """None without a field; made once for a fit."""
+        """Build the model once for a fit and cache it; None if the fit has no field."""
         fields = [number for number, term in enumerate(fit.terms) if term.smooth is not None and term.law.form == FIELD]
         if not fields:
             return None
@@ -75,11 +75,11 @@ class BesideField:
         return found
 
     def gain(self, rows: Array) -> float:
-        """Gain of the BIC by new rows (m, 3 n), all of them counted as parameters, behind the model and its field."""
+        """Return the gain of the BIC by new rows (m, 3 n) beside model and field, all counted as parameters."""
         return self._left.bic_gain(self._whitened(rows))
 
     def gain_of(self, number: int) -> float:
-        """Gain of the score by a term other than the field: of its law, or twice the log evidence of a smooth one."""
+        """Return the gain of the score by a term other than the field: by its law, or by evidence if it is smooth."""
         fit, term = self.fit, self.fit.terms[number]
         if term.smooth is not None:
             without = self._log_evidence(self._best(self._values, number), number)
@@ -91,7 +91,7 @@ class BesideField:
 
     @cached_property
     def _left(self) -> ProjectedResidual:
-        """The residual behind the whole model: many columns are tried beside it."""
+        """The residual in the complement of the whole model, cached as many columns are tried beside it."""
         return self._behind(None, self.fit.target)
 
     def _behind(self, without: int | None, target: Array) -> ProjectedResidual:
@@ -99,7 +99,7 @@ class BesideField:
         return ProjectedResidual(NuisanceProjector.of(self._whitened(rows), precision), self._whitened(target))
 
     def _whitened(self, rows: Array) -> Array:
-        """Rows (..., 3 n) whitened by the covariance of field and noise."""
+        """Whiten rows (..., 3 n) by the covariance of field and noise."""
         return np.asarray(scipy.linalg.solve_triangular(self._root, rows.T, lower=True, check_finite=False).T)
 
     @cached_property
@@ -110,13 +110,13 @@ class BesideField:
 
     @cached_property
     def _root(self) -> Array:
-        """Lower root of ``s I + a^2 K``."""
+        """Lower Cholesky factor of ``s I + a^2 K``."""
         factor = self._factor(self._values, np.zeros((0, self.unit.shape[1])), np.zeros(0))
         assert factor is not None
         return factor
 
     def _parameters(self, without: int | None) -> tuple[Array, Array]:
-        """Rows and prior precisions of all parameters but those of the field and of a term."""
+        """Return the rows and prior precisions of all parameters except those of the field and of term ``without``."""
         kept = self.fit.layout.all_but(self.field)
         if without is not None:
             kept &= self.fit.layout.all_but(without)
@@ -149,7 +149,7 @@ class BesideField:
         return -0.5 * (log_determinant + float(white[-1] @ left))
 
     def _best(self, start: Array, without: int | None) -> Array:
-        """Logarithms of amplitude, length scale and noise of greatest evidence near ``start``."""
+        """Maximise the evidence near ``start``; return the logarithms of amplitude, length scale and noise."""
         simplex = np.concatenate([start[None], start + _SPREAD * np.eye(len(start))])
         found = scipy.optimize.minimize(
             lambda values: -self._log_evidence(values, without),

@@ -1,4 +1,4 @@
-"""What a method answers to a problem, and in which time."""
+"""A method's answer to a problem, and its processor time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cellapp.ground.threads import one_blas_thread
 
 
 def answer_of(method: str, problem: Problem) -> tuple[Answer | None, float]:
-    """What a method answers, None if it does not take the problem, and its processor time [s].
+    """Let a method answer; return the answer, None if it does not accept the problem, and its processor time [s].
 
     Raises
     ------
     InputError
-        If it does not predict a point for each held-out stop.
+        If the method does not predict a point for each held-out stop.
     """
     of_problem, answer = METHODS[method], None
     began_s = time.process_time()

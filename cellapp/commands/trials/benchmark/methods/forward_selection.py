@@ -1,8 +1,8 @@
 """The method ``forward-bic``: least squares with forward selection by the extended Bayesian information criterion.
 
-It has the same library of laws as cellapp. In each step the block of columns (of one joint, of one frame) with the
-largest gain joins, and all is fitted anew. The criterion pays 2 ln m for the choice among m blocks; without that,
-chance finds names in every arm (Chen, Chen, Biometrika 95 (2008) 759).
+It has the same library of laws as cellapp. Each step adds the block of columns (of one joint, of one frame) with the
+largest gain and refits everything. The criterion includes a penalty of 2 ln m for the choice among m blocks; without
+it, chance would find names in every arm (Chen, Chen, Biometrika 95 (2008) 759).
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _MOST_BLOCKS = 24
 
 
 def main_columns(candidate: CandidateLaw) -> CandidateLaw:
-    """A law without columns that only refine others."""
+    """Return a law without the columns that only refine others."""
     return candidate.keep([place for place, column in enumerate(candidate.columns) if not column.refines])
 
 
 def library_laws(problem: Problem, fit: JointFit) -> list[CandidateLaw]:
-    """All laws that the readings allow to test, their main columns each."""
+    """Return the laws that the readings allow to test, each with its main columns."""
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     return [main for one in fit.candidates(problem.data, slugs) if len((main := main_columns(one)).columns)]
 
 
 def even_odds(gain: float) -> float:
-    """Posterior probability of a term with this ``gain`` of the criterion, at even prior odds."""
+    """Return the posterior probability of a term with this ``gain`` of the criterion, at even prior odds."""
     return float(scipy.special.expit(gain / 2.0))
 
 
 def gains(fit: JointFit, blocks: Sequence[CandidateLaw]) -> list[float]:
-    """Gain of the criterion by each block beside all that was fitted."""
+    """Return the gain of the criterion by adding each block to the fit."""
     if not blocks:
         return []
     residual, price = fit.projected_residual, 2.0 * math.log(len(blocks))
@@ -57,7 +57,7 @@ def gains(fit: JointFit, blocks: Sequence[CandidateLaw]) -> list[float]:
 
 
 def forward_bic(problem: Problem) -> Answer:
-    """Add blocks of the library's laws while one gains."""
+    """Add blocks of the library's laws as long as one gains."""
     fit, terms, names = problem.geometry_fit, dict[str, ModelTerm](), dict[str, float]()
     for _ in range(_MOST_BLOCKS):
         blocks = [
@@ -71,14 +71,14 @@ def forward_bic(problem: Problem) -> Answer:
         after = {**terms, best.slug: ModelTerm(best.slug, best.law, columns)}
         try:
             fit = fit_terms(problem.data, tuple(after.values()))
-        except TooFewReadings:  # the readings do not determine all its columns
+        except TooFewReadings:  # the readings do not determine all columns
             break
         terms, names = after, {**names, best.slug: max(even_odds(gain), names.get(best.slug, 0.0))}
     return Answer(problem.predicted(fit.model), names)
 
 
 def _open(law: CandidateLaw, block: Sequence[int], terms: dict[str, ModelTerm]) -> bool:
-    """Whether a block may join: of a new effect, or of the law that its effect was found with."""
+    """Return whether a block may be added: of a new effect, or of the same law of an accepted effect."""
     if law.slug not in terms:
         return True
     found = terms[law.slug]

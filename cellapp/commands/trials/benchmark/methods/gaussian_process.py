@@ -1,6 +1,6 @@
-"""The method ``gaussian-process``: the residual of the geometry as a Gaussian process of the joints. It names nothing.
+"""The method ``gaussian-process``: residuals of the geometry as a Gaussian process of the joints. It names nothing.
 
-The kernel has a length for the cosine and the sine of each joint; scikit-learn fits it by the marginal likelihood.
+The kernel has a length scale for the cosine and the sine of each joint; scikit-learn fits them by marginal likelihood.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from cellapp.commands.trials.benchmark.problem import Answer, Problem
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_ROWS = 400
-"""Readings that the lengths are fitted to at most: the cost grows with their cube."""
+"""Most readings for fitting the length scales: the cost grows with their cube."""
 
 
 def on_circles(q: Array) -> Array:
-    """Cosines and sines (n, 2 N) of joint positions (n, N)."""
+    """Return cosines and sines (n, 2 N) of joint positions (n, N)."""
     return np.concatenate([np.cos(q), np.sin(q)], axis=1)
 
 
 def gaussian_process(problem: Problem) -> Answer:
-    """Predict by geometry and process."""
+    """Predict by geometry and Gaussian process."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -33,6 +33,6 @@ def gaussian_process(problem: Problem) -> Answer:
     kernel = ConstantKernel(1.0) * RBF(np.full(table.shape[1], 2.0), (0.05, 100.0)) + WhiteKernel(0.5, (1e-4, 10.0))
     process = GaussianProcessRegressor(kernel, random_state=0)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # lengths at their bounds: joints that say nothing
+        warnings.simplefilter("ignore", ConvergenceWarning)  # length scales at their bounds: joints without influence
         process.fit(table[:_MOST_ROWS], residual[:_MOST_ROWS] / scale)
     return Answer(problem.predicted(model) + scale * process.predict(on_circles(problem.held_out.q)))

@@ -6,5 +6,5 @@ from cellapp.commands.trials.benchmark.problem import Answer, Problem
 
 
 def geometry(problem: Problem) -> Answer:
-    """Predict by the best rigid arm."""
+    """Predict by the best-fitting rigid arm."""
     return Answer(problem.predicted(problem.geometry_fit.model))

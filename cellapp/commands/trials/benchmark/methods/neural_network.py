@@ -1,4 +1,4 @@
-"""The method ``neural-network``: the residual of the geometry by a small network of torch. It names nothing."""
+"""The method ``neural-network``: residuals of the geometry by a small network of torch. It names nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SEED = 0
 
 
 def neural_network(problem: Problem) -> Answer:
-    """Predict by geometry and network; training ends where left-out rows get worse."""
+    """Predict by geometry and network; training stops when left-out rows get worse."""
     model, residual = problem.geometry_fit.model, problem.geometry_residual
     scale = float(residual.std()) or 1.0
     found = _trained(on_circles(problem.learn.q), residual / scale, on_circles(problem.held_out.q))
@@ -24,7 +24,7 @@ def neural_network(problem: Problem) -> Answer:
 
 
 def _trained(table: Array, y: Array, asked: Array) -> Array:
-    """Values (m, 3) at rows ``asked`` by the best state of a network that learns ``y`` (n, 3) from ``table``."""
+    """Train a network on ``y`` (n, 3) from ``table``; return its best state's values (m, 3) at rows ``asked``."""
     import torch
 
     generator = torch.Generator().manual_seed(_SEED)

@@ -1,6 +1,6 @@
 """The list of methods: a new one is one file and one line here, or a plug-in.
 
-A method is loaded when it answers: ``doctor`` lists plug-ins without the search for effects.
+A method is imported only when it answers, so that ``doctor`` can list plug-ins without loading the search for effects.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def _method(name: str, found: object) -> Method:
-    """The method of a plug-in. Raises ``ValueError`` if it cannot be called."""
+    """Check the method of a plug-in. Raises ``ValueError`` if it cannot be called."""
     if not callable(found):
         raise ValueError(f"expected a function of a Problem that returns an Answer, got {found!r}")
     return cast("Method", found)
 
 
 def _built_in(file: str, function: str) -> Method:
-    """The method of a file beside this one."""
+    """Return the method from a file beside this one, imported on its first call."""
 
     def method(problem: Problem) -> Answer:
         found: Method = getattr(import_module(f"{__package__}.{file}"), function)
@@ -42,9 +42,9 @@ _BUILT_IN: Mapping[str, tuple[str, str, str]] = {
     "gaussian-process": ("gaussian_process", "gaussian_process", "sklearn"),
     "neural-network": ("neural_network", "neural_network", "torch"),
 }
-"""File and function of each, and the package that it needs beyond those of cellapp, if any."""
+"""File and function of each method, and the package that it needs beyond those of cellapp, if any."""
 NEEDED: Mapping[str, str] = {name: package for name, (_, _, package) in _BUILT_IN.items() if package}
-"""Built-in method -> that package; ``cellapp[benchmark]`` has them all."""
+"""Built-in method -> the package that it needs; ``cellapp[benchmark]`` installs them all."""
 METHODS: Registry[Method] = Registry(
     "cellapp.trials.methods",
     "method of the benchmark",

@@ -1,8 +1,8 @@
-"""The method ``ard``: automatic relevance determination over the library's columns at once, by its simplest laws.
+"""The method ``ard``: automatic relevance determination over all library columns at once, by the simplest laws.
 
-Each coefficient has a prior of its own precision, found by evidence (MacKay, Neural Comput. 4 (1992) 415; Tipping,
-J. Mach. Learn. Res. 1 (2001) 211); most grow without bound and their columns go. An effect is named where the columns
-that are left gain of the extended Bayesian information criterion beside all others.
+Each coefficient has its own prior precision, found by evidence (MacKay, Neural Comput. 4 (1992) 415; Tipping, J.
+Mach. Learn. Res. 1 (2001) 211); most precisions grow without bound, and their columns are removed. An effect is named
+if its remaining columns gain in the extended Bayesian information criterion beside all others.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from cellapp.robot.kinematics.transforms import Array
 
 _ROUNDS = 60
 _PRUNED = 1e6
-"""Precision, in units of the noise of a column of length one, beyond which a column goes."""
+"""Precision, in units of the noise of a unit-length column, beyond which a column is removed."""
 
 
 def relevant_rows(rows: Array, y: Array) -> NDArray[np.intp]:
-    """Which rows (m,) keep a finite prior precision; ``rows`` (m, d) of length one, ``y`` (d,) of unit noise."""
+    """Return which rows (m,) keep a finite prior precision; ``rows`` (m, d) have unit length, ``y`` (d,) unit noise."""
     kept = np.arange(len(rows))
     alpha = np.ones(len(rows))
     gram, moment = rows @ rows.T, rows @ y

@@ -1,4 +1,4 @@
-"""The method ``cellapp``: discovery as ``cellapp discover`` does it, without a look at the held-out stops."""
+"""The method ``cellapp``: the search of ``cellapp discover``, which does not see the held-out stops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cellapp.ground.progress import CancelToken
 
 
 def search_of_effects(problem: Problem) -> Answer:
-    """Name what the search accepts, with its posterior probabilities."""
+    """Name the effects that the search accepts, with their posterior probabilities."""
 
     @cache
     def searched() -> Searched:
@@ -33,7 +33,7 @@ def search_of_effects(problem: Problem) -> Answer:
 
 
 def _most_probable(named: Sequence[tuple[str, float]]) -> dict[str, float]:
-    """Each name once, with its largest probability."""
+    """Return each name once, with its largest probability."""
     return {slug: max(p for other, p in named if other == slug) for slug, _ in named}
 
 

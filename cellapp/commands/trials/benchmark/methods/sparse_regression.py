@@ -1,7 +1,7 @@
 """The method ``sparse-regression``: sequentially thresholded least squares of pysindy, joint by joint.
 
-Brunton, Proctor, Kutz, PNAS 113 (2016) 3932. The residual is projected to joints and regressed on named features; the
-threshold of each joint is that of the least Bayesian information criterion.
+Brunton, Proctor, Kutz, PNAS 113 (2016) 3932. The residuals are projected to joints and regressed on named features;
+each joint's threshold minimizes the Bayesian information criterion.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from cellapp.commands.trials.benchmark.problem import Answer, Problem
 from cellapp.robot.kinematics.transforms import Array
 
 _THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Of coefficients, in standard deviations of a joint's offsets."""
+"""Thresholds of coefficients that are tried, in standard deviations of a joint's offsets."""
 
 
 def sparse_regression(problem: Problem) -> Answer:
-    """Name the effects of the features that are kept."""
+    """Name the effects of the features that remain."""
     return regressed_by_joint(problem, _sparse)
 
 
 def _sparse(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
-    """The rule of the features that are kept, all as probable as the rule."""
+    """Return the rule of the remaining features, each with the probability of the rule."""
     mean, scale = offset.mean(), float(offset.std()) or 1.0
     coefficients, gain = _thresholded(table, (offset - mean) / scale)
     kept = dict.fromkeys(np.flatnonzero(coefficients).tolist(), even_odds(gain))
@@ -34,7 +34,7 @@ def _sparse(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
 
 
 def _thresholded(table: Array, y: Array) -> tuple[Array, float]:
-    """Coefficients (m,) of the best threshold, and their gain of the criterion over none."""
+    """Return the coefficients (m,) of the best threshold, and the gain of the criterion over none."""
     from pysindy.optimizers import STLSQ
 
     none = len(y) * math.log(float(np.mean(y**2)))
@@ -42,7 +42,7 @@ def _thresholded(table: Array, y: Array) -> tuple[Array, float]:
     for threshold in _THRESHOLDS:
         optimizer = STLSQ(threshold=threshold, alpha=1e-6)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that a threshold leaves nothing: then it is not chosen
+            warnings.simplefilter("ignore", UserWarning)  # a threshold removes everything: then it is not chosen
             optimizer.fit(table, y[:, None])
         found = np.asarray(optimizer.coef_)[0]
         left = float(np.mean((y - table @ found) ** 2))

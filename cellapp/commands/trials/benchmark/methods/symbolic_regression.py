@@ -1,6 +1,6 @@
 """The method ``symbolic-regression``: genetic programming of gplearn on the residual of each joint.
 
-A formula is kept where it explains rows that it was not fitted to. The effects that its variables stand for are named.
+A formula is kept if it explains rows that it was not fitted to. The effects that its variables stand for are named.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from cellapp.robot.kinematics.transforms import Array
 
 _POPULATION, _GENERATIONS, _PARSIMONY = 300, 8, 0.01
 _LEAST_SHARE = 0.1
-"""Share of the variance of left-out rows that a formula must explain."""
+"""Least share of the variance of left-out rows that a formula must explain."""
 _SEED = 0
 
 
 def symbolic_regression(problem: Problem) -> Answer:
-    """Name the effects of the variables in formulas that hold."""
+    """Name the effects of the variables in valid formulas."""
     return regressed_by_joint(problem, _formula)
 
 
 def _formula(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
-    """A formula with its variables, as probable as the share of left-out rows that it explains; zero if it is small."""
+    """Fit a formula; its variables' probability is the explained share of left-out rows, zero if that is small."""
     from gplearn.genetic import SymbolicRegressor
 
     scale = float(offset.std()) or 1.0
