@@ -41,6 +41,8 @@ def cholesky(gram: Array) -> Array | None:
 
 def solve_psd(gram: Array, rhs: Array) -> Array:
     """``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm where ``gram`` (p, p) is singular."""
+    if not rhs.size:  # LAPACK refuses it
+        return np.zeros(rhs.shape)
     factor = cholesky(gram)
     if factor is not None:
         return np.asarray(scipy.linalg.lapack.dpotrs(factor, rhs, lower=1)[0])

@@ -47,3 +47,8 @@ def test_priors_enter_the_basis(design: np.ndarray) -> None:
     Q = orthonormal_basis(design.T, precision)
     wanted = design @ np.linalg.solve(design.T @ design + np.diag(precision), design.T)
     np.testing.assert_allclose(Q @ Q.T, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (3, 0)])
+def test_nothing_to_solve_for_is_no_error(shape: tuple[int, int]) -> None:
+    assert solve_psd(np.eye(shape[0]), np.ones(shape)).shape == shape
