@@ -125,12 +125,7 @@ def update(
 def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
     """Return the belief about the parts that make the readings likeliest; without any, ``belief.forgotten()``."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
-    kept: tuple[tuple[SignaturePart, ...], ...] = (
-        ("geometry", "effects", "curves"),
-        ("geometry", "curves"),
-        ("geometry",),
-    )
-    alternatives = {len(one.mean): one for parts in kept for one in [belief.restricted(parts)]}
+    alternatives = {len(one.mean): one for parts in _PARTS for one in [belief.restricted(parts)]}
     found = []
     for one in (*alternatives.values(), belief.forgotten()):
         model = first_model(profile, name, some, one)

@@ -20,6 +20,7 @@ from cellapp.estimation.discovery.cross_validation import may_leave_placements_o
 from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.search.tuning import apply_step
+from cellapp.ground.counting import counted
 from cellapp.robot.effects.joint_compliance import JointCompliance
 from cellapp.robot.kinematics.transforms import Array
 
@@ -39,7 +40,7 @@ def with_effects_in_sockets(problem: SearchProblem, start: SearchState) -> Searc
     state = _first_that_holds(problem, start, elastic) or start
     while may_leave_placements_out(start.data) and len(state.fit.terms) < _MOST_EFFECTS:
         problem.cancel.check()
-        problem.say(f"model with {len(state.fit.terms)} effects")
+        problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         left = [slug for slug in problem.slugs if slug not in state.slugs]
         scores = state.scan(left).ranked(state.fit.projected_residual)
         after = _best_elsewhere(problem, state, scores)
