@@ -349,9 +349,10 @@ def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> N
 
 def test_a_verification_that_measured_nothing_leaves_the_earlier_one(work: Path, call: Any) -> None:
     before = call("show", "done", "verification", "--json", "-").json
-    text = (work / "targets.yaml").read_text("utf-8")
-    (work / "far.yaml").write_text(re.sub(r"position: \[.*?\]", "position: [4.0, 4.0, 4.0]", text), "utf-8")
-    ended = call("push", "done", "far.yaml", "--verify")
+    targets = "schema: cellapp-targets\nversion: 1\ntargets:\n"
+    turned_away = "  - {name: away, arm: left, position: [-0.0284, 0.7304, 0.7779], rpy: [1.6177, 0.5759, 2.5395]}\n"
+    (work / "away.yaml").write_text(targets + turned_away, "utf-8")
+    ended = call("push", "done", "away.yaml", "--verify")
     assert ended.code == 1
     assert "nothing is stored, an earlier verification still counts" in ended.out
     assert call("show", "done", "verification", "--json", "-").json == before
