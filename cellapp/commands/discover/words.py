@@ -71,7 +71,7 @@ def misfit_words(found: AcceptedEffect) -> str:
 
 def also_possible(arm: ArmDiscoveryResult) -> str:
     """List effects that were not accepted, are visible and not improbable, the most probable first."""
-    settled = {found.effect for found in (*arm.accepted, *arm.invisible)}
+    settled = {found.effect for found in arm.accepted} | {one.effect for one in arm.invisible}
     others = [(slug, p) for slug, p in arm.candidates.items() if slug not in settled and p >= _NOT_IMPROBABLE]
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
 
