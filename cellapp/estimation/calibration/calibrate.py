@@ -123,7 +123,7 @@ def calibrate_readings(
     *,
     known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> Calibration:
-    """Calibrate geometry, networks and pair from readings that have their splits; take arms in ``known`` as they are.
+    """Calibrate geometry, networks and pair from readings that have splits; arms in ``known`` are not identified again.
 
     Raises
     ------
@@ -354,7 +354,7 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
 
 
 def undetermined_offset(name: str, found: Identification) -> list[str]:
-    """Warn if a probe's offset is undetermined along some direction , which hardly turned during the run."""
+    """Warn if a probe's offset is hardly determined along some direction of the flange, which then hardly turned."""
     places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
     if found.turned is None or len(places) < len(TOOL_NAMES):
         return []

@@ -66,8 +66,8 @@ class Estimate:
     """Parameter values (k,), the normal equations there, the weights used in them, precisions of priors (k,).
 
     ``variance`` scales the stated covariance of the readings when they are weighed against the priors. ``moved_m`` is
-    the distance of the values from those of the normal matrix [m at arm's length]. ``eliminated`` holds that matrix in
-    factored form; None unless there are many effects.
+    the distance of the values from those of the normal matrix [m at arm's length]. ``eliminated`` is that matrix in
+    factored form, for many effects; else None.
     """
 
     values: Array

@@ -322,7 +322,7 @@ class _Problem:
 
     @property
     def sigma_is_exact(self) -> bool:
-        """Whether the stated uncertainty is exact: so it is if effects have priors, which assume that noise level."""
+        """Whether the stated uncertainty is taken as exact: priors of effects are given with that noise level."""
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
@@ -332,7 +332,7 @@ class _Problem:
         return self.robust == "none" and self.effect_count >= _MANY_EFFECTS
 
     def _same_matrix(self, moved_m: float) -> bool:
-        """Whether the normal matrix may be reused at a distance [m] from the point where it was computed."""
+        """Return whether the normal matrix may be reused at a distance [m] from the point where it was computed."""
         return self.keeps_matrix or (self.robust == "none" and not self.effect_count and moved_m <= _SAME_MATRIX)
 
     def at_start(self) -> Estimate:

@@ -89,7 +89,7 @@ class TouchedPair:
     errors_m : array, shape (C,)
         Distance between both arms' centres of a common point [m]; if ``held_out``, by a fit without that point.
     held_out : bool
-        Whether the others (and the distances) fix the transform without any one common point, so that four are enough.
+        Whether every common point could be left out in turn: four that fix the transform without any one are enough.
     """
 
     identification: PairIdentification

@@ -156,7 +156,7 @@ def tie_on_flange(rows: FlangeRows, found: FlangeFit, of_parameters: Array | Non
 
 
 def doubtful_touches(rows: FlangeRows, start: Array) -> Array | None:
-    """Compute each touch's distance (n,) [m] from a robust fit to all, by published arms; None if undetermined."""
+    """Compute each touch's distance (n,) [m] from a robust fit to all touches; None if a direction is undetermined."""
     found = _guess(rows, start)
     off_m = np.ones(len(rows.socket))
     for _ in range(_ROBUST_ROUNDS):
