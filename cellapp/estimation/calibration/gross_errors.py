@@ -115,7 +115,7 @@ def without(readings: Readings, configurations: Sequence[int]) -> Readings:
 
 
 def left_out_words(configurations: Sequence[int]) -> str:
-    """Say how many readings were left out, and which."""
+    """How many readings were left out, and which."""
     count = len(configurations)
     named = ", ".join(map(str, configurations[:_MOST_LISTED])) + (", ..." if count > _MOST_LISTED else "")
     if count == 1:

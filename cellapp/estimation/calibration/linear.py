@@ -40,7 +40,7 @@ def cholesky(gram: Array) -> Array | None:
 
 
 def solve_psd(gram: Array, rhs: Array) -> Array:
-    """Compute ``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm if ``gram`` (p, p) is singular."""
+    """``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm where ``gram`` (p, p) is singular."""
     factor = cholesky(gram)
     if factor is not None:
         return np.asarray(scipy.linalg.lapack.dpotrs(factor, rhs, lower=1)[0])
