@@ -1,1 +1,1 @@
-"""What is known about the arms. No input or output: arrays in, arrays out."""
+"""Estimation of the arms' models from readings. No input or output: arrays in, arrays out."""

@@ -1,4 +1,4 @@
-"""Identification of an arm: weights that include unmodelled physics, and the SMR on the right side of the wrist."""
+"""Identification of an arm with weights that include unmodelled physics, and without a mirrored SMR offset."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register, rotation_x
 
 _EXCESS_ROUNDS = 6
-"""Rounds of identification and excess variance; the variance settles to a percent in two or three."""
+"""Maximum rounds of identification and excess variance; the variance settles to a percent in two or three."""
 _EXCESS_SETTLED = 0.01
 """Relative change of the excess variance at which the rounds end: weights then change by less than 1 %."""
 _WRIST_ERRORS = 20.0
-"""Standard errors of the SMR along the last axis that its mirror image may be away: it is a minimum only where it lies
-within some 10, and the linear standard error understates the width of such a valley."""
+"""Distance of the SMR's mirror image along the last axis, in standard errors, up to which it is tried. It is a second
+minimum only within some 10, and the linear standard error understates the width of such a valley."""
 
 
 @contextmanager
 def refused_by_arm(name: str) -> Iterator[None]:
-    """What an identification cannot do becomes an ``InputError`` that names the arm of the profile."""
+    """Convert errors of an identification into an ``InputError`` that names the arm of the profile."""
     try:
         yield
     except TooFewReadings as error:
@@ -41,7 +41,7 @@ def refused_by_arm(name: str) -> Iterator[None]:
 
 
 def robust_loss(settings: Calibration, *, robust: bool) -> RobustName:
-    """The loss of the profile, or where it has none and gross errors are looked for, Tukey's."""
+    """Return the robust loss of the profile; Tukey's if it has none and ``robust`` asks for one."""
     return "tukey" if robust and settings.robust == "none" else settings.robust
 
 
@@ -64,16 +64,16 @@ def identify_with_excess(
     tolerance: float = 1e-8,
     max_iterations: int = 50,
 ) -> tuple[Identification, float]:
-    """``identify`` with weights that include the scatter beyond the stated uncertainty.
+    """Identify one arm with weights that include the scatter beyond the stated uncertainty.
 
-    Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from the tracker's uncertainty
-    alone would then let the few readings with the smallest one dominate. The excess variance is estimated from the
-    residuals, added to the stated one, and the identification repeated until it settles; the first round weighs all
-    readings alike. Arguments are those of ``identify``; the mean of the priors is ``start``.
+    Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from that uncertainty alone
+    would let the few readings with the smallest one dominate. The first round weighs all readings alike. The excess
+    variance is then estimated from the residuals and added to the stated one, and the identification is repeated until
+    it settles. Arguments are those of ``identify``; the mean of the priors is ``start``.
 
-    Where the last axis hardly turns in space, the SMR's position along it is known through small angles only. Its
-    mirror image about the wrist with the opposite angles fits nearly as well, and is a second minimum: the better of
-    the two is returned.
+    If the last axis hardly turns in space, the SMR's position along it is known through small angles only. Its
+    mirror image about the wrist, with the opposite angles, fits nearly as well and is a second minimum. Both are
+    tried, and the better one is returned.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def identify_with_excess(
 def _rounds(
     fit: _Fit, start: Geometry, sigma: Array | None, parameter_set: SetName | ParameterSet
 ) -> tuple[Identification, float]:
-    """Identification and excess scatter [m] from one start."""
+    """Iterate identification and excess variance from one start; return the identification and excess scatter [m]."""
     found = fit(start, sigma=None, parameter_set=parameter_set)
     if sigma is None:
         return found, 0.0
@@ -126,12 +126,12 @@ def _rounds(
 
 
 def excess_of(found: Identification, sigma: Array) -> tuple[float, float]:
-    """Variances of positions [m^2] and of orientations [rad^2] beyond the stated uncertainty ``sigma``."""
+    """Estimate the variances of positions [m^2] and of orientations [rad^2] beyond the stated uncertainty ``sigma``."""
     return excess_of_kinds(found.residuals, sigma, found.degrees_of_freedom, found.turned, found.freedom_of_turns)
 
 
 def _mirrored_tool(found: Identification) -> Array | None:
-    """The SMR (3,) [m] mirrored along the last axis about the origin of the frame before; None if out of reach."""
+    """Mirror the SMR (3,) [m] along the last axis about the origin of the frame before; None if that is too far."""
     places = [found.estimated.names.index(name) for name in TOOL_NAMES if name in found.estimated.names]
     if len(places) < len(TOOL_NAMES):
         return None
@@ -145,5 +145,5 @@ def _mirrored_tool(found: Identification) -> Array | None:
 
 
 def _square(found: Identification) -> float:
-    """Weighted sum of the squares of the residuals [m^2]."""
+    """Compute the weighted sum of squared residuals [m^2]."""
     return float(found.weights @ np.sum(found.residuals**2, axis=1))

@@ -18,16 +18,16 @@ from cellapp.robot.kinematics.transforms import Array, apply, register, twist_co
 
 FEWEST_POINTS = 3
 _LEAST_SPREAD_M = 0.05
-"""Rms distance of the points from their centre: closer ones turn a millimetre of error into more than a degree."""
+"""Least rms distance of the points from their centre: closer ones turn a millimetre of error into over a degree."""
 _LEAST_WIDTH = 0.05
-"""Rms distance of the points from their best line, over that from their centre: below it the angle about the line is
-20 times less certain than the others."""
+"""Least ratio of the points' rms distance from their best line to that from their centre: below it, the angle about the
+line is 20 times less certain than the others."""
 _GOOD_M = 1e-3
-"""Rms residual of points on a nominal arm: its geometry is wrong by less than a millimetre."""
+"""Rms residual up to which a fit is good: the nominal geometry is then wrong by less than a millimetre."""
 _USABLE_M = 10e-3
-"""Rms residual with which a plan still keeps its usual clearance of 50 mm and the tracker still finds the SMR."""
+"""Rms residual up to which a plan still keeps its usual clearance of 50 mm and the tracker still finds the SMR."""
 _MOST_M = 50e-3
-"""Rms residual from which a point must be mistaken: errors of arm and tracker are smaller."""
+"""Rms residual above which a point must be mistaken: errors of arm and tracker are smaller."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class BaseFit:
 
     @property
     def sentence(self) -> str:
-        """What the fit is worth, in words."""
+        """Quality of the fit in words."""
         figures = (
             f"{counted(len(self.residuals), 'point fits', 'points fit')} to {self.rms * 1e3:.2f} mm rms: the base"
             " is known to"
@@ -76,7 +76,7 @@ class BaseFit:
 
 
 def base_from_points(p_B: Array, p_M: Array) -> BaseFit:
-    """Register a base from three or more points that are not on one line; four or more reveal a mistaken one.
+    """Register a base from three or more points that are not on one line; with four or more, a mistaken one shows.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def base_from_points(p_B: Array, p_M: Array) -> BaseFit:
 
 
 def _errors(T_M_B: Array, p_B: Array, sum_of_squares: float) -> tuple[float, float]:
-    """Standard uncertainty of the base's origin [m] and of its rotation [rad]."""
+    """Compute the standard uncertainty of the base's origin [m] and of its rotation [rad]."""
     n = len(p_B)
     J = twist_columns(p_B @ T_M_B[:3, :3].T)
     normal = np.einsum("nai,naj->ij", J, J)

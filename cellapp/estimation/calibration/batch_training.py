@@ -1,13 +1,13 @@
 """Training of the residual network from all readings, in batches, by torch.
 
 The committee of ``network_training`` solves normal equations, whose time limits it to some thousand readings; its
-evidence and its few units carry well to postures that were never measured. Batches go on from there: beside each member
-of the committee stand two hidden layers that learn what it leaves, by Adam (Kingma, Ba, ICLR 2015) from batches that
-are drawn from all readings but those of its fold. They begin at no correction and keep the weights that predicted the
-fold best. The step width falls along a cosine to zero. The number of steps is bounded, so that a million readings take
+evidence and its few units generalise well to configurations that were never measured. Training in batches starts from
+it: each member of the committee gets two more hidden layers that learn its residuals, by Adam (Kingma, Ba, ICLR 2015)
+from batches drawn from all readings outside its fold. They start at zero correction and keep the weights that predicted
+the fold best. The learning rate falls along a cosine to zero. The number of steps is bounded: a million readings take
 hardly longer than a hundred thousand.
 
-torch is loaded here only. What is stored is a ``ResidualNetwork``, which numpy evaluates.
+torch is loaded here only. The result is stored as a ``ResidualNetwork``, which numpy evaluates.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.network import Layers
 
 Tensor: TypeAlias = Any
-"""A tensor of torch, which may not be installed."""
+"""A torch tensor; torch may not be installed."""
 
 HIDDEN = (48, 48)
-"""Hidden layers beside those of the committee."""
+"""Sizes of the hidden layers beside those of the committee."""
 _GAIN = 2.0
-"""Spread of the weights of the inputs at the start; with one, fine errors are learnt later."""
+"""Gain of the initial input weights; with 1, fine errors are learnt later."""
 _BATCH = 512
 _RATE = 1e-2
-"""Largest step width of Adam. A third of it leaves errors of eight cycles a turn unlearnt."""
+"""Largest learning rate of Adam. A third of it leaves errors of eight cycles a turn unlearnt."""
 _DECAY = 1e-4
-"""Weight decay of a step, as a share of the step width."""
+"""Weight decay of a step, as a share of the learning rate."""
 _EPOCHS = 12
 _FEWEST_STEPS, _MOST_STEPS = 1000, 2500
-"""Steps for few readings and for 100 000 and more."""
+"""Number of steps for few readings, and for 100 000 and more."""
 _LOOKS = 20
-"""How often members are judged on their folds during the training."""
+"""Number of evaluations of the members on their folds during the training."""
 
 
 def load_torch() -> Any:
-    """The module torch. Raises ``InputError`` with the command that installs it."""
+    """Import torch; raise ``InputError`` with the command that installs it if it is missing."""
     try:
-        import torch  # 1 to 3 s: only a training in batches needs it
+        import torch  # takes 1 to 3 s, and only training in batches needs it
     except ImportError as error:
         raise InputError(
             f"a residual network from all readings needs torch, which is not installed ({error}): python -m pip install"
@@ -76,9 +76,9 @@ def train_members(
     x : array, shape (n, inputs)
         Inputs of the first layer.
     y : array, shape (M, n, outputs)
-        What each member is to learn, of a size about one.
+        Training targets of each member, scaled to about one.
     fold : array of int, shape (n,)
-        Every fold and the rest must hold rows.
+        Fold of each row. Every fold and its complement must hold rows.
 
     Raises
     ------
@@ -97,14 +97,14 @@ def train_members(
     for number in range(len(trainer.rows)):
         layers = [(weights[number].T, offsets[number, 0]) for weights, offsets in best]
         weights, offsets = layers[0]
-        layers[0] = (weights / spread, offsets - weights @ (mean / spread))  # takes the inputs as they are
+        layers[0] = (weights / spread, offsets - weights @ (mean / spread))  # the first layer now takes unscaled inputs
         members.append(tuple((np.ascontiguousarray(w), o.copy()) for w, o in layers))
     return BatchMembers(tuple(members), torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu")
 
 
 @contextmanager
 def _one_thread(torch: Any) -> Iterator[None]:
-    """torch in one thread: the matrices of a step are small, and its threads would wait for one another."""
+    """Run torch in one thread: the matrices of a step are small, and its threads would wait for one another."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -114,7 +114,7 @@ def _one_thread(torch: Any) -> Iterator[None]:
 
 
 class _Trainer:
-    """All members at once: weights have one matrix for each.
+    """Trainer of all members at once: each weight tensor has one matrix per member.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class _Trainer:
         self._layers = [self._start(folds, *ends, gain, device) for ends, gain in zip(pairwise(sizes), gains)]
 
     def run(self, cancel: CancelToken, told: Told) -> list[tuple[Array, Array]]:
-        """Train to the end; of each layer the weights (M, in, out) and offsets (M, 1, out) that predict folds best."""
+        """Train; return for each layer the weights (M, in, out) and offsets (M, 1, out) that predict the folds best."""
         torch, parameters = self._torch, [p for layer in self._layers for p in layer]
         steps = int(np.clip(_EPOCHS * len(self._x) // _BATCH, _FEWEST_STEPS, _MOST_STEPS))
         adam = torch.optim.AdamW(parameters, lr=_RATE, weight_decay=_DECAY)
@@ -169,7 +169,7 @@ class _Trainer:
         return weights.requires_grad_(), torch.zeros((members, 1, outputs), device=device, requires_grad=True)
 
     def _loss(self) -> Tensor:
-        """Sum over the members of the mean squared error of a batch of each: they do not touch one another."""
+        """Sum the mean squared errors of one batch for each member; the members do not affect one another."""
         torch = self._torch
         drawn = torch.rand((len(self.rows), _BATCH), generator=self._random, device=self._x.device)
         rows = self._others.gather(1, (drawn * self._counts).long())
@@ -177,7 +177,7 @@ class _Trainer:
         return errors.square().mean(dim=(1, 2)).sum()
 
     def _left_out(self) -> Tensor:
-        """Mean squared error of each member on its fold."""
+        """Compute the mean squared error of each member on its fold."""
         torch, found = self._torch, []
         with torch.no_grad():
             for number, rows in enumerate(self.rows):
@@ -187,7 +187,7 @@ class _Trainer:
 
 
 def _outputs(torch: Any, layers: Sequence[tuple[Any, Any]], x: Tensor) -> Tensor:
-    """Outputs (M, n, outputs) of the members for inputs (M, n, inputs)."""
+    """Compute the outputs (M, n, outputs) of the members for inputs (M, n, inputs)."""
     for weights, offsets in layers[:-1]:
         x = torch.tanh(torch.baddbmm(offsets, x, weights))
     weights, offsets = layers[-1]

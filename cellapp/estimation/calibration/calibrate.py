@@ -1,4 +1,5 @@
-"""Calibration: identified arms, residual networks and inter-base transform from readings, with held-out errors."""
+"""Calibrate from readings: identify the arms, train residual networks, find the inter-base transform, evaluate all on
+held-out readings."""
 
 from __future__ import annotations
 
@@ -46,11 +47,11 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up
 from cellapp.robot.plugins import program_of
 
 _HARDLY_BETTER = 0.9
-"""Share of the nominal error from which an identified geometry is hardly better."""
+"""Ratio of held-out errors, identified to nominal, from which the operator is warned: the geometry is hardly better."""
 _UNDETERMINED_MM = 1.0
-"""Standard deviation of a probe's offset from which it is said to be undetermined: ten times that of a usual run."""
+"""Standard deviation of a probe's offset from which a note calls it undetermined: ten times that of a usual run."""
 _OF_NOISE = 3.0
-"""Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
+"""Multiple of the tracker's noise below which a held-out error does not suggest wrong readings."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +76,15 @@ class ArmCalibration:
     tracker_frame_network : ResidualNetwork or None
         The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
     prior : ArmPriorResult or None
-        The earlier calibration that was taken as prior; identification and model are then with it, without a network.
+        The earlier calibration used as prior. Identification and model then include it, and there is no network.
     left_out : tuple of int
-        Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
+        Configurations of readings with gross errors. No parameter and no held-out error uses them.
     left_out_counts : mapping
-        Their number in each split.
+        Number of readings left out of each split.
     torques : TorqueFit or None
         Masses from measured torques or currents.
     clocks, motion
-        Of an arm that was recorded in motion: the clocks by recording, and what was found.
+        Clocks by recording and results of the motion; None unless the arm was recorded in motion.
     """
 
     model: ArmModel
@@ -122,7 +123,7 @@ def calibrate_readings(
     *,
     known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> Calibration:
-    """Calibrate from readings whose splits are drawn: geometry, networks, pair; arms in ``known`` have theirs.
+    """Calibrate geometry, networks and pair from readings that have splits; arms in ``known`` are not identified again.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def calibrate_readings(
     notes: list[str] = []
     trains = profile.network.kind != "none"
     require_learner(profile.network)
-    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the second in the tracker frame
+    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the 1: in the tracker frame
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -145,7 +146,7 @@ def calibrate_readings(
         notes += arm_notes
     if trains:
         listener(Progress("calibrate", len(arms), total, "residual networks"))
-        with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+        with ThreadPoolExecutor(max_workers=2) as pool:  # matrix products release the interpreter lock
             shared = SharedProgress(listener, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
@@ -172,7 +173,7 @@ def calibrate_readings(
 
 
 def provenance_of(profile: Profile) -> Provenance:
-    """The provenance of a model that is made now."""
+    """Return the provenance of a model that is made now."""
     return Provenance(
         profile=profile.name,
         seed=profile.seed,
@@ -186,7 +187,7 @@ def provenance_of(profile: Profile) -> Provenance:
 def missing_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """Splits of readings of which none has one yet, and notes; empty where some have."""
+    """Draw splits if no reading has one yet; return them with notes, both empty if some readings have a split."""
     if any(word is not None for arm in readings.values() for word in arm.split or ()):
         return {}, ()
     return profile_splits(profile, readings)
@@ -195,7 +196,7 @@ def missing_splits(
 def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """A split for each reading of each arm, the same for all arms at a stop, drawn by the profile's seed; and notes."""
+    """Draw a split for each reading by the profile's seed, the same for all arms at a stop; return splits and notes."""
     if any(in_sockets(arm) for arm in readings.values()):
         positions = {name: smr_positions(nominal_arm(profile.arms[name]), its.q) for name, its in readings.items()}
         return draw_point_splits(readings, positions, profile.seed)
@@ -208,9 +209,9 @@ def profile_splits(
 
 
 def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:
-    """Identify one arm on its identify split, evaluate it on its validate split; and notes.
+    """Identify one arm on its identify split and evaluate it on its validate split; return the calibration and notes.
 
-    Readings with gross errors are found among all of them and left out of everything, also of the held-out errors.
+    Gross errors are searched for in all readings and left out of everything, held-out errors included.
     """
     fitted = _fitted(profile, name, readings)
     for _ in range(ROUNDS):
@@ -224,7 +225,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
 
 
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
-    """Which readings (n,) are gross errors for what was fitted to the identify split."""
+    """Return a mask (n,) of the readings that are gross errors by the fit to the identify split."""
     good, geometry = fitted.readings, fitted.identification.geometry
     if in_sockets(good):
         return gross_errors_in_sockets(geometry, fitted.nominal, good)
@@ -237,7 +238,7 @@ def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """An arm identified from those of its readings that are not left out, where it began, and its excess scatter."""
+    """Fit of one arm: the readings that were not left out, the start geometry, the identification, excess scatter."""
 
     readings: Readings
     nominal: Geometry
@@ -247,7 +248,7 @@ class _Fitted:
 
 
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
-    """Identify one arm on its identify split; ``robust`` even where the profile does not ask for it."""
+    """Identify one arm on its identify split; with ``robust``, use robust weights even if the profile asks for none."""
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     if len(identify_rows) < 4 or len(validate_rows) < 1:
         raise InputError(
@@ -269,7 +270,7 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
 
 
 def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> ArmCalibration:
-    """The calibration of one arm with its held-out errors; ``readings`` are all, with those that were left out."""
+    """Compute the held-out errors of one fitted arm. ``readings`` include those that were left out."""
     good, nominal, identification = fitted.readings, fitted.nominal, fitted.identification
     held_out = good.take(good.in_split("validate"))
     model = ArmModel(
@@ -303,7 +304,7 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
 
 
 def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
-    """The arm with the masses that torques or currents of its readings show, where these are surely better."""
+    """Fit masses to measured torques or currents; put them into the model if they are clearly better."""
     if in_sockets(readings) or not has_torques(readings):
         return arm
     found = fit_torques(arm.model, readings)
@@ -312,7 +313,7 @@ def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
 
 
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
-    """What the operator must know of the calibration of one arm."""
+    """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
     notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
     if arm.left_out:
@@ -331,7 +332,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
 
 
 def left_out_note(name: str, arm: ArmCalibration) -> str:
-    """Which readings were left out, and how many of those that are held out."""
+    """Say which readings were left out, and how many of them are in the validate split."""
     held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
     return (
         f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of"
@@ -341,7 +342,7 @@ def left_out_note(name: str, arm: ArmCalibration) -> str:
 
 
 def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
-    """A note where the identified geometry predicts hardly better than the nominal one, though the noise is smaller."""
+    """Warn if the identified geometry predicts hardly better than the nominal one and noise does not explain it."""
     nominal, found = arm.validate["nominal"].position_mm, arm.validate["geometry"].position_mm
     if found.mean < _HARDLY_BETTER * nominal.mean or found.mean < _OF_NOISE * (arm.tracker_mm or 0.0):
         return []
@@ -353,7 +354,7 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
 
 
 def undetermined_offset(name: str, found: Identification) -> list[str]:
-    """A note where a probe's offset is hardly determined along some direction, in which it then hardly turned."""
+    """Warn if a probe's offset is hardly determined along some direction of the flange, which then hardly turned."""
     places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
     if found.turned is None or len(places) < len(TOOL_NAMES):
         return []
@@ -373,7 +374,7 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
 def _identify(
     profile: Profile, name: str, nominal: Geometry, learn: Quantities, *, robust: bool
 ) -> tuple[Identification, float]:
-    """Identify one arm as the profile says; also its excess scatter [m]."""
+    """Identify one arm with the settings of the profile; return it with its excess scatter [m]."""
     settings = profile.calibration
     with refused_by_arm(name):
         return identify_with_excess(
@@ -397,9 +398,9 @@ def train_arm(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """Train the residual network of an arm in its base frame, and the same in the tracker frame for comparison.
+    """Train an arm's residual network in the base frame, and the same in the tracker frame for comparison.
 
-    The training data are the train split, or the identify split where there is no train split.
+    The training data are the train split, or the identify split if there is no train split.
     """
     readings = without(readings, arm.left_out)
     if in_sockets(readings):  # a network would learn the unknown points with the rest
@@ -429,8 +430,8 @@ def with_networks(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """An arm with the network that learns what its geometry leaves: ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], and
-    with the same one trained in the tracker frame; without either where none helps."""
+    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], one in the base frame and
+    the same in the tracker frame; add neither if a network does not help."""
     training = learn(
         profile.network,
         q,
@@ -443,7 +444,7 @@ def with_networks(
     if training.network is None:
         return replace(arm, training=training)
     first = learning_steps(profile.network)
-    # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
+    # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     in_tracker = train_network(
         q,
         left_M,
@@ -459,6 +460,6 @@ def with_networks(
 
 
 def rms_length_mm(sigma: Array) -> float:
-    """Root mean square length of the stated noise, from sigmas (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    """Compute the rms length [mm] of the stated noise from sigmas (n,) [m] or covariances (n, 3, 3) [m^2]."""
     squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
     return float(np.sqrt(squares.mean())) * 1e3

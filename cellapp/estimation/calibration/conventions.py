@@ -1,9 +1,9 @@
-"""Does an arm's published geometry explain recorded readings at all: units, order and signs of joints. No I/O.
+"""Check whether an arm's published geometry explains recorded readings: units, order and signs of joints. No I/O.
 
-A published arm misses measured points by some millimetres, an arm that is read wrongly by decimetres. Base and tool are
-unknown, so the best ones are found for each way of reading: with the base's rotation given, tool and base position are
-a linear problem; with the tool given, the base is the rigid alignment of two sets of points (Arun, Huang, Blostein,
-IEEE PAMI 9 (1987) 698).
+A published arm misses measured points by some millimetres; with wrong joint conventions it misses them by decimetres.
+Base and tool are unknown, so the best ones are found for each convention: with the base's rotation given, tool and base
+position are a linear problem; with the tool given, the base is the rigid alignment of two sets of points (Arun, Huang,
+Blostein, IEEE PAMI 9 (1987) 698).
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from cellapp.robot.kinematics.transforms import Array
 
 _ROUNDS = 12
 _MOST_ROWS = 120
-"""More rows cost time and tell no more about signs."""
+"""Maximum number of rows that are used; more cost time and tell no more about signs."""
 _EXPLAINED = 0.02
-"""Share of the spread of the points that an arm which is read rightly leaves at most; a wrong one leaves a third."""
+"""Largest residual, as a share of the points' spread, under the right convention; a wrong one leaves a third."""
 _ALIKE = 1.2
-"""Ways of reading that leave alike much: the last joint's sign may not matter. The simplest is named."""
+"""Ratio of residuals up to which conventions are equal: the last joint's sign may not matter. The simplest is named."""
 _CLEARER = 0.3
-"""Another convention is named if its residuals are at most this share of the present ones."""
+"""Share of the present residuals that another convention must stay below to be named."""
 
 
 @dataclass(frozen=True)
 class Explained:
-    """What published geometry with the best base and tool leaves of the points: ``rms_m``; ``spread_m`` is theirs."""
+    """Rms residual [m] of the published geometry with the best base and tool, and the spread of the points [m]."""
 
     rms_m: float
     spread_m: float
 
     @property
     def holds(self) -> bool:
-        """Whether the readings are of such an arm, read in this way."""
+        """Whether the geometry, with this joint convention, explains the readings."""
         return self.rms_m <= _EXPLAINED * self.spread_m
 
 
 def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
-    """How well a chain with free base and tool explains points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]."""
+    """Compute how well a chain with free base and tool explains points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]."""
     q, p_M = _some(q), _some(p_M)
     rotations, origins = flange_poses(nominal, q)
     spread = float(np.sqrt(np.mean(np.sum((p_M - p_M.mean(axis=0)) ** 2, axis=1))))
@@ -59,9 +59,9 @@ def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
 
 
 def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explained] | None:
-    """Another way to read the joint positions that explains the points, in words; None if none does clearly better.
+    """Find another joint convention that explains the points, in words; None if none is clearly better.
 
-    Tried are the signs of all joints, and a third joint that a controller counts from the level.
+    Try the signs of all joints, and a third joint that the controller counts from the horizontal.
     """
     now = explained(nominal, q, p_M).rms_m
     tried = [(words, explained(nominal, other, _some(p_M))) for words, other in _readings(_some(q))]
@@ -74,12 +74,12 @@ def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explai
 
 
 def _some(rows: Array) -> Array:
-    """Rows spread over all, at most ``_MOST_ROWS``."""
+    """Return evenly spread rows, at most ``_MOST_ROWS``."""
     return rows[:: max(1, -(-len(rows) // _MOST_ROWS))]
 
 
 def _rotation(p: Array, p_M: Array) -> Array:
-    """The rotation that aligns points best (3, 3)."""
+    """Compute the rotation (3, 3) that best aligns ``p`` with ``p_M``."""
     u, _, v = np.linalg.svd((p_M - p_M.mean(axis=0)).T @ (p - p.mean(axis=0)))
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v)
 

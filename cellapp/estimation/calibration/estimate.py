@@ -1,9 +1,9 @@
-"""Where an identification stands: values, normal equations, priors; and many effects whose part is factored once.
+"""State of an identification: values, normal equations, priors. The block of many effects is factored only once.
 
     [[G + P, C], [C^T, E]] x = b,   E = L L^T,   S = G - C E^-1 C^T
 
-The priors P of the geometry are weighed anew at each step of the identification; those of effects, within E, are not.
-So a step solves with S + P and the factor of E.
+The geometry's priors P are weighed anew at each step of the identification; those of effects, part of E, are not.
+So a step solves with the Schur complement S + P and the factor of E.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """L (m, m), ``cross`` L^-1 C^T (m, size) and S (size, size), each parameter in its unit."""
+    """Factors after elimination of the effects: L (m, m), ``cross`` L^-1 C^T (m, size), S (size, size), each parameter
+    in its unit."""
 
     lower: Array
     cross: Array
@@ -28,9 +29,9 @@ class Eliminated:
 
     @classmethod
     def of(cls, normal: NormalEquations, precision: Array, size: int) -> Eliminated | None:
-        """From the precisions (k,) of all priors, of which the first ``size`` are of the geometry.
+        """Factor with the precisions (k,) of all priors, of which the first ``size`` are the geometry's.
 
-        None where the factors would be inaccurate.
+        Return None if the factors would be inaccurate.
         """
         H, priors = normal.scaled_A, precision * normal.unit**2
         E = H[size:, size:].copy()
@@ -46,7 +47,7 @@ class Eliminated:
         return cls(lower, cross, S)
 
     def solve(self, rhs: Array, priors: Array) -> Array:
-        """Solution (k,) for precisions (size,) of the geometry's priors, in their units."""
+        """Solve for x (k,) with precisions (size,) of the geometry's priors, in their units."""
         size = len(priors)
         behind = scipy.linalg.solve_triangular(self.lower, rhs[size:], lower=True, check_finite=False)
         first = solve_psd(self.schur + np.diag(priors), rhs[:size] - behind @ self.cross)
@@ -56,17 +57,17 @@ class Eliminated:
         return np.concatenate([first, rest])
 
     def variances(self, priors: Array) -> Array:
-        """Variances (size,) of the geometry."""
+        """Compute the variances (size,) of the geometry's parameters."""
         return inverse_diagonal(self.schur + np.diag(priors))
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
+    """Parameter values (k,), the normal equations there, the weights used in them, precisions of priors (k,).
 
-    ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors. ``moved_m`` is
-    how far the values are from those of the normal matrix [m at arm's length]. ``eliminated`` is that matrix where it
-    is of many effects.
+    ``variance`` scales the stated covariance of the readings when they are weighed against the priors. ``moved_m`` is
+    the distance of the values from those of the normal matrix [m at arm's length]. ``eliminated`` is that matrix in
+    factored form, for many effects; else None.
     """
 
     values: Array
@@ -78,7 +79,7 @@ class Estimate:
     eliminated: Eliminated | None = None
 
     def geometric_priors(self, size: int) -> Array:
-        """Precisions of the geometry's priors (size,), in its units."""
+        """Return the precisions (size,) of the geometry's priors, in its units."""
         return np.asarray(self.precision[:size] * self.normal.unit[:size] ** 2)
 
     @property
@@ -90,12 +91,12 @@ class Estimate:
         return np.asarray(self.precision * self.normal.unit**2 * variances)
 
     def covariance(self, variance: float) -> Array:
-        """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
+        """Compute the covariance (k, k) of all values; ``variance`` scales the readings' part, not the priors."""
         unit = self.normal.unit
         return inverse_psd(self.posterior_precision(variance)) * (unit * unit[:, None])
 
     def posterior_precision(self, variance: float) -> Array:
-        """Precision (k, k) of the parameters, each in its ``unit``."""
+        """Compute the posterior precision (k, k) of the parameters, each in its ``unit``."""
         H = self.normal.scaled_A / variance
         H.flat[:: len(H) + 1] += self.precision * self.normal.unit**2
         return H

@@ -13,15 +13,15 @@ from cellapp.ground.results import ErrorSummary, GaugeErrors, StageErrors
 from cellapp.robot.kinematics.transforms import Array
 
 _SAMPLES = 400
-"""Bootstrap samples: they fix the ends of a 95 % interval to a few per cent of its width."""
+"""Number of bootstrap samples: they fix the ends of a 95 % interval to a few per cent of its width."""
 _SAME_JOINTS_RAD = 1e-4
-"""Stops whose joints differ by less are the same stop: above a controller's repeatability, below any planned step."""
+"""Joint difference below which two stops are the same: above a controller's repeatability, below any planned step."""
 
 
 def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
-    """Statistics in mm of errors (n,) [m], or in mrad of errors [rad].
+    """Compute statistics in mm of errors (n,) [m], or in mrad of errors [rad].
 
-    ``means`` (samples,) [m] are bootstrapped means, needed where the errors are not independent.
+    ``means`` (samples,) [m] are bootstrapped means, needed if the errors are not independent.
     """
     mm = np.abs(errors) * 1e3
     if means is None:
@@ -42,29 +42,29 @@ def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
 
 
 def _resampled(n: int) -> Array:
-    """Bootstrap weights: how often each of n is drawn in each sample, shape (samples, n)."""
+    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample."""
     return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
 
 
 def position_errors(measured: Array, computed: Array) -> Array:
-    """Absolute error of each point, ``|P_M - P_C|``, shape (n,) [m]."""
+    """Compute the absolute error of each point, ``|P_M - P_C|``, shape (n,) [m]."""
     return np.asarray(np.linalg.norm(measured - computed, axis=1))
 
 
 def distance_errors(measured: Array, computed: Array) -> Array:
-    """ISO 9283 distance error ``|d_M - d_C|`` of every pair of points (n, 3) of one arm, (n (n - 1) / 2,) [m]."""
+    """Compute the ISO 9283 error ``|d_M - d_C|`` (n (n - 1) / 2,) [m] of every pair of points (n, 3) of one arm."""
     return np.asarray(np.abs(scipy.spatial.distance.pdist(measured) - scipy.spatial.distance.pdist(computed)))
 
 
 def distance_summary(measured: Array, computed: Array, weights: Array | None = None) -> ErrorSummary:
-    """Statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points.
+    """Compute statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points.
 
-    ``weights`` are its weights of the points, where they are known.
+    ``weights`` are the bootstrap weights of the points; drawn if None.
     """
     errors = distance_errors(measured, computed)
     n = len(measured)
     weights = _resampled(n) if weights is None else weights
-    # in single precision: the ends of an interval that 400 samples give need no more
+    # Single precision is enough for the ends of an interval from 400 samples.
     whole = scipy.spatial.distance.squareform(errors.astype(np.float32))
     total = np.einsum("sn,sn->s", weights.astype(np.float32) @ whole, weights)
     different = n * n - np.einsum("sn,sn->s", weights, weights)
@@ -73,7 +73,7 @@ def distance_summary(measured: Array, computed: Array, weights: Array | None = N
 
 
 def repeatability(q: Array, p_M: Array) -> Repeatability | None:
-    """Position repeatability of repeated stops (same joints to 0.1 mrad), None where no stop was repeated.
+    """Compute the position repeatability of repeated stops (same joints to 0.1 mrad); None if no stop was repeated.
 
     ISO 9283: mean distance from the barycentre plus three standard deviations, here over all groups of repeats.
     """
@@ -89,7 +89,7 @@ def repeatability(q: Array, p_M: Array) -> Repeatability | None:
 
 
 def evaluate_readings(readings: Readings, computed: Array) -> StageErrors:
-    """Errors of one model at readings, ``computed`` (n, 3) [m]: of measured points, or of a ball in sockets."""
+    """Compute the errors of one model, ``computed`` (n, 3) [m], at measured points or at a ball in sockets."""
     if not in_sockets(readings):
         return evaluate(readings.p_M, computed)
     gauge = np.abs(gauge_errors(readings, computed)) * 1e3
@@ -100,7 +100,7 @@ def evaluate_readings(readings: Readings, computed: Array) -> StageErrors:
 
 
 def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
-    """Errors of one model at positions [m] and orientations [rad], ``computed`` (m, 3)."""
+    """Compute the errors of one model, ``computed`` (m, 3), at positions [m] and orientations [rad]."""
     turned = measured.turned
     if turned is None:
         return evaluate_readings(measured.readings, computed)
@@ -109,7 +109,7 @@ def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
 
 
 def evaluate(measured: Array, computed: Array) -> StageErrors:
-    """Absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance."""
+    """Compute absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance."""
     errors, weights = position_errors(measured, computed), _resampled(len(measured))
     return StageErrors(
         position_mm=summarise(errors, weights @ errors / len(errors)),

@@ -1,10 +1,10 @@
 """Nonlinear least squares: Gauss-Newton steps, damped after a step that made the fit worse.
 
-Undamped steps converge fast where the residuals are small or the data determine all parameters. Along a direction that
-they hardly determine, residuals of unmodelled physics can bend the objective as much as the Jacobian does; steps then
-shrink slowly, and the secant of the last two takes the place of the missing second derivatives (Anderson, J. ACM 12
-(1965) 547, with one step of memory). Levenberg-Marquardt damping is added only where a step raises the objective, and
-taken away again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963) 431.
+Undamped steps converge fast if the residuals are small or the data determine all parameters. Along a direction that
+they hardly determine, residuals of unmodelled physics can bend the objective as much as the Jacobian does. Steps then
+shrink slowly, and the secant of the last two replaces the missing second derivatives (Anderson, J. ACM 12
+(1965) 547, with one step of memory). Levenberg-Marquardt damping is added only after a step that raises the objective,
+and removed again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963) 431.
 """
 
 from __future__ import annotations
@@ -22,40 +22,40 @@ Point = TypeVar("Point")
 _FIRST_DAMPING = 1e-4
 """Share of the normal matrix's diagonal that is added after the first failed step; tenfold after each further one."""
 _NO_DAMPING = 1e-6
-"""Damping below this changes a step by less than a millionth, and is dropped."""
+"""Damping below which it is dropped: it changes a step by less than a millionth."""
 _MOST_DAMPING = 1e8
 """Largest damping. Steps are then 1e-8 of a Gauss-Newton step: no descent direction is left."""
 _ROUNDING = 1e-9
-"""A relative rise of the objective by less than this is rounding of its sum, not a worse fit."""
+"""Relative rise of the objective below which the fit is not worse: its sum rounds by as much."""
 _NEGLIGIBLE_STEP = 1e-7
-"""Steps below 0.1 um (0.1 urad) are not tested: the objective does not resolve them."""
+"""Size below which steps are not tested, 0.1 um (0.1 urad): the objective does not resolve them."""
 _SLOW = 0.1
-"""Ratio of a step to the one before from which the secant is used; below, the next step is negligible or nearly so."""
+"""Ratio of a step to the one before from which the secant is used; below it, the next step is nearly negligible."""
 
 
 class Problem(Protocol[Point]):
     """A least-squares problem; a point holds parameter values and everything computed at them."""
 
     def reweighted(self, point: Point) -> Point:
-        """The same parameters with weights that follow from the residuals there; the point itself for fixed weights."""
+        """Return the same parameters with weights from the residuals there; the point itself if weights are fixed."""
         ...
 
     def step(self, point: Point, damping: float) -> tuple[Array, Array]:
-        """The damped Gauss-Newton step (k,), and the same in metres (radians) at the scale of the arm (k,)."""
+        """Compute the damped Gauss-Newton step (k,), and the same in metres (radians) at the scale of the arm (k,)."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
-        """The point after a step, with the weights of ``point``."""
+        """Return the point after a step, with the weights of ``point``."""
         ...
 
     def objective(self, point: Point) -> float:
-        """The weighted sum of squares to minimise."""
+        """Compute the weighted sum of squares to minimise."""
         ...
 
 
 @dataclass(frozen=True)
 class Minimum(Generic[Point]):
-    """Where and why the iteration ended; ``steps`` are the sizes of all steps, those that were rejected included."""
+    """Where and why the iteration ended; ``steps`` are the sizes of all steps, rejected ones included."""
 
     point: Point
     steps: tuple[float, ...]
@@ -66,7 +66,7 @@ class Minimum(Generic[Point]):
 def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_iterations: int) -> Minimum[Point]:
     """Iterate from ``start`` until the next step is at most ``tolerance``.
 
-    That last step is not taken, so that residuals, gradient and parameters of the result belong together.
+    That last step is not taken, so that residuals, gradient and parameters of the result are consistent.
     """
     point = problem.reweighted(start)
     sizes: list[float] = []
@@ -96,14 +96,14 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
 
 @dataclass(frozen=True)
 class _Step:
-    """A Gauss-Newton step (k,), the same in metres, and the step that was taken instead."""
+    """Gauss-Newton step (k,), the same in metres, and the step that was actually taken."""
 
     step: Array
     scaled: Array
     taken: Array
 
     def secant(self, step: Array, scaled: Array) -> tuple[Array, ...]:
-        """The next step (k,) if steps change linearly along the one taken; none where they shrink fast anyway."""
+        """Predict the next step (k,) if steps change linearly along the one taken; empty if they shrink fast anyway."""
         change = scaled - self.scaled
         if np.linalg.norm(scaled) < _SLOW * np.linalg.norm(self.scaled) or not change.any():
             return ()
@@ -112,5 +112,5 @@ class _Step:
 
 
 def damped_step(A: Array, b: Array, damping: float) -> Array:
-    """Solution of ``(A + damping diag(A)) step = b``; the one of least norm where ``A`` (k, k) is singular."""
+    """Solve ``(A + damping diag(A)) step = b``; return the solution of least norm if ``A`` (k, k) is singular."""
     return solve_psd(A + damping * np.diag(np.diag(A)) if damping > 0.0 else A, b)

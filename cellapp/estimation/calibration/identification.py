@@ -3,10 +3,10 @@
     minimise  sum_i w_i |W_i (P_i - f(q_i; g))|^2 / v + sum_j ((g_j - m_j) / s_j)^2
 
 over the geometry g, with whitening W_i, robust weights w_i, Gaussian priors (mean m_j, standard deviation s_j), and the
-variance v of the whitened residuals, which is estimated: ``v = sum_i w_i |W_i r_i|^2 / (3 n - gamma)``, where gamma is
+estimated variance v of the whitened residuals: ``v = sum_i w_i |W_i r_i|^2 / (3 n - gamma)``, where gamma is
 the number of parameters that the data determine (MacKay, Neural Comput. 4 (1992) 415). All parameters that can have an
-effect are estimated; what the data do not determine stays near nominal. The table states the *determined* ones, at the
-values that they have when the others are nominal and predictions are the same.
+effect are estimated; those that the data do not determine stay near nominal. The table states the *determined* ones.
+Their values give the same predictions with all other parameters at nominal.
 Effects that are linear in their parameters (``EffectColumns``) are identified jointly with the geometry.
 """
 
@@ -45,21 +45,21 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, parameter_name
 from cellapp.robot.kinematics.transforms import Array, register
 
 _LEAST_WEIGHT = 1e-3
-"""Points with a smaller robust weight do not count as degrees of freedom."""
+"""Robust weight below which a point does not count in the degrees of freedom."""
 _SAME_JACOBIAN = 1e-3
-"""Change of the parameters [m at arm's length] up to which the normal matrix of many effects is kept: it changes by
-about as much, relatively. The gradient is that of the present values, so that the solution is the same."""
+"""Change of the parameters [m at arm's length] up to which the normal matrix of many effects is reused: its relative
+change is about as large. The gradient is always that of the present values, so the solution is the same."""
 _SAME_MATRIX = 1e-4
-"""The same without effects: the last evaluation of a geometry then needs residuals and gradient alone. The matrix, from
-which uncertainties follow, changes by 1e-5 there."""
+"""The same without effects: the last evaluation then computes residuals and gradient alone. The matrix, which gives the
+uncertainties, changes by 1e-5 there."""
 _MANY_EFFECTS = 200
-"""Columns of effects from which the normal matrix is kept: those of smooth functions, which priors hold. The lines of a
-law without priors may be nearly singular with few readings, and another matrix then leads elsewhere."""
+"""Number of effect columns from which the normal matrix is reused. So many come from smooth functions, which have
+priors. A law's columns without priors may be nearly singular with few readings; another matrix then leads elsewhere."""
 _SMALLEST = 1e-200
-"""Keeps a variance above zero."""
+"""Lower bound that keeps a variance above zero."""
 _TRACKER_M = 1e-5
-"""Standard deviation of a coordinate from the tracker alone. Where no uncertainty is stated, one coordinate with this
-scatter is added to those that weigh the priors: with few readings, or without noise, these would lose all weight."""
+"""Standard deviation of a coordinate from the tracker alone. If no uncertainty is stated, one coordinate with this
+scatter is added to the estimate of v: with few readings, or without noise, the priors would lose all weight."""
 
 
 class TooFewReadings(ValueError):
@@ -77,18 +77,18 @@ class Identification:
     estimated : ParameterSet
         The parameters that were estimated.
     estimated_covariance : array, shape (K + m, K + m)
-        Of the estimated parameters, then of the effects: for the uncertainty of predictions.
+        Of the estimated parameters, then of the effects; gives the uncertainty of predictions.
     prior_sigma : mapping
-        Parameter -> standard deviation of its prior, stated or estimated; none of those without a prior.
+        Parameter -> standard deviation of its prior, stated or estimated; only parameters that have a prior.
     parameter_set : ParameterSet
-        For the table: the estimated parameters that the data determine, and the others that are merged into them. The
-        estimated ones themselves, unless the set is ``auto``.
+        For the table. If the set is ``auto``: the estimated parameters that the data determine, with the others merged
+        into them. Otherwise all estimated parameters.
     names, units : tuple of str, length k
         Of the parameters in the table, geometry first, then effects.
     values, standard_errors : array, shape (k,)
-        A value is that which the parameter has with the merged ones at nominal and the same predictions.
+        Values with the merged parameters at nominal and the same predictions.
     covariance : array, shape (k, k)
-        Of the values, scaled by the scatter of the residuals (``scale``) unless the priors of effects forbid it.
+        Of the values, scaled by the scatter of the residuals (``scale``) unless effects have priors.
     effect_values : array, shape (m,)
         The last m of ``values``.
     iterations : int
@@ -97,7 +97,7 @@ class Identification:
     message : str
         Why the iteration ended.
     scale : float
-        Root of chi-square per degree of freedom: 1 where the scatter agrees with the stated uncertainty. Without a
+        Root of chi-square per degree of freedom: 1 if the scatter agrees with the stated uncertainty. Without a
         stated uncertainty, the standard deviation of a coordinate [m].
     degrees_of_freedom : int
     residuals : array, shape (n, 3)
@@ -105,16 +105,16 @@ class Identification:
     weights : array, shape (n,)
         Robust weights; 1 without robust estimation.
     steps : tuple of float
-        Largest component of each step in metres at arm's length.
+        Largest component of each step [m at arm's length].
     gram : array, shape (K, K)
         ``J^T J / n`` of the unweighted Jacobian by the geometric parameters in the table, scaled to metres at arm's
         length, without priors.
     configurations : int
         Number of readings n.
     turned : array, shape (n,), or None
-        Readings of an orientation, whose residuals are rotation vectors [rad]; None where there are none.
+        Mask of measured orientations, whose residuals are rotation vectors [rad]; None if there are none.
     freedom_of_turns : float
-        Part of the degrees of freedom that these have.
+        Degrees of freedom of the orientations, a part of all.
     excess_rad : float
         Standard deviation of a component of an orientation beyond the stated uncertainty [rad].
     """
@@ -177,7 +177,7 @@ class Identification:
 
 
 def start_from_nominal(nominal: Geometry, q: Array, p_M: Array, *, tool_unknown: bool) -> Geometry:
-    """Initial geometry: the nominal chain with its base registered to the measured points.
+    """Compute the initial geometry: the nominal chain with its base registered to the measured points.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def start_from_nominal(nominal: Geometry, q: Array, p_M: Array, *, tool_unknown:
     p_M : array, shape (n, 3)
         Measured SMR positions in the tracker frame [m].
     tool_unknown : bool
-        Whether the tool is estimated too, jointly with the base, starting from zero.
+        Whether to estimate the tool jointly with the base, starting from zero.
     """
     at_origin = nominal.with_T_M_B(np.eye(4))
     if not tool_unknown:
@@ -227,8 +227,8 @@ def identify(
     p_M : array, shape (n, 3)
         Measured SMR positions in the tracker frame [m]; zero where an orientation was measured.
     R_M_S : array, shape (n, 3, 3), optional
-        Measured orientations of the probe of ``start``, NaN where a position was measured. Without ``sigma`` a radian
-        counts as a metre.
+        Measured orientations of the probe of ``start``, NaN at positions. Without ``sigma`` a radian weighs as much as
+        a metre.
     sigma : array, shape (n,) or (n, 3, 3), optional
         Standard uncertainty of each point [m], or its covariance [m^2]. Equal weights if not given.
     parameter_set : str or ParameterSet
@@ -243,7 +243,7 @@ def identify(
     effects : EffectColumns, optional
         Linear effects that are identified jointly with the geometry.
     tolerance : float
-        The iteration ends when the next step is at most this large [m at arm's length].
+        Step size at which the iteration ends [m at arm's length].
     max_iterations : int
 
     Raises
@@ -282,7 +282,7 @@ def identify(
 def _priors(
     parameters: ParameterSet, effects: EffectColumns | None, sigma: Mapping[str, float], mean: Geometry
 ) -> tuple[Array, Array]:
-    """Precision of each prior, 0 without one, and their means, both (k,), in the parameters' units."""
+    """Return the precisions of the priors, 0 without one, and their means, both (k,), in the parameters' units."""
     precision = 1.0 / prior_sds(parameters, sigma) ** 2
     of_effects = np.zeros(0 if effects is None else len(effects.names))
     means = np.concatenate([mean.vector()[list(parameters.columns)], of_effects])
@@ -307,7 +307,7 @@ class _Problem:
     observations: Observations
     parameters: ParameterSet
     precision: Array
-    """Of the priors (k,), at the start; zero without one."""
+    """Precision of each prior (k,) at the start; zero without one."""
     mean: Array
     robust: RobustName
     spreads: tuple[PriorSpread, ...]
@@ -322,17 +322,17 @@ class _Problem:
 
     @property
     def sigma_is_exact(self) -> bool:
-        """Priors of effects come with a noise level, which is then that of the readings."""
+        """Whether the stated uncertainty is taken as exact: priors of effects are given with that noise level."""
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
     @property
     def keeps_matrix(self) -> bool:
-        """Whether the normal matrix of many effects is kept from step to step."""
+        """Whether the normal matrix of many effects is reused from step to step."""
         return self.robust == "none" and self.effect_count >= _MANY_EFFECTS
 
     def _same_matrix(self, moved_m: float) -> bool:
-        """Whether the normal matrix serves at a distance [m] from where it was made."""
+        """Return whether the normal matrix may be reused at a distance [m] from the point where it was computed."""
         return self.keeps_matrix or (self.robust == "none" and not self.effect_count and moved_m <= _SAME_MATRIX)
 
     def at_start(self) -> Estimate:
@@ -354,13 +354,13 @@ class _Problem:
             point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
         elif point.moved_m > _SAME_JACOBIAN:
             point = replace(self._estimate(point.values, None, point.precision), variance=point.variance)
-        # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
-        # large, they dominate; near it they only determine what the readings do not.
+        # Weigh the priors against the present scatter of the readings. Far from the solution, where the scatter is
+        # large, the priors dominate; near it they only determine what the readings do not.
         if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
             return point
         if point.eliminated is None:
             by_priors = point.by_priors
-        else:  # of the geometry
+        else:  # the geometry's parameters only
             priors = point.geometric_priors(len(self.parameters.columns))
             by_priors = priors * point.eliminated.variances(priors)
         precision = point.precision.copy()
@@ -442,26 +442,26 @@ class _Problem:
         )
 
     def _determined(self, information: Array) -> ParameterSet:
-        """The estimated parameters of the geometry that readings with ``information`` (K + m, K + m) determine."""
+        """Choose the estimated parameters of the geometry that the ``information`` matrix (K + m, K + m) determines."""
         size = len(self.parameters.columns)
         with np.errstate(divide="ignore"):
             prior_sd = 1.0 / np.sqrt(self.precision[:size])
         return determined_set(self.parameters, information[:size, :size], prior_sd)
 
     def _degrees_of_freedom(self, point: Estimate, by_priors: Array) -> float:
-        """Measured coordinates less the parameters that they determine."""
+        """Compute the number of measured coordinates less the number of parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
 
 
 def _in_table(values: Array, to_table: Array) -> Array:
-    """``values`` (K + m, ...) of estimated parameters as those of a table (k + m, ...), by its matrix (k, K)."""
+    """Convert ``values`` (K + m, ...) of estimated parameters to those of a table (k + m, ...) by its matrix (k, K)."""
     size = to_table.shape[1]
     return np.concatenate([to_table @ values[:size], values[size:]])
 
 
 def _freedom_of_turns(point: Estimate, turned: NDArray[np.bool_] | None) -> float:
-    """Degrees of freedom of the orientations: their coordinates less the parameters that they determine."""
+    """Compute the degrees of freedom of the orientations: coordinates less the parameters that they determine."""
     if turned is None or point.normal.of_turns is None:
         return 0.0
     some = turned if point.weights is None else turned & (point.weights > _LEAST_WEIGHT)

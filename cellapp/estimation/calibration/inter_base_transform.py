@@ -1,6 +1,6 @@
 """Inter-base transform from distances between the two SMRs alone (Bai et al., ROBOT 45(3) 2023, section 5).
 
-With SMR positions P_L, P_R, each in its own base frame, and measured distances D,
+With SMR positions P_L, P_R, each in the base frame of its arm, and measured distances D,
 
     minimise  sum_i (D_i^2 - |P_R,i - (R P_L,i + b)|^2)^2   over R, b.
 """
@@ -18,10 +18,10 @@ from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, tra
 
 PAIR_NAMES = ("x", "y", "z", "theta", "beta", "alpha")
 _TOLERANCE = 1e-9
-"""The iteration ends when the next step is at most this large [m, rad]."""
+"""Step size at which the iteration ends [m, rad]."""
 _MOST_ITERATIONS = 100
 _FEWEST_STOPS = 7
-"""Six parameters and one degree of freedom for their scatter."""
+"""Least number of stops: six parameters and one degree of freedom for the scatter."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class PairIdentification:
 
 
 def distances(T_R_L: Array, p_L: Array, p_R: Array) -> Array:
-    """Distances (n,) [m] between the SMRs at ``p_L`` and ``p_R`` (n, 3), each in its own base frame."""
+    """Compute the distances (n,) [m] between the SMRs at ``p_L`` and ``p_R`` (n, 3), each in its own base frame."""
     return np.asarray(np.linalg.norm(p_R - (p_L @ T_R_L[:3, :3].T + T_R_L[:3, 3]), axis=1))
 
 
@@ -61,7 +61,7 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
     Parameters
     ----------
     start : array, shape (4, 4)
-        Initial ``T_R_L``, from both bases in the tracker frame: distances alone admit a mirror image too.
+        Initial ``T_R_L`` from both bases in the tracker frame, needed because distances alone also fit a mirror image.
     p_L, p_R : array, shape (n, 3)
         SMR positions, each in its own base frame [m].
     measured : array, shape (n,)
@@ -84,7 +84,7 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
     T_R_L = transform(found.rotation, found.translation)
     off = measured - distances(T_R_L, p_L, p_R)
     scale = float(np.sqrt(off @ off / max(1, n - 6)))
-    # All distances have the same variance, their squares do not: D^2 has the standard deviation 2 D scale.
+    # All distances have the same variance, but their squares do not: D^2 has the standard deviation 2 D scale.
     J = found.J
     gain = inverse_psd(J.T @ J) @ (J * (2.0 * measured * scale)[:, None]).T
     errors = np.linalg.norm(gain, axis=1)
@@ -100,7 +100,7 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
 
 @dataclass(frozen=True)
 class _Estimate:
-    """R (3, 3) and b (3,) [m] with the residuals (n,) [m^2] of the squared distances and their Jacobian (n, 6)."""
+    """R (3, 3) and b (3,) [m], the residuals (n,) [m^2] of the squared distances and their Jacobian (n, 6)."""
 
     rotation: Array
     translation: Array
@@ -117,7 +117,7 @@ class _Problem:
     measured: Array
 
     def estimate(self, rotation: Array, translation: Array) -> _Estimate:
-        """Linearise about b and about a small rotation that is applied after R."""
+        """Linearise in b and in a small rotation that is applied after R."""
         rotated = self.p_L @ rotation.T
         d = self.p_R - rotated - translation
         J = -2.0 * np.hstack([d, np.cross(rotated, d)])

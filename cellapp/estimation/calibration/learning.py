@@ -1,8 +1,8 @@
-"""The residual network as a profile asks for it: the committee, or one that goes on from it with all readings.
+"""Training of the residual network that a profile asks for: the committee, or one that extends it with all readings.
 
-Both are judged on the same left-out blocks of time: each reading by the member that did not learn from its block.
-Neighbours in time are alike, in a motion more than at stops; a reading between two that were learnt from would judge
-nothing.
+Both are judged on the same left-out blocks of time: each reading is predicted by the member that did not learn from its
+block. Readings close in time are alike, in a motion more than at stops; a left-out reading between two that were learnt
+from would test nothing.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from cellapp.robot.model.network import Layers, ResidualNetwork, network_inputs,
 
 _BLOCKS_A_FOLD = 8
 _SURE = 2.0
-"""Standard errors by which a network in batches must be better than the committee."""
+"""Number of standard errors by which a network in batches must be better than the committee."""
 _SEED = 0xBA7C
 _STRAIGHT = 1e-4
-"""Size of the argument at which tanh is the identity: within 3e-9 of it, and far above rounding."""
+"""Scale of the arguments for which tanh is the identity: within 3e-9 of it, and far above rounding."""
 
 
 def learning_steps(network: Network) -> int:
-    """Number of steps that ``learn`` reports."""
+    """Return the number of steps that ``learn`` reports."""
     return training_steps() + (network.kind == "batches")
 
 
 def require_learner(network: Network) -> None:
-    """Raise ``InputError`` with what to install where the network that is asked for needs a package that is missing."""
+    """Raise ``InputError``, which says what to install, if the requested network needs a missing package."""
     if network.kind == "batches":
         load_torch()
 
@@ -55,18 +55,18 @@ def learn(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> Training:
-    """Train the network that is asked for.
+    """Train the network that the profile requests.
 
     Parameters
     ----------
     network : Network
-        Section of the profile: its kind is ``mlp`` or ``batches``.
+        Section of the profile, of kind ``mlp`` or ``batches``.
     q : array, shape (n, N)
         Joint positions [rad].
     residual : array, shape (n, 3)
         Measured minus computed positions in the frame of the correction, the base frame [m].
     time_s : array, shape (n,)
-        When they were measured; blocks of time are cut by it.
+        Times of measurement, from which the blocks of time are cut.
     seed, cancel, report
         As of ``train_network``.
 
@@ -103,7 +103,7 @@ def _in_batches(
     cancel: CancelToken,
     report: Report,
 ) -> tuple[ResidualNetwork, str]:
-    """A network from all readings: the committee, if it helps, and beside it what batches add; and what trained it."""
+    """Train a network on all readings: the committee, if it helps, plus layers from batches; also return the device."""
     low, high = q.min(axis=0), q.max(axis=0)
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     rotates = committee.shape.rotates_with_joint_1
@@ -125,7 +125,7 @@ def _in_batches(
 
 
 def _known_layers(committee: Training, joints: int, folds: int, scale: float) -> list[Layers]:
-    """Layers of the committee's members for inputs ``both`` and outputs in ``scale`` [m]; zero without a network."""
+    """Convert the members' layers to inputs ``both`` and outputs in ``scale`` [m]; zero layers without a network."""
     if committee.network is None:
         return [((np.zeros((0, 3 * joints)), np.zeros(0)), (np.zeros((3, 0)), np.zeros(3)))] * folds
     columns = slice(0, joints) if committee.network.inputs == "angles" else slice(joints, 3 * joints)
@@ -139,9 +139,9 @@ def _known_layers(committee: Training, joints: int, folds: int, scale: float) ->
 
 
 def _beside(known: Layers, added: Layers) -> Layers:
-    """One perceptron that gives the sum of one with a hidden layer and one with two.
+    """Combine a perceptron of one hidden layer and one of two into a single one that gives their sum.
 
-    Units of the former pass the second layer where tanh is straight: ``tanh(e h) / e = h`` within e^2 / 3.
+    Units of the former pass the second layer where tanh is linear: ``tanh(e h) / e = h`` within e^2 / 3.
     """
     (W, b), (V, c) = known
     (W1, b1), (W2, b2), (W3, b3) = added
@@ -163,7 +163,7 @@ def _better(
     fold: NDArray[np.int64],
     block: NDArray[np.int64],
 ) -> Training:
-    """The training with the network that predicts left-out blocks better; the committee's in doubt."""
+    """Return the training with the network that predicts left-out blocks better; the committee if in doubt."""
     counts = np.bincount(block)
     squares = [
         np.bincount(block, _left_out_squares(network, q, residual, fold)) / counts
@@ -181,7 +181,7 @@ def _better(
 
 
 def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array, fold: NDArray[np.int64]) -> Array:
-    """Squared errors (n,) [m^2] of each reading by the member that did not learn from its fold, or by no network."""
+    """Compute squared errors (n,) [m^2] by the member that did not learn from a reading's fold, or by no network."""
     left = residual.copy()
     if network is not None:
         for number, member in enumerate(network.members):

@@ -1,4 +1,4 @@
-"""Solving with symmetric positive semi-definite matrices: Cholesky where that is accurate, else truncated eigenvalues.
+"""Solve with symmetric positive semi-definite matrices: by Cholesky if that is accurate, else by truncated eigenvalues.
 
 Least squares with columns ``X`` (d, p) and prior precisions ``P`` needs ``G = X^T X + P``. Redundant parameters make G
 singular. All modules use this rule:
@@ -25,14 +25,14 @@ PIVOT = 3e-5
 """Least L_ii / sqrt(G_ii) for which the Cholesky factor is used. The relative error of a solution is about
 eps / PIVOT^2 = 2e-7, a tenth of a nanometre on a correction of a millimetre."""
 EIGENVALUE = 1e-11
-"""Eigenvalues below this share of the largest count as zero: 1e5 eps, above rounding; about PIVOT^2 / 100, so that
-no direction is dropped of a matrix that lies just below the limit for Cholesky."""
+"""Share of the largest eigenvalue below which one counts as zero: 1e5 eps, above rounding; about PIVOT^2 / 100, so that
+a matrix just below the limit for Cholesky loses no direction."""
 _SMALLEST = 1e-300
-"""Guards divisions by a norm of zero; any size far below that of data and above the smallest float."""
+"""Lower bound of a norm that is divided by: far below any data and above the smallest float."""
 
 
 def cholesky(gram: Array) -> Array | None:
-    """Lower Cholesky factor of ``gram`` (p, p), zero above the diagonal; None where it would be inaccurate."""
+    """Compute the lower Cholesky factor of ``gram`` (p, p), zero above the diagonal; None if it would be inaccurate."""
     factor, failed = scipy.linalg.lapack.dpotrf(gram, lower=1)
     if failed or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
         return None
@@ -51,7 +51,7 @@ def solve_psd(gram: Array, rhs: Array) -> Array:
 
 
 def inverse_psd(gram: Array) -> Array:
-    """Inverse of ``gram`` (p, p); the pseudo-inverse where it is singular."""
+    """Compute the inverse of ``gram`` (p, p); the pseudo-inverse if it is singular."""
     factor = cholesky(gram)
     if factor is not None:
         lower = scipy.linalg.lapack.dpotri(factor, lower=1)[0]  # leaves the zeros above the diagonal
@@ -63,21 +63,21 @@ def inverse_psd(gram: Array) -> Array:
 
 
 def covariance_with_priors(information: Array, sds: Array) -> Array:
-    """Covariance (p, p) by ``information`` (p, p) and priors with standard deviations ``sds`` (p,), inf without one."""
-    unit = np.where(np.isfinite(sds), sds, 1.0)  # numbers of comparable size
+    """Compute the covariance (p, p) from ``information`` (p, p) and standard deviations (p,) of priors, inf without."""
+    unit = np.where(np.isfinite(sds), sds, 1.0)  # scales the entries to comparable size
     precision = (information + np.diag(sds**-2.0)) * unit * unit[:, None]
     return inverse_psd(precision) * unit * unit[:, None]
 
 
 def inverse_diagonal(gram: Array) -> Array:
-    """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
+    """Compute the diagonal (p,) of the inverse of ``gram`` (p, p)."""
     factor = cholesky(gram)
     inverse = inverse_psd(gram) if factor is None else scipy.linalg.lapack.dpotri(factor, lower=1)[0]
     return np.asarray(inverse.diagonal())
 
 
 def orthonormal_basis(rows: Array, precision: Array | None = None, gram: Array | None = None) -> Array:
-    """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
+    """Compute ``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal without priors.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def orthonormal_basis(rows: Array, precision: Array | None = None, gram: Array |
     precision : array, shape (p,), optional
         Diagonal of P: inverse prior variances, zero without a prior.
     gram : array, shape (p, p), optional
-        X^T X, where it is known.
+        X^T X, if known.
     """
     gram = rows @ rows.T if gram is None else gram
     scale = 1.0 / np.maximum(np.sqrt(gram.diagonal()), _SMALLEST)
@@ -94,7 +94,7 @@ def orthonormal_basis(rows: Array, precision: Array | None = None, gram: Array |
     if precision is not None:
         gram.flat[:: len(gram) + 1] += precision * scale**2
     factor, scaled = cholesky(gram), (rows * scale[:, None]).T
-    if factor is not None:  # X in the order of LAPACK, without a copy
+    if factor is not None:  # X is in the memory order of LAPACK: no copy
         solve = scipy.linalg.blas.dtrsm
         return np.asarray(solve(1.0, factor, scaled, side=1, lower=1, trans_a=1, overwrite_b=1))
     values, vectors = _significant(gram)
@@ -102,7 +102,7 @@ def orthonormal_basis(rows: Array, precision: Array | None = None, gram: Array |
 
 
 def _significant(gram: Array) -> tuple[Array, Array]:
-    """Eigenvalues (k,) that count and their vectors (p, k)."""
+    """Compute the eigenvalues (k,) that do not count as zero, and their vectors (p, k)."""
     values, vectors = np.linalg.eigh(gram)
     kept = values > EIGENVALUE * values[-1]
     return values[kept], vectors[:, kept]

@@ -1,4 +1,4 @@
-"""Measurement conditions of a run, which effects depend on: last steps, other arm, times, temperatures."""
+"""Measurement conditions that effects depend on: last steps, other arm, times, temperatures."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 _LEAST_AGREEMENT = 0.95
-"""Share of the logged approach signs that the steps between successive stops must match to count as the last steps.
-Below it the arms took detours; a few logged signs may be wrong, as controllers report tiny corrections."""
+"""Least share of the logged approach signs that match the steps between successive stops, for these to serve as last
+steps. Below it the arms took detours; a few logged signs may be wrong, as controllers report tiny corrections."""
 
 
 def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> MeasurementConditions:
-    """Conditions of the readings of one arm; ``other`` is the model and the readings of the other arm, if there is one.
+    """Collect the conditions of one arm's readings; ``other`` is the model and the readings of the other arm, if any.
 
     Steps that were not logged are derived from the order of the stops in time, if they match the approach signs. The
     other arm's values are NaN at stops where it has no reading.
@@ -35,7 +35,7 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
         present = np.isfinite(at).all(axis=1)
         if present.any():
             other_q, payload = at, None
-            if theirs.payload_kg is not None:  # beside recordings there is one load
+            if theirs.payload_kg is not None:  # stops beside recordings have one load
                 payload = np.where(match >= 0, theirs.payload_kg[match], theirs.payload_kg[0])[present]
             moment = np.full((len(readings), 3), np.nan)
             moment[present] = base_moment(model.geometry, model.bodies, at[present], model.up_M, payload)
@@ -58,7 +58,7 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
 def conditions_of_arms(
     models: Mapping[str, ArmModel], readings: Mapping[str, Readings]
 ) -> dict[str, MeasurementConditions]:
-    """Conditions of the readings of every arm; in a cell of two arms those of one include the other's pose and load."""
+    """Collect the conditions of every arm's readings; in a cell of two arms, with the other arm's pose and load."""
     found = {}
     for name, own in readings.items():
         others = [other for other in readings if other != name]
@@ -68,7 +68,7 @@ def conditions_of_arms(
 
 
 def _order(readings: Readings) -> Array | None:
-    """Places (n,) in the order of measurement [stops], by sequence or else by time; None if neither is known of all."""
+    """Return ranks (n,) in the order of measurement [stops], by sequence, else by time; None if that is incomplete."""
     known = readings.time_s if readings.sequence is None else readings.sequence
     if not len(known) or not np.isfinite(known).all():
         return None
@@ -76,14 +76,14 @@ def _order(readings: Readings) -> Array | None:
 
 
 def _with_derived_steps(logged: Array | None, derived: Array | None) -> Array | None:
-    """Logged steps, with derived ones in rows without a log (readings of a version that did not log steps)."""
+    """Fill rows without logged steps with derived ones (readings of a version that did not log steps)."""
     if logged is None or derived is None:
         return derived if logged is None else logged
     return np.where(np.isnan(logged), derived, logged)
 
 
 def _record(readings: Readings) -> TemperatureRecord | None:
-    """Temperature history of the run; None unless times and joint temperatures are complete."""
+    """Return the temperature history of the run; None unless times and joint temperatures are complete."""
     joints_c, time_s = readings.joint_temperature_c, readings.time_s
     if joints_c is None or not np.isfinite(joints_c).all() or not np.isfinite(time_s).all():
         return None
@@ -94,7 +94,7 @@ def _record(readings: Readings) -> TemperatureRecord | None:
 
 
 def _steps(readings: Readings) -> Array | None:
-    """Steps (n, N) [rad] from one stop to the next in time; None if times or approach signs are missing or disagree."""
+    """Compute steps (n, N) [rad] between successive stops; None if times or approach signs are missing or disagree."""
     if len(readings) < 2 or not np.isfinite(readings.time_s).all() or not np.any(readings.approach):
         return None
     order = np.argsort(readings.time_s, kind="stable")

@@ -1,12 +1,12 @@
 """Training of the residual network by Levenberg-Marquardt, selected by cross-validation.
 
-A few hundred poses are few data. Therefore:
+A few hundred configurations are few data. Therefore:
 
 - The network is a committee with one member per fold. Each member is trained without its fold and stopped where it
   predicts that fold best (Krogh, Vedelsby, NIPS 7 (1995) 231).
 - Weight decay follows from the evidence of the data during training (MacKay, Neural Computation 4 (1992) 415; Foresee,
   Hagan, ICNN 1997, 1930), with one decay for the inputs of each joint.
-- The frame of the output is selected by the error on the left-out folds.
+- The inputs and the frame of the output are selected by the error on the left-out folds.
 
 The validation split is not used.
 """
@@ -27,29 +27,29 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.network import Inputs, ResidualNetwork, network_inputs, rotate_about_z
 
 MARGIN = 0.1
-"""Share of each trained joint range over which the correction fades to zero outside it."""
+"""Width over which the correction fades to zero outside the trained joint range, as a share of that range."""
 WORTH = 0.98
-"""A network is used only if the rms error on left-out folds falls below this share of that without a network."""
+"""Largest ratio of the rms errors on left-out folds, with and without a network, at which the network is used."""
 _DAMPING = 1e-2
-"""Damping at the start, as a share of the diagonal of the Hessian."""
+"""Initial damping, as a share of the diagonal of the Hessian."""
 _DAMPING_LIMITS = (1e-9, 1e9)
 _DAMPING_DOWN, _DAMPING_UP = 10.0, 5.0
-"""Factors after a step that lowers the objective, and after one that does not."""
+"""Damping factors: divisor after a step that lowers the objective, multiplier after one that does not."""
 _TRIES = 6
-"""Steps tried with one Jacobian: together they raise the damping by a factor of 15 000."""
+"""Maximum number of steps tried with one Jacobian: together they raise the damping by a factor of 15 000."""
 _DECAY = 0.01
-"""Weight decay at the start, in units of the noise precision; the evidence adjusts it."""
+"""Initial weight decay, in units of the noise precision; the evidence adjusts it."""
 _DECAY_LIMITS = (1e-6, 1e6)
 _EVIDENCE_EVERY = 3
-"""Iterations between two updates of the decay: it is an estimate at a minimum, and costs an inverse."""
+"""Iterations between two updates of the decay: the formula holds at a minimum, and costs an inverse."""
 _IMPROVED = 0.998
-"""Share of a member's best squared error on its fold below which training has not stalled."""
+"""Ratio to a member's best squared error on its fold below which an iteration counts as an improvement."""
 _PATIENCE = 8
-"""Training of a member ends after this number of iterations that did not improve it."""
+"""Number of iterations without improvement after which the training of a member ends."""
 _SCREENING = 15
-"""Iterations after which candidates are compared; only the best one is trained further."""
+"""Number of iterations after which candidates are compared; only the best one is trained further."""
 _REPORTED = 10
-"""Iterations between two reports: a second or less."""
+"""Iterations between two progress reports: a second or less."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +62,20 @@ class Shape:
 
 
 _READINGS_A_UNIT = 16
-"""Readings for each hidden unit: an arm of 6 joints then has 3 measured coordinates for each parameter."""
+"""Readings per hidden unit: an arm of 6 joints then has 3 measured coordinates for each parameter."""
 _FEWEST_UNITS, _MOST_UNITS = 10, 20
-"""Fewer units do worse even from 50 readings; more are not worth their time, which grows with their third power."""
+"""Limits of the hidden layer. Fewer units do worse even from 50 readings; more are not worth their cubic time."""
 _MOST_READINGS = 1200
-"""Readings to train on. Twice as many lower the held-out error by some 6 %, and take twice the time."""
+"""Maximum number of readings to train on. Twice as many lower the held-out error by some 6 % and double the time."""
 _CANDIDATES = 3
-"""Number of shapes of ``candidate_shapes``."""
+"""Number of shapes that ``candidate_shapes`` returns."""
 
 
 def candidate_shapes(readings: int) -> tuple[Shape, ...]:
-    """Candidates for a number of readings.
+    """Return the candidate shapes for a number of readings.
 
-    The output is in a frame that rotates with joint 1, or in one that does not. Angles suit what grows along the range
-    of a joint, for example play: a joint at the upper end of its range has most often come from below.
+    The output is in a frame that rotates with joint 1, or in one that does not. Angles as inputs suit errors that grow
+    along the range of a joint, for example by play: a joint at the upper end of its range most often came from below.
     """
     hidden = int(np.clip(readings // _READINGS_A_UNIT, _FEWEST_UNITS, _MOST_UNITS))
     return (
@@ -92,7 +92,7 @@ class Training:
     Attributes
     ----------
     network : ResidualNetwork or None
-        None where no candidate predicts left-out folds better than no network does.
+        None if no candidate predicts left-out folds clearly better than no network (``WORTH``).
     shape : Shape
         The best candidate.
     left_out_rms, without_rms : float
@@ -100,7 +100,7 @@ class Training:
     tried : tuple
         (shape, left-out rms [m]) of every candidate at the time of the comparison.
     batches : Batches or None
-        How a training from all readings compares, where one was asked for.
+        Comparison with a training from all readings; None if none was requested.
     """
 
     network: ResidualNetwork | None
@@ -113,22 +113,22 @@ class Training:
 
 @dataclass(frozen=True)
 class Batches:
-    """A network trained in batches from all readings, against the committee, on the same left-out blocks of time.
+    """Comparison of a network trained in batches from all readings with the committee, on the same left-out blocks.
 
     Attributes
     ----------
     used : bool
-        Whether it is the network from then on.
+        Whether it replaces the committee.
     readings, blocks : int
-        Readings that it learnt from, and blocks of time that they were cut into.
+        Number of readings that it learnt from, and of blocks of time that they were cut into.
     hidden : tuple of int
     device : str
-        What trained it.
+        Device that trained it.
     left_out_rms, committee_rms : float
-        Rms length of the residual on left-out blocks of all readings [m], of both; without a network where the
-        committee is not better than none.
+        Rms length of the residual on left-out blocks of all readings [m], of the batches and of the committee; the
+        latter is without a network if the committee is not better than none.
     sigmas : float
-        By how many standard errors over the blocks the mean square is smaller than the committee's.
+        Decrease of the mean square from the committee's, in standard errors over the blocks.
     """
 
     used: bool
@@ -153,7 +153,7 @@ def train_network(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> Training:
-    """Train a residual network, on ``_MOST_READINGS`` readings drawn by ``seed`` where there are more.
+    """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
 
     Parameters
     ----------
@@ -165,14 +165,14 @@ def train_network(
     folds : int
         Number of folds and of members.
     iterations : int
-        Most iterations of a member.
+        Maximum number of iterations of a member.
     shapes : sequence of Shape, optional
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
-        Fold of each reading; else drawn by ``seed``.
+        Fold of each reading; drawn by ``seed`` if not given.
     cancel : CancelToken, optional
     report : callable
-        Takes the steps done, of ``training_steps(len(shapes))``, and words.
+        Callback that takes the number of steps done, of ``training_steps(len(shapes))``, and a text.
     """
     cancel = cancel or CancelToken()
     shapes = candidate_shapes(len(q)) if shapes is None else shapes
@@ -203,14 +203,14 @@ def train_network(
 
 
 def training_steps(shapes: int = _CANDIDATES) -> int:
-    """Number of steps that the training of candidates reports: each is trained, then the best one further."""
+    """Return the number of steps that a training reports: one for each candidate, one for the best."""
     return shapes + 1
 
 
 def _train_best(
     candidates: Sequence[tuple[Shape, Iterator[_Committee]]], iterations: int, report: Report
 ) -> tuple[Shape, _Committee, list[tuple[Shape, float]]]:
-    """Train all candidates for some iterations and the best one to the end; also each one's error at the comparison."""
+    """Train all candidates for some iterations and the best one to the end; return it with all errors when compared."""
     compared: list[tuple[_Committee, Shape, Iterator[_Committee]]] = []
     for number, (shape, training) in enumerate(candidates):
         for committee in islice(training, min(_SCREENING, iterations)):
@@ -232,7 +232,7 @@ def _training_words(committee: _Committee) -> str:
 
 @dataclass(frozen=True)
 class _Committee:
-    """Members after an iteration: of each the parameters that predicted its fold best, and the rms over all folds."""
+    """Members after an iteration: the parameters of each that predicted its fold best, and the rms over all folds."""
 
     net: Perceptron
     members: tuple[Array, ...]
@@ -243,7 +243,7 @@ class _Committee:
 def _train_committee(
     x: Array, y: Array, fold: NDArray[np.int64], shape: Shape, seed: int, cancel: CancelToken
 ) -> Iterator[_Committee]:
-    """Train one member for each fold and yield the committee after each iteration, until no member improves."""
+    """Train one member per fold; yield the committee after each iteration until no member improves any more."""
     net = Perceptron(x.shape[1], shape.hidden, y.shape[1])
     groups = net.decay_groups(shape.inputs)
     rng = np.random.default_rng(seed)
@@ -273,7 +273,7 @@ def _squares(net: Perceptron, x: Array, y: Array, p: Array) -> float:
 
 
 class _Member:
-    """One member in training: it minimises ``beta sum e^2 + sum alpha_g p^2`` over its rows.
+    """Member in training, which minimises ``beta sum e^2 + sum alpha_g p^2`` over its rows.
 
     Attributes
     ----------
@@ -292,7 +292,7 @@ class _Member:
         self._gram, self._slope = net.normal_equations(p, x, self._e)
 
     def step(self, *, with_evidence: bool) -> None:
-        """Take the first damped step that lowers the objective, if one of ``_TRIES`` does."""
+        """Take the first damped step that lowers the objective; none if ``_TRIES`` steps fail."""
         decay = self._alpha[self._groups]
         hessian = self._beta * self._gram
         np.einsum("ii->i", hessian)[:] += decay
@@ -308,7 +308,7 @@ class _Member:
         damped = hessian.copy()
         for _ in range(_TRIES):
             np.einsum("ii->i", damped)[:] = (1.0 + self._damping) * diagonal
-            p = self.p + np.linalg.solve(damped, descent)  # numpy's, not scipy's: it leaves the interpreter to others
+            p = self.p + np.linalg.solve(damped, descent)  # numpy's, not scipy's: it releases the interpreter lock
             e = self._y - self._net.predict(p, self._x)
             if self._beta * np.sum(e**2) + np.sum(decay * p**2) < objective:
                 self.p, self._e = p, e
@@ -318,7 +318,7 @@ class _Member:
         return False
 
     def _update_evidence(self, hessian: Array) -> None:
-        """Decay and noise that maximise the evidence, given the number of parameters that the data determine."""
+        """Set decay and noise to maximise the evidence, given the number of parameters that the data determine."""
         variance = np.diag(np.linalg.inv(hessian))
         determined = np.maximum(self._counts - self._alpha * np.bincount(self._groups, variance), 1e-3)
         squares = np.maximum(np.bincount(self._groups, self.p**2), 1e-12)

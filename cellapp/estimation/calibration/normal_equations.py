@@ -2,9 +2,8 @@
 
 The model of one reading is ``P_i = f(q_i + sum_j beta_j o_ij; g) + sum_j beta_j s_ij``: geometry g, and effects that
 are linear in their parameters beta, each an offset o of a joint or a shift s of the SMR. A measured orientation is a
-reading too: its P is zero, its f the rotation vector from the measured to the computed orientation, and s a turn.
-Readings are taken in chunks,
-so that memory does not grow with their number.
+reading too: its P is zero, f is the rotation vector from the measured to the computed orientation, s a rotation.
+Readings are processed in chunks, so that memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.kinematics.workspace import Workspace
 
 _CHUNK = 2048
-"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) stays in the cache."""
+"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) fits into the CPU cache."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +33,16 @@ class EffectColumns:
     ----------
     names, units : tuple of str, length m
     joints : array, shape (k,), k <= m
-        Joint that each of the first k columns offsets, from 0.
+        Index of the joint that each of the first k columns offsets, from 0.
     offsets : array, shape (k, n)
         Joint offset per unit of the parameter [rad].
     shifts_M : array, shape (m - k, 3, n)
         Shift of the SMR per unit of the other parameters, in the tracker frame [m].
     prior_sd : array, shape (m,), optional
-        Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. Where it is given,
+        Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. If it is given,
         the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
     start : array, shape (m,), optional
-        Values from which the iteration begins; zero without.
+        Initial values of the iteration; zero if not given.
     """
 
     names: tuple[str, ...]
@@ -55,7 +54,7 @@ class EffectColumns:
     start: Array | None = None
 
     def take(self, rows: NDArray[np.intp]) -> EffectColumns:
-        """The columns at some of the configurations."""
+        """Return the columns at the configurations ``rows``."""
         return replace(self, offsets=self.offsets[:, rows], shifts_M=self.shifts_M[:, :, rows])
 
 
@@ -87,7 +86,7 @@ class Observations:
 
     @cached_property
     def common_white(self) -> float | None:
-        """Whitening factor that all coordinates share; None where they differ."""
+        """Whitening factor of all coordinates; None if they have different ones."""
         if self.white is None:
             return 1.0
         first = float(self.white.flat[0])
@@ -99,12 +98,12 @@ class Observations:
         return self.angles.count
 
     def chunks(self) -> Iterator[tuple[int, int]]:
-        """First and one past the last configuration of each chunk."""
+        """Yield the first configuration of each chunk and the one past its last."""
         for first in range(0, self.count, _CHUNK):
             yield first, min(first + _CHUNK, self.count)
 
     def angles_with(self, beta: Array, first: int, last: int) -> JointAngles:
-        """Joint positions of a chunk after the effects' offsets."""
+        """Return the joint positions of a chunk with the offsets of the effects added."""
         if self.effects is None or not len(self.effects.joints):
             return self.angles.part(first, last)
         q = self.q[first:last].copy()
@@ -116,29 +115,29 @@ class Observations:
         return JointAngles.of(q, None if R_M_S is None else R_M_S[first:last])
 
     def shift(self, beta: Array, first: int, last: int) -> Array | None:
-        """Shift of the SMR by the effects in a chunk, (3, last - first) [m]; None without such effects."""
+        """Compute the effects' shift of the SMR in a chunk, (3, last - first) [m]; None without such effects."""
         if self.effects is None or not len(self.effects.shifts_M):
             return None
         shifts = self.effects.shifts_M[:, :, first:last]
         return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
 
     def left(self, P: Array, beta: Array, first: int, last: int) -> Array:
-        """Measured less computed SMR positions of a chunk (3, last - first), ``P`` those without shifts [m]."""
+        """Compute a chunk's residuals (3, last - first) [m], measured less computed; ``P`` [m] is without shifts."""
         shift = self.shift(beta, first, last)
         left = self.p_M[:, first:last] - P
         return left if shift is None else left - shift
 
     def weigh(self, white: Array, first: int, last: int) -> Array:
-        """Whitened vectors (3, last - first) times the transposed whitening: W^T W times the vectors before."""
+        """Multiply whitened vectors (3, last - first) by W^T: with ``whiten``, W^T W times the original vectors."""
         if self.white is None:
             return white
         factors = self.white[..., first:last]
         return white * factors if factors.ndim == 1 else np.einsum("acn,an->cn", factors, white)
 
     def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
-        """Vectors (3, ..., last - first) in units of their standard uncertainty, in ``out`` if that is given.
+        """Scale vectors (3, ..., last - first) to units of their standard uncertainty, in ``out`` if that is given.
 
-        Without whitening, the vectors themselves.
+        Return the vectors themselves if there is no whitening.
         """
         if self.white is None:
             return vectors
@@ -161,7 +160,7 @@ class Linearisation:
     J: Array
 
     def part(self, first: int, last: int) -> Linearisation:
-        """The same for one chunk of the configurations."""
+        """Return the part for one chunk of the configurations."""
         if last - first == self.P.shape[1]:
             return self
         return Linearisation(self.P[:, first:last], self.J[:, :, first:last])
@@ -182,7 +181,7 @@ class NormalEquations:
     cost : float
         ``sum r^T W r``.
     scale : array, shape (k,)
-        Root mean square displacement of the SMR per unit of each parameter, one value for all rotations of the
+        Rms displacement of the SMR per unit of each parameter, one value for all rotations of the
         geometry [m/rad, m/m]. It scales parameters to metres at arm's length.
     residuals : array, shape (3, n)
         Measured minus computed SMR positions [m], or orientations [rad].
@@ -210,7 +209,7 @@ class NormalEquations:
 
 
 def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
-    """The geometry with the identified parameters set to the first of ``values`` (k,), and the effects' values."""
+    """Split ``values`` (k,): return the geometry with its identified parameters set, and the effects' values."""
     vector = start.vector()
     size = len(parameters.columns)
     vector[list(parameters.columns)] = values[:size]
@@ -225,9 +224,9 @@ def normal_equations(
     weights: Array | None,
     linearised: Linearisation | None = None,
 ) -> NormalEquations:
-    """Normal equations at ``values`` (k,) with robust ``weights`` (n,).
+    """Compute the normal equations at ``values`` (k,) with robust ``weights`` (n,).
 
-    ``linearised`` saves the evaluation where it is known; it covers all readings.
+    ``linearised``, if known, covers all readings and saves the evaluation.
     """
     geometry, beta = split_values(start, parameters, values)
     k, size = len(values), len(parameters.columns)
@@ -271,9 +270,9 @@ def normal_equations(
 def with_gradient(
     near: NormalEquations, start: Geometry, observations: Observations, parameters: ParameterSet, values: Array
 ) -> NormalEquations:
-    """Residuals and gradient at ``values`` (k,) without robust weights, with the normal matrix of a point nearby.
+    """Compute residuals and gradient at ``values`` (k,) without robust weights; keep the normal matrix of ``near``.
 
-    Costs as much as the residuals: the effects' columns are not multiplied out.
+    This costs as little as the residuals alone: the effects' columns are not multiplied out.
     """
     geometry, beta = split_values(start, parameters, values)
     effects = observations.effects
@@ -309,7 +308,7 @@ def _linearise(
 
 
 def parameter_scale(squares: Array, count: int, parameters: ParameterSet) -> Array:
-    """``NormalEquations.scale`` from the sums of squares (k,) of J; 1 for translations of the geometry."""
+    """Compute ``NormalEquations.scale`` from the sums of squares (k,) of J; 1 for translations of the geometry."""
     mean_square = np.maximum(squares / count, 1e-30)  # a parameter without effect must not divide by zero
     scale = np.ones(len(squares))
     rotations, size = parameters.rotations, len(parameters.columns)

@@ -2,15 +2,15 @@
 
 Between renewals the measurement model is linear about one geometry, and a new reading is a step of recursive least
 squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
-at once where the estimate has left the range in which the linear model holds.
+at once if the estimate has left the range in which the linear model holds.
 
 Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
-weights are those of ``arm_identification``: stated covariance plus the excess variance that unmodelled physics leaves.
+weights are those of ``arm_identification``: stated covariance plus the excess variance from unmodelled physics.
 A gross error (a wrong target) gets no weight.
 
-Predictions come from a second model with the same geometry, the joints' compliance under gravity and a wave of one
-cycle a turn in each. The first model is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a
-millimetre, which hide a loose SMR.
+Predictions come from a second model. It adds to the geometry the joints' compliance under gravity and an error of one
+cycle a turn in each joint. The first model is what ``calibrate`` identifies; on a UR10, gravity leaves it residuals of
+half a millimetre, which hide a loose SMR.
 """
 
 from __future__ import annotations
@@ -49,37 +49,37 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 
 _TOOL_PRIOR_M = 20e-3
-"""Standard deviation of the SMR offset: an adapter measured with a ruler."""
+"""Prior standard deviation of a stated SMR offset: an adapter measured with a ruler."""
 _UNKNOWN_TOOL_PRIOR_M = 0.3
-"""The same for an offset that the profile calls unknown: any adapter."""
+"""Prior standard deviation of an offset that the profile calls unknown: any adapter."""
 _FIRST_READINGS = 4
-"""Readings from which the base is found. Three determine it; a fourth shows whether they fit."""
+"""Number of readings from which the base is found. Three determine it; a fourth shows whether they fit."""
 _LEAST_SPREAD_M = 0.05
 """Least rms distance of the first points from their common line: with errors of some millimetres, the base is then
 known to 0.1 rad, from where Gauss-Newton steps converge."""
 _REGISTERED_AGAIN = (8, 16)
-"""Numbers of readings with which the base is registered again: the first four may have been a poor start."""
+"""Numbers of readings at which the base is registered again: the first four may have been a poor start."""
 _GROWTH = 1.2
 """Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
 _LINEAR = 1e-3
 """Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
 standard errors are far larger as long as single readings change the estimate by this much."""
 _STEPS = 4
-"""Most Gauss-Newton steps of a renewal; one is enough after the first readings."""
+"""Maximum number of Gauss-Newton steps of a renewal; one is enough after the first readings."""
 _FIRST_EXCESS_M = 1e-4
-"""Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
+"""Excess standard deviation of a coordinate until it is estimated: what gravity and backlash leave in UR arms."""
 _LEAST_FREEDOM = 10.0
-"""Degrees of freedom from which the excess is estimated."""
+"""Degrees of freedom from which the excess variance is estimated."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Where the model expects an SMR.
+    """Predicted SMR position.
 
     Attributes
     ----------
     p_M : array, shape (3,)
-        [m]
+        Expected SMR position [m].
     covariance_M : array, shape (3, 3)
         From the parameters alone [m^2].
     scatter_m : float
@@ -92,13 +92,13 @@ class Prediction:
 
     @property
     def sigma_m(self) -> float:
-        """Standard uncertainty of the distance between the SMR that will be measured and ``p_M`` [m]."""
+        """Standard uncertainty of the distance between ``p_M`` and the SMR position to be measured [m]."""
         return math.sqrt(float(np.trace(self.covariance_M)) + 3.0 * self.scatter_m**2)
 
 
 @dataclass(frozen=True)
 class Innovation:
-    """A reading against the model that did not know it yet.
+    """Difference of a reading from the prediction by the model before it.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Innovation:
 
 
 def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
-    """The fit of an arm as the profile's calibration section asks; ``planned_q`` (n, N) [rad] are the planned stops."""
+    """Create an arm's fit by the profile's calibration section; ``planned_q`` (n, N) [rad] are the planned stops."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
     return OnlineFit(
@@ -143,7 +143,7 @@ def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
 
 
 class OnlineFit:
-    """The geometry of one arm, refitted after every stop. It has no model until ``ready``.
+    """Geometry of one arm, refitted after every stop. There is no model until ``ready``.
 
     Parameters
     ----------
@@ -154,15 +154,15 @@ class OnlineFit:
     planned_q : array, shape (n, N)
         Joint positions [rad] of the planned stops, over which the uncertainty of a prediction is averaged.
     parameter_set : str
-        ``auto``, ``paper`` or ``full``. Redundant parameters of ``full`` are held by the priors.
+        ``auto``, ``paper`` or ``full``. Priors hold the redundant parameters of ``full``.
     prior_sigma : mapping, optional
-        Parameter -> standard deviation about the nominal one, instead of those of ``estimated_parameters``.
+        Parameter -> standard deviation about its nominal value, instead of those of ``estimated_parameters``.
     robust : str
         ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
     tool_unknown : bool
         Whether the SMR offset is unknown.
     gravity : Gravity, optional
-        Without it, predictions do not know joint compliance.
+        Masses and direction of gravity; without them, predictions ignore joint compliance.
 
     Raises
     ------
@@ -184,7 +184,7 @@ class OnlineFit:
     ) -> None:
         self.arm = arm
         self.innovation: Innovation | None = None
-        """The newest reading against the model before it; None where there was none."""
+        """Innovation of the newest reading; None if there was no model before it."""
         self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
         typical = replace(nominal, tool=OFF_AXIS) if tool_unknown else nominal
         given = prior_sigma or {}
@@ -193,7 +193,7 @@ class OnlineFit:
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
         self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
-        # the base has none: four points determine it
+        # The base has no prior: four points determine it.
         tool = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
         weak = {**weak_priors(nominal.joints), **tool}
         self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
@@ -210,21 +210,21 @@ class OnlineFit:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a model: after four readings, if their points are spread."""
+        """Whether there is a model: after four readings, if their points are spread out."""
         return self._models is not None
 
     @property
     def geometry(self) -> Geometry | None:
-        """The present estimate, without compliance."""
+        """Present estimate, without compliance; None without a model."""
         return None if self._models is None else self._estimate(self._models)
 
     @property
     def scatter_m(self) -> float | None:
-        """Standard deviation of a measured coordinate about the geometry alone [m]."""
+        """Standard deviation of a measured coordinate about the geometry alone [m]; None without a model."""
         return None if self._models is None else self._models.geometry.scatter_m
 
     def predict(self, stop: int, q: Array) -> Prediction | None:
-        """Where the SMR is expected at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
+        """Predict the SMR position at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
         if self._models is None:
             return None
         model = self._models.predicting
@@ -234,7 +234,7 @@ class OnlineFit:
     def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
         """Refit with one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2].
 
-        None while there is no model.
+        Return None while there is no model.
         """
         self._readings.append(q, p_M, covariance_M)
         self.innovation = None
@@ -251,7 +251,7 @@ class OnlineFit:
     ) -> StopReport | None:
         """Refit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
 
-        The report is that of the last one.
+        Return the report of the last one; None without readings or model.
         """
         if not len(stops):
             return None
@@ -277,7 +277,7 @@ class OnlineFit:
         )
 
     def residuals(self) -> Residuals | None:
-        """What the geometry alone leaves of all readings, in the order in which they came; None without a model."""
+        """Compute the residuals of all readings by the geometry alone, in order of arrival; None without a model."""
         if self._models is None:
             return None
         readings = self._readings
@@ -286,23 +286,23 @@ class OnlineFit:
         )
 
     def lengths_m(self, q: Array, p_M: Array) -> Array | None:
-        """What it leaves (n,) [m] of other points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None without a model."""
+        """Compute residual lengths (n,) [m] of points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None if not ready."""
         return None if self._models is None else np.linalg.norm(self._left_M(self._models, q, p_M), axis=1)
 
     def _left_M(self, models: _Models, q: Array, p_M: Array) -> Array:
-        """Points (n, 3) [m] minus those of the geometry alone."""
+        """Compute the residuals (n, 3) [m] of points by the geometry alone."""
         step = models.geometry.step
         P, J = self._rows.of(models.origin, q)
         left_M: Array = p_M - P.T - (J[:, : len(step)].transpose(2, 0, 1) @ step)
         return left_M
 
     def _parameter_errors(self, covariance: Array) -> dict[str, float]:
-        """Standard errors of the parameters that the planned stops determine, the others being nominal."""
+        """Compute standard errors of the parameters that the planned stops determine, with the others at nominal."""
         determined = np.isin(self._parameters.columns, self._table.columns)
         kept, rest = covariance[determined][:, determined], covariance[~determined]
         by_rest = np.linalg.solve(rest[:, ~determined], rest[:, determined])
         variances = np.diag(kept) - np.sum(rest[:, determined] * by_rest, axis=0)
-        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave less than zero
+        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave negative values
         return dict(zip(self._table.names, errors, strict=True))
 
     def _estimate(self, models: _Models) -> Geometry:
@@ -321,7 +321,7 @@ class OnlineFit:
             models.geometry.add(J[:, : len(self._precision)], off, stated)
 
     def _renew(self, *, registered: bool = False) -> None:
-        """Linearise all readings at the present estimate, or, ``registered``, from the nominal arm again."""
+        """Linearise all readings at the present estimate; if ``registered``, start from the nominal arm again."""
         start = self._registered() if registered else self.geometry
         if start is None:
             return
@@ -334,7 +334,7 @@ class OnlineFit:
         self._next_renewal = math.ceil(_GROWTH * self.count)
 
     def _registered(self) -> Geometry | None:
-        """The nominal arm with its base at the points; None if they are too few or nearly on one line."""
+        """Register the nominal arm to the points; None if they are too few or nearly on one line."""
         q, p_M = self._readings.q, self._readings.p_M
         if len(q) < _FIRST_READINGS:
             return None
@@ -344,7 +344,7 @@ class OnlineFit:
         return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
 
     def _linearised(self, origin: Geometry, before: _Models | None) -> _Models:
-        """Both models at ``origin``; their weights follow from the residuals that the models ``before`` leave."""
+        """Linearise both models at ``origin``; their weights follow from the residuals of the models ``before``."""
         readings, k = self._readings, len(self._precision)
         P, J = self._rows.of(origin, readings.q)
         off, stated = readings.p_M - P.T, readings.stated()
@@ -360,7 +360,7 @@ class OnlineFit:
         return _Models(origin, both[0], both[1])
 
     def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
-        """Weights of the readings from the residuals (n, 3) [m] that ``model`` leaves."""
+        """Compute the weights of the readings from the residuals (n, 3) [m] of ``model``."""
         weights, excess = gross_weights(residuals, stated, model.excess), model.excess
         if model.freedom >= _LEAST_FREEDOM:
             excess = excess_of(residuals, stated, weights, model.freedom)
@@ -372,7 +372,7 @@ class OnlineFit:
         return _Weighting(weights, excess, model.variance)
 
     def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
-        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then what joints add."""
+        """Solve for the model with Jacobian ``J`` (3, k + m, n): columns of the geometry, then of joint errors."""
         readings, k = self._readings, len(self._precision)
         stated = readings.stated()
         white = whitener(stated + weighting.excess * np.eye(3))
@@ -399,13 +399,13 @@ class OnlineFit:
         for spread in self._spreads:
             square = spread.square(deviations[spread.places], float(by_priors[spread.places].sum()))
             model.precision[spread.places] = 1.0 / square
-        model.solve()  # with the scatter that the first solution left, and the spread that it found
+        model.solve()  # with the scatter and the prior spread that follow from the first solution
         return model
 
 
 @dataclass(frozen=True)
 class _Models:
-    """The geometry alone, and that with what joints add, for predictions; both linear about ``origin``."""
+    """Model of the geometry alone, and one with joint errors for predictions; both linear about ``origin``."""
 
     origin: Geometry
     geometry: LinearModel

@@ -1,4 +1,4 @@
-"""The linear model of one arm's readings about one geometry, for ``online``: it takes readings one by one."""
+"""Linear model of one arm's readings about one geometry, for ``online``: it is updated reading by reading."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cellapp.estimation.calibration.weights import MEDIAN_NORM, excess_variance
 from cellapp.robot.kinematics.transforms import Array
 
 GROSS = 12.0
-"""Residual beyond which a reading has no weight, in standard uncertainties: far above any of unmodelled physics."""
+"""Residual beyond which a reading has no weight, in standard uncertainties: far above that of unmodelled physics."""
 _ANCHOR = 4.0
-"""Degrees of freedom with which the scatter is held at the expected one, while there are few readings."""
+"""Prior degrees of freedom that hold the scatter at the expected one while there are few readings."""
 _LEAST_VARIANCE = 1e-14
-"""Variance (0.1 um)^2 of points without stated noise that fit exactly: weights stay finite."""
+"""Least variance, (0.1 um)^2, for points without stated noise that fit exactly: it keeps weights finite."""
 
 
 @dataclass
 class LinearModel:
     """Normal equations of the readings about one geometry, and their solution with priors.
 
-    ``solve`` solves them; ``add`` then takes readings one by one, into the solution only.
+    ``solve`` solves them; ``add`` then updates the solution reading by reading, not the normal equations.
 
     Attributes
     ----------
@@ -33,19 +33,19 @@ class LinearModel:
     scale : array, shape (k,)
         Converts parameters to metres at arm's length.
     precision : array, shape (k,)
-        Of the priors, zero without one.
+        Precision of each prior, zero without one.
     prior_step : array, shape (k,)
-        From the present geometry to the mean of the priors.
+        Difference from the present geometry to the mean of the priors.
     used : int
-        Number of readings with a weight.
+        Number of readings with nonzero weight.
     excess, mean_stated : float
-        Variance of a coordinate: excess, and mean of the stated ones [m^2].
+        Excess variance of a coordinate, and mean of the stated variances [m^2].
     variance : float
         Chi-square per degree of freedom.
     freedom : float
         Degrees of freedom: coordinates less the parameters that they determine.
     step, covariance : array (k,), array (k, k)
-        From the geometry to the estimate, and the covariance of the estimate.
+        Difference from the geometry to the estimate, and covariance of the estimate.
     """
 
     A: Array
@@ -62,7 +62,7 @@ class LinearModel:
     step: Array = field(default_factory=lambda: np.zeros(0))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     _weight: float = 1.0
-    """The ``variance`` with which the readings were weighed against the priors."""
+    """Value of ``variance`` with which the readings were weighed against the priors."""
     _chi_square: float = 0.0
 
     @property
@@ -76,7 +76,7 @@ class LinearModel:
         return math.sqrt(self.variance * (self.excess + self.mean_stated))
 
     def solve(self) -> None:
-        """Compute estimate and covariance with the present scatter, then the scatter that they leave."""
+        """Compute estimate and covariance with the present scatter, then the scatter of the new residuals."""
         unit = 1.0 / self.scale
         H = self.A / self.variance
         H.flat[:: len(H) + 1] += self.precision
@@ -89,7 +89,7 @@ class LinearModel:
         self._find_variance()
 
     def innovation(self, J: Array, off: Array, stated: Array) -> tuple[Array, Array]:
-        """Measured position less the predicted one (3,) [m] and its covariance (3, 3), of a reading not yet added.
+        """Compute measured less predicted position (3,) [m] of a reading not yet added, and its covariance (3, 3).
 
         ``J`` (3, k) is its Jacobian, ``off`` (3,) [m] its position less that of the geometry, ``stated`` (3, 3) [m^2]
         its stated covariance.
@@ -97,7 +97,7 @@ class LinearModel:
         return off - J @ self.step, J @ self.covariance @ J.T + self._weight * (stated + self.excess * np.eye(3))
 
     def add(self, J: Array, off: Array, stated: Array) -> None:
-        """Add a reading to estimate and covariance: a step of recursive least squares."""
+        """Update estimate and covariance with a reading: a step of recursive least squares."""
         innovation, expected = self.innovation(J, off, stated)
         seen = J @ self.covariance
         solved = np.linalg.solve(expected, np.column_stack([seen, innovation]))
@@ -139,7 +139,7 @@ class StoredReadings:
         self.count += 1
 
     def stated(self) -> Array:
-        """Stated covariances (n, 3, 3) [m^2]: the mean of the others where there is none, zero where none has one."""
+        """Return stated covariances (n, 3, 3) [m^2]; a missing one is the mean of the others, zero without any."""
         stated = self._stated[: self.count]
         missing = np.isnan(stated).any(axis=(1, 2))
         if not missing.any():
@@ -149,13 +149,13 @@ class StoredReadings:
         return filled
 
     def newest_stated(self) -> Array:
-        """Stated covariance (3, 3) [m^2] of the newest reading."""
+        """Return the stated covariance (3, 3) [m^2] of the newest reading, filled in likewise."""
         newest = self._stated[self.count - 1]
         return np.asarray(self.stated()[-1] if np.isnan(newest).any() else newest)
 
 
 def gross_weights(residuals: Array, stated: Array, excess: float) -> Array:
-    """Weight 0 of readings (n,) whose residual (n, 3) [m] is far above that of most others, else 1."""
+    """Return weights (n,): 0 for readings whose residual (n, 3) [m] is far above that of most others, else 1."""
     variance = excess + np.trace(stated, axis1=1, axis2=2) / 3.0
     norm = np.sqrt(np.sum(residuals**2, axis=1) / variance)
     return np.where(norm > GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0), 0.0, 1.0)
@@ -163,16 +163,16 @@ def gross_weights(residuals: Array, stated: Array, excess: float) -> Array:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What a model leaves of the readings of one arm.
+    """Residuals of one arm's readings by a model.
 
     Attributes
     ----------
     length_m : array, shape (n,)
         Distance of each point from the model's [m].
     sigma_m : array, shape (n,)
-        Root mean square that stated noise and scatter give this distance [m]: the root of the trace of the covariance.
+        Rms of this distance from stated noise and scatter [m]: the root of the trace of the covariance.
     gross : array, shape (n,)
-        Whether it is a gross error, which has no weight.
+        Mask of gross errors, which have no weight.
     """
 
     length_m: Array
@@ -181,7 +181,7 @@ class Residuals:
 
     @classmethod
     def of(cls, left_M: Array, stated: Array, model: LinearModel) -> Residuals:
-        """From residuals (n, 3) [m] and stated covariances (n, 3, 3) [m^2]."""
+        """Compute from residuals (n, 3) [m] and stated covariances (n, 3, 3) [m^2]."""
         variance = model.variance * (np.trace(stated, axis1=1, axis2=2) + 3.0 * model.excess)
         return cls(
             np.linalg.norm(left_M, axis=1), np.sqrt(variance), gross_weights(left_M, stated, model.excess) == 0.0
@@ -189,7 +189,8 @@ class Residuals:
 
 
 def excess_of(residuals: Array, stated: Array, weights: Array, freedom: float) -> float:
-    """Excess variance of a coordinate [m^2] among readings with a weight; all of it without stated covariances."""
+    """Estimate the excess variance of a coordinate [m^2] from readings with nonzero weight; it is the whole variance if
+    no covariance is stated."""
     used = weights > 0.0
     if not stated.any():
         return max(float(np.sum(residuals[used] ** 2)) / freedom, _LEAST_VARIANCE)

@@ -1,4 +1,4 @@
-"""Positions and derivatives of one arm at its stops, for ``online``."""
+"""SMR positions and Jacobians of one arm at its stops, for ``online``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
 _GRAM_VALID = 2e-3
-"""Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
+"""Change of a parameter [m or rad] up to which the Jacobian of the planned stops is reused; it changes as much."""
 _COMPLIANCE_SD = 5e-5
-"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+"""Prior standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
 _WAVE_SD = 8e-5
-"""The same of a wave of one cycle a turn [rad]: an encoder disk that is 2 um off the axis at a radius of 25 mm."""
+"""Prior standard deviation of a joint error of one cycle a turn [rad]: encoder disk 2 um off axis, 25 mm radius."""
 _PLANNED_RAD = 0.01
-"""Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
+"""Distance from the planned joint positions up to which their gravity torques are reused: they differ by a percent."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Row:
 
 
 class Rows:
-    """SMR positions and their derivatives by the parameters (k), then by what joints add to their angles (m).
+    """SMR positions and their derivatives by the parameters (k), then by the joint errors (m).
 
-    They add the compliances under gravity, where that is known, and a cosine and a sine of the angle: what the geometry
-    leaves of them is alike at neighbouring stops, and would look like a fault.
+    Joint errors are the compliance under gravity, if that is known, and a cosine and a sine of the joint angle. The
+    residuals that they leave in the geometry are alike at neighbouring stops, and would look like a fault.
     """
 
     def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
@@ -55,7 +55,7 @@ class Rows:
         missing = [column for column in of_joints + of_tool if column not in parameters.columns]
         self._columns, self._k = (*parameters.columns, *missing), k
         self.added_sds = np.full(2 * joints, _WAVE_SD)
-        """Standard deviations about zero (m,) of what joints add."""
+        """Prior standard deviations (m,) of the joint errors about zero."""
         if gravity is not None:
             self.added_sds = np.concatenate([np.full(joints, _COMPLIANCE_SD), self.added_sds])
         self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
@@ -64,12 +64,12 @@ class Rows:
         self._last: Row | None = None
 
     def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
-        """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
+        """Compute SMR positions (3, n) [m] and derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
         P, J = jacobian(origin, JointAngles.of(q), self._columns)
         return P, self._with_added(J, q, None if self._gravity is None else self._torques_of(origin, q))
 
     def at(self, origin: Geometry, stop: int, q: Array) -> Row:
-        """The same at one stop; the last one is kept."""
+        """Compute the same at one stop; the last result is cached."""
         last = self._last
         if last is None or last.origin is not origin or not np.array_equal(last.q, q):
             P, J = jacobian(origin, JointAngles.of(q[None]), self._columns)
@@ -82,7 +82,8 @@ class Rows:
         return last
 
     def _with_added(self, J: Array, q: Array, torques: Array | None) -> Array:
-        """Columns of the parameters, then of what joints at ``q`` (n, N) [rad] add; torques (n, N) [Nm] if known."""
+        """Append to the parameters' columns those of the joint errors at ``q`` (n, N) [rad]; ``torques`` (n, N) [Nm],
+        None if unknown."""
         own = J[:, self._joints]
         added = [own * np.cos(q).T, own * np.sin(q).T]
         if torques is not None:
@@ -90,7 +91,7 @@ class Rows:
         return np.concatenate([J[:, : self._k], *added], axis=1)
 
     def planned_gram(self, origin: Geometry) -> Array:
-        """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""
+        """Return the mean of ``J^T J`` (k, k) over the planned stops; computed anew if the geometry changed much."""
         vector = origin.vector()
         if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
             _, J = jacobian(origin, self._planned, self._columns[: self._k])
@@ -100,6 +101,6 @@ class Rows:
         return self._gram
 
     def _torques_of(self, origin: Geometry, q: Array) -> Array:
-        """Gravity torques (n, N) [Nm]."""
+        """Compute the gravity torques (n, N) [Nm]."""
         assert self._gravity is not None
         return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()

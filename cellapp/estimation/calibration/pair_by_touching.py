@@ -1,12 +1,12 @@
 """Inter-base transform without a tracker: both arms rest their balls in the same sockets.
 
-With c_R,k and c_L,k the centre of socket k as either calibrated arm finds it in its own base frame, and distances d_m
-that are known between a socket of one arm and one of the other,
+With c_R,k and c_L,k the centre of socket k from either calibrated arm in its own base frame, and known distances d_m
+between a socket of one arm and one of the other,
 
     minimise  r^T S^-1 r,   r = (c_R,k - (R c_L,k + b) for all k,  d_m - |c_R,m - (R c_L,m + b)| for all m)
 
-over R, b. S holds the scatter of touches, the uncertainty of both arms' parameters, which moves all their sockets
-together, and that of the distances. Where r is larger than S allows, S is scaled to it.
+over R, b. The covariance S holds the scatter of touches, the uncertainty of both arms' parameters, which moves all
+their sockets together, and that of the distances. If r is larger than S allows, S is scaled up.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from cellapp.robot.model import ArmModel
 MOST_STEPS = 50
 SETTLED = 1e-10
 UNSEEN = 3e-3
-"""Smallest singular value, over the largest, from which on all six directions are seen: sockets half a metre apart are
-then some millimetres off one line."""
+"""Ratio of the smallest to the largest singular value from which all six directions count as determined: sockets half a
+metre apart are then some millimetres off one line."""
 LEAST_NOISE_M = 1e-6
 
 
@@ -47,7 +47,7 @@ class TouchedPoints:
     Attributes
     ----------
     place : mapping
-        Name -> row.
+        Name -> row index.
     at_B : array, shape (P, 3) [m]
     covariance : array, shape (3 P, 3 P) [m^2]
     rms_m : array, shape (P,)
@@ -64,7 +64,7 @@ class TouchedPoints:
 
     @classmethod
     def of(cls, readings: Readings, p_B: Array, model: ArmModel | None) -> TouchedPoints:
-        """From ball centres ``p_B`` (n, 3) [m]; ``model`` states the uncertainty of its parameters, if it has any."""
+        """Average ball centres ``p_B`` (n, 3) [m]; include the uncertainty of the parameters if ``model`` states it."""
         contacts = Contacts.of(readings)
         count, own = len(contacts.names), contacts.index
         touches = np.bincount(own, minlength=count)
@@ -81,15 +81,15 @@ class TouchedPoints:
 
 @dataclass(frozen=True, eq=False)
 class TouchedPair:
-    """The transform and what is left of each common point.
+    """Inter-base transform and the error at each common point.
 
     Attributes
     ----------
     identification : PairIdentification
     errors_m : array, shape (C,)
-        Distance of both arms' centres of a common point, which the transform never had where ``held_out`` [m].
+        Distance between both arms' centres of a common point [m]; if ``held_out``, by a fit without that point.
     held_out : bool
-        Whether there are enough common points to leave one out: four that fix the transform without any of them.
+        Whether every common point could be left out in turn: four that fix the transform without any one are enough.
     """
 
     identification: PairIdentification
@@ -98,12 +98,12 @@ class TouchedPair:
 
 
 def common_points(left: TouchedPoints, right: TouchedPoints) -> tuple[str, ...]:
-    """Points that both arms touched."""
+    """Return the names of the points that both arms touched."""
     return tuple(name for name in left.place if name in right.place)
 
 
 def cross_distances(left: TouchedPoints, right: TouchedPoints, known: Sequence[Distance]) -> list[Distance]:
-    """Known distances from a point of the left arm (first) to one of the right; those within one arm are left out."""
+    """Select known distances from a point of the left arm (first) to one of the right; omit those within one arm."""
     found = []
     for one in dict.fromkeys(known):
         a, b = one.point_a, one.point_b
@@ -119,7 +119,7 @@ def cross_distances(left: TouchedPoints, right: TouchedPoints, known: Sequence[D
 def tie_by_touching(
     left: TouchedPoints, right: TouchedPoints, known: Sequence[Distance], start: Array
 ) -> TouchedPair | None:
-    """Tie the bases of two arms; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen."""
+    """Tie the bases of two arms; ``start`` (4, 4) is T_R_L from the profile. None if a direction is undetermined."""
     common, crossing = common_points(left, right), cross_distances(left, right, known)
     problem = _Problem(left, right, common, crossing)
     found = problem.solved(start)
@@ -139,7 +139,7 @@ def tie_by_touching(
 
 
 def identification_of(T: Array, covariance: Array, steps: int, scale: float) -> PairIdentification:
-    """T_R_L with the standard errors of x, y, z and three angles, from the covariance (6, 6) of a shift and a turn."""
+    """Return T_R_L with standard errors of x, y, z and three angles; ``covariance`` (6, 6) is of shift and rotation."""
     size = np.sqrt(np.diag(covariance))
     return PairIdentification(
         T_R_L=T,
@@ -152,7 +152,7 @@ def identification_of(T: Array, covariance: Array, steps: int, scale: float) -> 
 
 
 def identified_columns(model: ArmModel) -> tuple[tuple[int, ...], Array]:
-    """Columns (m,) of the geometry that were identified, with their covariance (m, m); none where that is unknown."""
+    """Return the identified columns (m,) of the geometry with their covariance (m, m); empty if that is unknown."""
     if model.covariance is None:
         return (), np.zeros((0, 0))
     names = model.geometry.names
@@ -168,7 +168,8 @@ class _Problem:
     crossing: Sequence[Distance]
 
     def solved(self, start: Array) -> tuple[Array, Array, int] | None:
-        """T_R_L, covariance (6, 6) of a shift and a small rotation in R, and steps; None if a direction is not seen."""
+        """Solve for T_R_L, the covariance (6, 6) of a shift and a small rotation in the right base, and the number of
+        steps; None if a direction is undetermined."""
         ends = [(name, name) for name in self.common] + [(one.point_a, one.point_b) for one in self.crossing]
         if not ends:
             return None
@@ -196,7 +197,7 @@ class _Problem:
     def _linearised(
         self, T: Array, p_L: Array, p_R: Array, rows_L: Sequence[int], rows_R: Sequence[int]
     ) -> tuple[Array, Array, Array]:
-        """Residuals, their derivatives by a shift and a rotation after R, and the residuals' covariance."""
+        """Compute residuals, their derivatives by a shift and a rotation after R, and the residuals' covariance."""
         n, m, R = len(self.common), len(self.crossing), T[:3, :3]
         rotated = p_L @ R.T
         off = p_R - rotated - T[:3, 3]
@@ -217,7 +218,7 @@ class _Problem:
 
 
 def _of_parameters(model: ArmModel, readings: Readings, contacts: Contacts) -> Array:
-    """Covariance (3 P, 3 P) of all points [m^2] from that of the arm's parameters, in its base frame."""
+    """Compute the covariance (3 P, 3 P) [m^2] of all points in the base frame from that of the arm's parameters."""
     columns, covariance = identified_columns(model)
     _, J = jacobian(model.geometry, JointAngles.of(readings.q), columns)
     R_B_M = model.geometry.T_M_B()[:3, :3].T
@@ -227,6 +228,6 @@ def _of_parameters(model: ArmModel, readings: Readings, contacts: Contacts) -> A
 
 
 def _taken(covariance: Array, rows: Sequence[int]) -> Array:
-    """Covariance of some of the points."""
+    """Return the covariance of the points ``rows``."""
     places = (3 * np.asarray(rows)[:, None] + np.arange(3)).ravel()
     return np.asarray(covariance[np.ix_(places, places)])

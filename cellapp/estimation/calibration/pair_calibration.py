@@ -6,8 +6,8 @@
     proposed   geometry and a network in the base frame (Bai et al. 2023)
     effects    geometry and the named effects
 
-Each method identifies the inter-base transform from its own positions: from distances alone, and from the common
-tracker frame as well (both bases registered to the tracker on the same stops), so that the two can be compared.
+Each method identifies the inter-base transform from its own positions twice, for comparison: from distances alone, and
+from the common tracker frame (both bases registered to the tracker on the same stops).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from cellapp.robot.model import ArmModel, ResidualNetwork
 
 
 class CalibratedArm(Protocol):
-    """One arm as the pair uses it."""
+    """Calibrated arm with what the pair needs of it."""
 
     @property
     def model(self) -> ArmModel:
@@ -57,13 +57,13 @@ class CalibratedArm(Protocol):
 
 @dataclass(frozen=True)
 class PairMethod:
-    """One method on the held-out stops, with both inter-base transforms.
+    """Results of one method on the held-out stops, with both inter-base transforms.
 
     ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
-    maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
-    Without a tracker, errors are the distances (n,) [m] between both arms' places of a socket: one for each that both
-    touched, or for each touch of one that an arm carries. ``position_errors`` are then the scatter of each arm's
-    touches of those sockets; of carried ones there are none.
+    maps each arm to the absolute errors (n,) [m] at the same stops, with the bases from the arms' calibration.
+    Without a tracker, errors are the distances (n,) [m] between both arms' positions of a socket: one for each socket
+    that both touched, or one for each touch of a socket that an arm carries. ``position_errors`` are then the scatter
+    of each arm's touches of those sockets; empty for carried ones.
     """
 
     by_distances: ErrorSummary
@@ -76,12 +76,12 @@ class PairMethod:
 
 @dataclass(frozen=True)
 class PairCalibration:
-    """The pair by method.
+    """Calibration of the pair by method.
 
     ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; without a tracker it is
-    ``touches``, of sockets that stand still, or ``flange``, of such that an arm carries.
-    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors; of sockets on a
-    flange those of the touches, from 1.
+    ``touches`` for fixed sockets, or ``flange`` for sockets that an arm carries.
+    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors; for sockets on
+    a flange, the numbers of the touches, from 1.
     """
 
     methods: Mapping[Method, PairMethod]
@@ -91,26 +91,26 @@ class PairCalibration:
 
     @property
     def best(self) -> PairMethod:
-        """The best available method."""
+        """Best available method."""
         return self.methods[next(name for name in BEST_METHODS if name in self.methods)]
 
     @property
     def T_R_L(self) -> Array:
-        """The selected transform of the best available method, shape (4, 4)."""
+        """Selected transform of the best available method, shape (4, 4)."""
         by_tracker = self.best.T_R_L_tracker if self.chosen == "tracker" else None
         return self.best.identification.T_R_L if by_tracker is None else by_tracker
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
-    """The readings of two arms at their common stops, in the same order."""
+    """Return the readings of two arms at their common stops, in the same order."""
     _, i, k = np.intersect1d(first.configuration, second.configuration, return_indices=True)
     return first.take(i), second.take(k)
 
 
 def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the common stops that identify and that validate the pair, drawn by the profile's seed.
+    """Draw the rows of the common stops that identify and that validate the pair, by the profile's seed.
 
-    The validating rows come from the arms' validate split, so that no reading is used for both.
+    The validation rows come from the arms' validate split, so that no reading is used for both.
     """
     held_out = left.in_split("validate")
     learn = np.setdiff1d(np.arange(len(left)), held_out)
@@ -122,7 +122,7 @@ def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray
 def calibrate_pair(
     profile: Profile, readings: Mapping[str, Readings], arms: Mapping[str, CalibratedArm]
 ) -> tuple[PairCalibration | None, list[str]]:
-    """The pair by every method that the arms' models allow, and notes; None with the reason where it is skipped."""
+    """Calibrate the pair by every method that the arms' models allow; return it, None if skipped, and notes."""
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
     if any(in_sockets(its) for its in readings.values()):
@@ -175,7 +175,7 @@ def calibrate_pair(
 def _by_touching(
     readings: Mapping[str, Readings], arms: list[CalibratedArm]
 ) -> tuple[PairCalibration | None, list[str]]:
-    """The pair by sockets that both arms touched, or that are known distances apart."""
+    """Calibrate the pair by sockets that both arms touched, or that are known distances apart."""
     left, right = readings.values()
     if not (in_sockets(left) and in_sockets(right)):
         return None, ["pair: skipped, only one arm was in sockets"]
@@ -200,7 +200,7 @@ def _by_touching(
 def _by_fixed_sockets(
     readings: Mapping[str, Readings], arms: list[CalibratedArm], start: Array
 ) -> tuple[PairCalibration | None, list[str]]:
-    """The pair by sockets that stand still; ``start`` (4, 4) is T_R_L from the profile."""
+    """Calibrate the pair by fixed sockets; ``start`` (4, 4) is T_R_L from the profile."""
     left, right = readings.values()
     methods: dict[Method, PairMethod] = {}
     tied = None
@@ -236,7 +236,7 @@ def _by_fixed_sockets(
 def _by_carried_sockets(
     both: tuple[Readings, Readings], arms: list[CalibratedArm], start: Array
 ) -> tuple[PairCalibration | None, list[str]]:
-    """The pair by sockets on the flange of either arm, in which the ball of the other one rested."""
+    """Calibrate the pair by sockets on the flange of either arm, in which the ball of the other arm rested."""
     methods: dict[Method, PairMethod] = {}
     models = [arm.model for arm in arms]
     refined: Method = "effects" if any(model.effects for model in models) else "method_1"
@@ -262,7 +262,7 @@ def _by_carried_sockets(
 
 
 def _without_tracker(tied: TouchedPair, chosen: str, position_errors: Mapping[str, Array]) -> PairMethod:
-    """One method by touches alone."""
+    """Return the results of one method from touches alone."""
     return PairMethod(
         by_distances=summarise(tied.errors_m),
         by_tracker=None,
@@ -274,7 +274,7 @@ def _without_tracker(tied: TouchedPair, chosen: str, position_errors: Mapping[st
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
-    """SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
+    """Compute SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
     left, right = both
     conditions = (
         measurement_conditions(left, (arms[1].model, right)),

@@ -1,13 +1,13 @@
 """Inter-base transform without a tracker: the ball of one arm rests in a socket on the flange of the other.
 
-With p_k the ball as its calibrated arm finds it in its base, (R_k, o_k) the flange of the other arm in its own base,
-and s the socket's unknown place on that flange,
+With p_k the ball position from its calibrated arm in its base frame, (R_k, o_k) the flange of the other arm in its own
+base frame, and s the socket's unknown position on that flange,
 
     minimise  sum_k |r_k|^2,   r_k = x_R,k - (R x_L,k + b),
 
-where x is p_k for the arm with the ball, and R_k s + o_k for the one with the socket, over R, b and s of every socket.
-The covariance of what is found follows from that of r: the scatter of touches, and the uncertainty of both arms'
-parameters, which moves all touches together. (Weighed by that covariance, ties of simulated arms were no better: it
+over R, b and s of every socket, where x is p_k for the arm with the ball, and R_k s + o_k for the one with the socket.
+The covariance of the solution follows from that of r: the scatter of touches, and the uncertainty of both arms'
+parameters, which moves all touches together. (Weighting by that covariance gave no better ties of simulated arms: it
 has directions of millimetres that no touch of an arm shows, and they are known to first order only.)
 """
 
@@ -41,17 +41,17 @@ _LEAST_OFF_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class FlangeRows:
-    """n touches as both arms have them, each in its base.
+    """n touches from both arms, each in its own base frame.
 
     Attributes
     ----------
     socket : array, shape (n,)
-        Number of the socket, from 0.
+        Index of the socket, from 0.
     on_right : array of bool, shape (n,)
-        Whether the right arm carries it, so that the ball is the left arm's.
+        Whether the right arm carries the socket and the left arm the ball.
     ball : array, shape (n, 3) [m]
     rotation, origin : arrays, shapes (n, 3, 3), (n, 3) [m]
-        Flange of the arm with the socket.
+        Flange pose of the arm with the socket.
     """
 
     socket: NDArray[np.intp]
@@ -61,19 +61,19 @@ class FlangeRows:
     origin: Array
 
     def take(self, rows: NDArray[np.bool_]) -> FlangeRows:
-        """Some of the touches."""
+        """Return the touches that the mask ``rows`` (n,) selects."""
         return FlangeRows(
             self.socket[rows], self.on_right[rows], self.ball[rows], self.rotation[rows], self.origin[rows]
         )
 
     def ends(self, sockets_F: Array) -> tuple[Array, Array]:
-        """Where the right arm and the left arm have each touch (n, 3) [m], with sockets (P, 3) on their flanges."""
+        """Compute each touch (n, 3) [m] by the right arm and by the left arm, with sockets (P, 3) on their flanges."""
         carried = self.origin + np.einsum("nab,nb->na", self.rotation, sockets_F[self.socket])
         right = self.on_right[:, None]
         return np.where(right, carried, self.ball), np.where(right, self.ball, carried)
 
     def linearised(self, fit: FlangeFit) -> tuple[Array, Array]:
-        """Residuals (3 n,) and what a shift and a turn of R, b, then every socket, explain of them (3 n, 6 + 3 P)."""
+        """Compute residuals (3 n,) and their columns (3 n, 6 + 3 P): shift and rotation of R, b, then each socket."""
         T, sockets_F = fit.T_R_L, fit.sockets_F
         right, left = self.ends(sockets_F)
         n, rotated = len(left), left @ T[:3, :3].T
@@ -87,7 +87,7 @@ class FlangeRows:
 
 @dataclass(frozen=True, eq=False)
 class FlangeFit:
-    """The transform T_R_L (4, 4), where the sockets are on their flanges (P, 3) [m], and the steps to both."""
+    """Transform T_R_L (4, 4), positions of the sockets on their flanges (P, 3) [m], and number of steps."""
 
     T_R_L: Array
     sockets_F: Array
@@ -95,13 +95,13 @@ class FlangeFit:
 
 
 def nominal_flange_rows(both: Sequence[Readings], chains: Sequence[Geometry]) -> FlangeRows:
-    """The touches of both arms of a pair (left, right) by their chains, without effects."""
+    """Compute the touches of both arms of a pair (left, right) from their chains, without effects."""
     chains = [one.with_T_M_B(np.eye(4)) for one in chains]
     return _rows(both, lambda arm, q: smr_positions(chains[arm], q), lambda arm, q: flange_poses(chains[arm], q))
 
 
 def flange_rows(both: Sequence[Readings], models: Sequence[ArmModel]) -> FlangeRows:
-    """The touches of both arms of a pair (left, right) by their models."""
+    """Compute the touches of both arms of a pair (left, right) from their models."""
     bases = [np.asarray(invert(model.geometry.T_M_B())) for model in models]
 
     def flange(arm: int, q: Array) -> tuple[Array, Array]:
@@ -114,7 +114,8 @@ def flange_rows(both: Sequence[Readings], models: Sequence[ArmModel]) -> FlangeR
 def moved_by_parameters(
     rows: FlangeRows, both: Sequence[Readings], models: Sequence[ArmModel], tie: FlangeFit
 ) -> Array:
-    """How the residuals of a ``tie`` move by each of m standard deviations of both arms' parameters (3 n, m) [m]."""
+    """Compute the change (3 n, m) [m] of a ``tie``'s residuals by each of the m independent standard deviations of both
+    arms' parameters."""
     found, first = [], 0
     for mine, its in enumerate(both):
         touches = its.on_flange
@@ -131,15 +132,15 @@ def moved_by_parameters(
 
 
 def fit_on_flange(rows: FlangeRows, start: Array) -> FlangeFit | None:
-    """The fit to all touches; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen."""
+    """Fit to all touches; ``start`` (4, 4) is T_R_L from the profile. None if a direction is undetermined."""
     return _fitted(rows, _guess(rows, start))
 
 
 def tie_on_flange(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None = None) -> TouchedPair:
-    """Tie the bases of two arms by what was ``found`` from all touches.
+    """Tie the bases of two arms by the fit ``found`` from all touches.
 
-    ``of_parameters`` are from ``moved_by_parameters``; None if nothing is known. The errors are those of touches that a
-    fit to the others never had, a fifth at a time.
+    ``of_parameters`` are from ``moved_by_parameters``; None if the parameters' covariance is unknown. Errors are held
+    out: a fifth of the touches at a time, by a fit to the others.
     """
     errors, fold, held_out = np.full(len(rows.socket), np.nan), np.arange(len(rows.socket)) % _FOLDS, True
     for one in range(_FOLDS):
@@ -155,7 +156,7 @@ def tie_on_flange(rows: FlangeRows, found: FlangeFit, of_parameters: Array | Non
 
 
 def doubtful_touches(rows: FlangeRows, start: Array) -> Array | None:
-    """Distance (n,) [m] of each touch from where most others have it, by published arms; None if not seen."""
+    """Compute each touch's distance (n,) [m] from a robust fit to all touches; None if a direction is undetermined."""
     found = _guess(rows, start)
     off_m = np.ones(len(rows.socket))
     for _ in range(_ROBUST_ROUNDS):
@@ -172,7 +173,7 @@ def doubtful_touches(rows: FlangeRows, start: Array) -> Array | None:
 def _rows(
     both: Sequence[Readings], ball: Callable[[int, Array], Array], flange: Callable[[int, Array], tuple[Array, Array]]
 ) -> FlangeRows:
-    """The touches by what says where an arm, 0 or 1, has its ball and its flange in its base."""
+    """Build the touches from functions that give the ball and the flange of an arm, 0 or 1, in its base frame."""
     places = {name: k for k, name in enumerate(dict.fromkeys(_names(both)))}
     parts = [
         (np.full(len(its.on_flange), arm == 0), ball(arm, its.on_flange.q), *flange(1 - arm, its.on_flange.other_q))
@@ -184,13 +185,13 @@ def _rows(
 
 
 def _names(both: Sequence[Readings]) -> list[str]:
-    """The socket of each touch, with the arm that has the ball: names may repeat on both flanges."""
+    """Name the socket of each touch, with the index of the arm that has the ball: names may repeat on both flanges."""
     return [f"{k} {name}" for k, its in enumerate(both) if its.on_flange is not None for name in its.on_flange.socket]
 
 
 def _of_parameters(model: ArmModel, q: Array, tool: Array | None) -> Array:
-    """Motion (n, 3, m) [m] of the ball, or of a point ``tool`` (3,) on the flange, in the arm's base by each of the m
-    independent standard deviations of its parameters. Its own place on the flange is that of the ball alone."""
+    """Compute the motion (n, 3, m) [m] of the ball, or of a point ``tool`` (3,) on the flange, in the base frame by
+    each of the m independent standard deviations of the arm's parameters. Tool parameters move the ball only."""
     columns, covariance = identified_columns(model)
     if not columns:
         return np.zeros((len(q), 3, 0))
@@ -204,17 +205,17 @@ def _of_parameters(model: ArmModel, q: Array, tool: Array | None) -> Array:
 
 
 def _guess(rows: FlangeRows, start: Array) -> FlangeFit:
-    """The transform from the profile, with the sockets in the middle of their flanges."""
+    """Start with the transform from the profile and the sockets in the middle of their flanges."""
     return FlangeFit(start, np.zeros((int(rows.socket.max()) + 1, 3)))
 
 
 def _off_m(rows: FlangeRows, fit: FlangeFit) -> Array:
-    """Distance (n,) [m] of the ball from its socket at each touch."""
+    """Compute the distance (n,) [m] of the ball from its socket at each touch."""
     return np.asarray(np.linalg.norm(rows.linearised(fit)[0].reshape(-1, 3), axis=1))
 
 
 def _covariance(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None) -> Array:
-    """Covariance (6 + 3 P, 6 + 3 P) of what was found."""
+    """Compute the covariance (6 + 3 P, 6 + 3 P) of the fit."""
     r, A = rows.linearised(found)
     inverse = np.linalg.pinv(A)
     covariance = _scatter(r, A, of_parameters) * inverse @ inverse.T
@@ -225,7 +226,7 @@ def _covariance(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None)
 
 
 def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) -> FlangeFit | None:
-    """Gauss-Newton steps in least squares, each touch with its weight (n,); None where a direction is not seen."""
+    """Fit by Gauss-Newton, each touch with its weight (n,); None if a direction is undetermined."""
     root = np.ones(3 * len(rows.socket)) if weights is None else np.repeat(np.sqrt(weights), 3)
     fit = replace(guess, steps=0)
     while fit.steps < MOST_STEPS:
@@ -242,7 +243,8 @@ def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) ->
 
 
 def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:
-    """Variance of a touch's coordinate [m^2]: with it, residuals behind A are as large as they should be."""
+    """Estimate the variance [m^2] of a touch's coordinate such that the residuals orthogonal to A have their expected
+    size."""
     behind = np.linalg.qr(A, mode="complete")[0][:, A.shape[1] :]
     left = behind.T @ r
     values, along = np.zeros(len(left)), left**2

@@ -1,8 +1,8 @@
 """Sets of parameters: which are estimated, with which priors, and which of them the data determine.
 
 The estimate uses all parameters that can have an effect, each with its prior, so that predictions lose nothing. Few
-data sets determine all of them: some act exactly like others, some too weakly to rise above noise and prior. The
-*determined* set is what a table can state with standard errors; the other parameters are merged into it.
+data sets determine all of them: some act exactly like others, some too weakly to rise above noise and prior. A table
+states the *determined* set with standard errors; the other parameters are merged into it.
 """
 
 from __future__ import annotations
@@ -33,34 +33,34 @@ from cellapp.robot.kinematics.transforms import Array
 SetName = Literal["auto", "paper", "full"]
 
 EXPECTED_SCATTER_M = 1e-4
-"""Standard deviation of a coordinate before any reading tells it: what gravity and backlash leave in UR arms."""
+"""Standard deviation of a coordinate before any reading: residuals that gravity and backlash leave in UR arms."""
 _PAPER_DROPS = {"theta1", "d1", "d2", "d4", "alpha5", "theta6", "d6", "a6", "alpha6"}
 """Parameters of a UR arm that Bai et al. (2023) do not identify."""
 _WEAK_PRIOR = {"m": 3e-3, "rad": 5e-3}
-"""Standard deviation of the arm's own parameters about the published ones where the profile states none: three to ten
-times what calibrations of industrial arms find (0.3 to 1 mm, 0.5 to 2 mrad). It bounds what the data do not determine,
-and leaves no trace in what they do."""
+"""Prior standard deviation of the arm's own parameters about the published ones if the profile states none: three to
+ten times what calibrations of industrial arms find (0.3 to 1 mm, 0.5 to 2 mrad). It bounds what the data do not
+determine, and leaves no trace in what they do."""
 _TYPICAL = {"m": 0.5e-3, "rad": 1e-3}
 """Standard deviation that calibrations of industrial arms typically find."""
 _TYPICAL_COUNT = 2.0
-"""Number of parameters of typical size that are added to those of the arm in the estimate of their spread: enough that
-it has a value where the data determine few of them."""
+"""Number of parameters of typical size that are added to the arm's own in the estimate of their spread, so that it has
+a value even if the data determine few of them."""
 _UNKNOWN = {"m": 0.1, "rad": 0.1}
-"""Stands in for the prior of base and tool, which have none, in the judgement whether the data determine them: a first
-guess by eye is that good."""
+"""Stand-in for a prior of base and tool, which have none, when judging whether the data determine them: a first guess
+by eye is that good."""
 _LEAST_INFORMATION = 3.0
 """Information of the data, in units of the prior's, from which a parameter counts as determined: its standard deviation
 is then at most half of the prior's."""
 _RIDGE = 1e-3
-"""Is added to that information, so that exactly dependent columns can be factored."""
+"""Ridge added to that information, so that exactly dependent columns can be factored."""
 _ROUNDING = 1e-12
 """Share of a column's information that rounding leaves after the elimination of some 30 others."""
 _EXACT = 10.0
-"""A column with less information than this many ridges depends on others exactly: to eliminate it changes no other."""
+"""Number of ridges below which a column is exactly dependent on others: eliminating it changes no other column."""
 _HELD = 1e30
 """Precision of a parameter that is held at its nominal value."""
 _SMALL_SHARE = 1e-3
-"""Smaller shares of a merged parameter are not listed."""
+"""Share of a merged parameter below which it is not listed."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ class ParameterSet:
     columns : tuple of int, length k
         Indices of the parameters in ``all_names``; rotations before translations.
     dropped : tuple of int, length l
-        Indices of the candidates whose effect the data cannot tell from a linear combination of the columns'.
+        Indices of candidates that the data cannot tell from a linear combination of the columns.
     scaled_information : array, shape (k + l, k + l), optional
-        Information of the data about columns and dropped columns, in that order, each times its ``unit``.
+        Information matrix of the data about columns and dropped columns, in that order, each scaled by its ``unit``.
     unit : array, shape (k + l,), optional
     """
 
@@ -106,7 +106,7 @@ class ParameterSet:
 
     @cached_property
     def shares(self) -> Array:
-        """Coefficients (k, l): a unit of dropped parameter l has the effect of these amounts of the kept ones."""
+        """Coefficients (k, l): one unit of dropped parameter l acts like these amounts of the kept parameters."""
         k = len(self.columns)
         if self.scaled_information is None or self.unit is None:
             return np.zeros((k, 0))
@@ -115,7 +115,7 @@ class ParameterSet:
 
     @cached_property
     def merged(self) -> dict[str, dict[str, float]]:
-        """Dropped parameter -> {kept parameter: coefficient}; an empty entry has no effect on these data."""
+        """Dropped parameter -> {kept parameter: coefficient}; empty if the dropped one has no effect on these data."""
         names = all_names(self.joints)
         return {
             names[column]: {
@@ -127,12 +127,13 @@ class ParameterSet:
         }
 
     def merged_values(self, geometry: Geometry, nominal: Geometry) -> Array:
-        """Values (k,) of the parameters that act like ``geometry`` while the dropped ones are ``nominal``."""
+        """Compute the values (k,) that act like ``geometry`` with the dropped parameters at ``nominal``."""
         vector, columns, dropped = geometry.vector(), list(self.columns), list(self.dropped)
         return np.asarray(vector[columns] + self.shares @ (vector - nominal.vector())[dropped])
 
     def from_estimated(self, estimated: ParameterSet) -> tuple[Array, NDArray[np.intp]]:
-        """Matrix (k, K) from deviations of all ``estimated`` parameters to those of this set, and places of these."""
+        """Return the matrix (k, K) from deviations of all ``estimated`` parameters to those of this set, and the
+        indices (k,) of this set's parameters among them."""
         place = {column: i for i, column in enumerate(estimated.columns)}
         kept = np.array([place[column] for column in self.columns], dtype=np.intp)
         matrix = np.eye(len(place))[kept]
@@ -167,27 +168,25 @@ def _candidates(names: tuple[str, ...], joints: int, parallel: tuple[int, ...]) 
 
 @lru_cache(maxsize=32)
 def _preference(columns: tuple[int, ...], joints: int) -> NDArray[np.int64]:
-    """Places of ``columns`` in order of preference for a table: base, tool, then the rows from the first joint on."""
+    """Return indices into ``columns`` in order of preference for a table: base, tool, then D-H rows from joint 1 on."""
     tool = 6 + 5 * joints
     return np.array(sorted(range(len(columns)), key=lambda place: (6 <= columns[place] < tool, columns[place])))
 
 
 def candidate_columns(geometry: Geometry) -> tuple[int, ...]:
-    """Parameters that can have an effect: base, tool and D-H rows, with beta between parallel axes, without alpha_N.
-
-    A probe's rotation too; it takes the place of alpha_N.
-    """
+    """Return the parameters that can have an effect: base, tool and D-H rows, with beta for parallel axes, without
+    alpha_N, and a probe's rotation, which takes the place of alpha_N."""
     return _candidates(geometry.names, geometry.joints, parallel_rows(geometry))
 
 
 def full_set(geometry: Geometry) -> ParameterSet:
-    """The redundant model of all candidates (34 for six joints with two parallel pairs), the start of the paper."""
+    """Return the redundant set of all candidates (34 for six joints with two parallel pairs), the paper's start."""
     columns = candidate_columns(geometry)
     return ParameterSet("full", geometry.joints, columns)
 
 
 def paper_set(geometry: Geometry) -> ParameterSet:
-    """The 26 parameters of a UR arm in Bai et al. (2023); alpha5 is dropped too, though it is not redundant.
+    """Return the 26 parameters of a UR arm in Bai et al. (2023); alpha5 is dropped too, though it is not redundant.
 
     Raises
     ------
@@ -203,21 +202,21 @@ def paper_set(geometry: Geometry) -> ParameterSet:
 
 @lru_cache(maxsize=32)
 def weak_priors(joints: int) -> Mapping[str, float]:
-    """Standard deviations [m, rad] of the arm's own parameters about their nominal values; base and tool have none."""
+    """Return prior standard deviations [m, rad] of the arm's own parameters about nominal; base and tool have none."""
     return MappingProxyType({name: _WEAK_PRIOR[parameter_unit(name)] for name in parameter_names(joints)[6:-3]})
 
 
 def typical_spreads(joints: int) -> dict[str, float]:
-    """Standard deviations [m, rad] of the arm's own parameters that calibrations of industrial arms typically find."""
+    """Return the standard deviations [m, rad] of the arm's own parameters that industrial arms typically have."""
     return {name: _TYPICAL[parameter_unit(name)] for name in parameter_names(joints)[6:-3]}
 
 
 def estimated_parameters(
     wanted: SetName, geometry: Geometry, prior_sigma: Mapping[str, float]
 ) -> tuple[ParameterSet, Mapping[str, float]]:
-    """What is estimated under the name of a set, and with which standard deviations of the priors [m, rad].
+    """Return the parameters that a named set estimates, and the standard deviations of their priors [m, rad].
 
-    ``auto`` is all candidates, each of the arm's own with a prior: the given one, else a weak one. The sets ``paper``
+    ``auto`` holds all candidates; each of the arm's own has the given prior, else a weak one. The sets ``paper``
     and ``full`` have the given priors only.
 
     Raises
@@ -233,10 +232,10 @@ def estimated_parameters(
 
 
 def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array) -> ParameterSet:
-    """The parameters among the ``estimated`` ones that the data determine, judged against noise and priors.
+    """Choose the ``estimated`` parameters that the data determine, judged against noise and priors.
 
-    In order of preference, a parameter is kept if the data, with all kept ones before it free, halve the standard
-    deviation that its prior leaves it. The others are merged into the kept ones.
+    Go through the parameters in order of preference, with those kept so far free. Keep a parameter if the data halve
+    the standard deviation of its prior. Merge the others into the kept ones.
 
     Parameters
     ----------
@@ -266,15 +265,15 @@ def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array)
 
 
 def _undetermined(information: Array) -> NDArray[np.bool_]:
-    """Columns (k,) with too little information of their own, if the kept ones before them are free: 1 is enough.
+    """Return a mask (k,) of the columns with information below 1 while the kept columns before them are free.
 
     The square of a Cholesky pivot is the information about a parameter while those before it are free. A column that is
-    not kept is held at its nominal value, and the rest factored again, unless it is exactly dependent.
+    not kept is held at its nominal value; then the matrix is factored again, unless the column is exactly dependent.
     """
     held = np.zeros(len(information), dtype=bool)
     diagonal, work = np.diag(information), information.copy()
     ridge = _RIDGE + _ROUNDING * diagonal
-    # of readings without noise, what is left of a dependent column is the ridges of those that it depends on
+    # Without noise, a dependent column is left with the ridges of those that it depends on.
     enough = 1.0 + _RIDGE + _EXACT * _ROUNDING * diagonal
     while True:
         np.fill_diagonal(work, diagonal + np.where(held, _HELD, ridge))
@@ -289,7 +288,7 @@ def _undetermined(information: Array) -> NDArray[np.bool_]:
 
 
 def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
-    """The parameters that readings at ``q`` (n, N) [rad] with the expected scatter determine."""
+    """Choose the parameters that readings at ``q`` (n, N) [rad] with the expected scatter determine."""
     estimated, priors = estimated_parameters("auto", geometry, {})
     _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
     return determined_set(estimated, gram_matrix(J) / EXPECTED_SCATTER_M**2, prior_sds(estimated, priors))
@@ -297,7 +296,7 @@ def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
 
 @dataclass(frozen=True)
 class PriorSpread:
-    """Parameters at ``places`` of an estimate whose priors share a standard deviation that nobody stated.
+    """Common prior standard deviation, not stated in the profile, of the parameters with indices ``places``.
 
     It is estimated with them, about a ``typical`` one (MacKay, Neural Comput. 4 (1992) 415).
     """
@@ -306,13 +305,13 @@ class PriorSpread:
     typical: float
 
     def square(self, deviations: Array, by_priors: float) -> float:
-        """Variance from the ``deviations`` (k,) from nominal, of which ``by_priors`` numbers follow from the priors."""
+        """Estimate the variance from ``deviations`` (k,) from nominal; the priors determine ``by_priors`` of the k."""
         determined = len(deviations) - by_priors
         return (float(deviations @ deviations) + _TYPICAL_COUNT * self.typical**2) / (determined + _TYPICAL_COUNT)
 
 
 def prior_spreads(parameters: ParameterSet, free: Collection[str]) -> tuple[PriorSpread, ...]:
-    """The lengths and the angles of a set among the parameters ``free``, whose priors nobody stated."""
+    """Group the lengths and the angles among the parameters ``free``, whose priors the profile does not state."""
     groups = []
     for unit, typical in _TYPICAL.items():
         pairs = enumerate(zip(parameters.names, parameters.units, strict=True))
@@ -323,17 +322,17 @@ def prior_spreads(parameters: ParameterSet, free: Collection[str]) -> tuple[Prio
 
 
 def prior_sds(parameters: ParameterSet, sigma: Mapping[str, float]) -> Array:
-    """Standard deviations (k,) of the priors of a set's parameters, infinite without one."""
+    """Return the standard deviations (k,) of the priors of a set's parameters, infinite without a prior."""
     return np.array([sigma.get(name, math.inf) for name in parameters.names])
 
 
 def gram_matrix(J: Array) -> Array:
-    """``J^T J`` (k, k) of a Jacobian (3, k, n), summed over components and configurations."""
+    """Compute ``J^T J`` (k, k) of a Jacobian (3, k, n), summed over components and configurations."""
     rows = J.swapaxes(0, 1).reshape(J.shape[1], -1)
     return np.asarray(rows @ rows.T)
 
 
 def _rotations_first(columns: tuple[int, ...], joints: int) -> tuple[int, ...]:
-    """Rotations, then translations, each in the order of the chain: the fastest order for the Jacobian."""
+    """Sort rotations before translations, each in the order of the chain: the fastest order for the Jacobian."""
     names = all_names(joints)
     return tuple(sorted(columns, key=lambda c: (parameter_unit(names[c]) == "m", c)))

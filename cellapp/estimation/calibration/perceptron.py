@@ -1,9 +1,9 @@
-"""A perceptron with one hidden layer and its least-squares normal equations, in closed form.
+"""Perceptron with one hidden layer, and its least-squares normal equations in closed form.
 
     h = tanh(W a),  y = V b,  a = (x, 1),  b = (h, 1)
 
 The derivative of output k by ``W[o, i]`` is ``V[k, o] (1 - h_o^2) a_i`` and by ``V[k, j]`` it is ``b_j``. All outputs
-share ``(1 - h_o^2) a_i`` and ``b_j``, therefore one product over the rows gives the normal matrix of all outputs.
+share ``(1 - h_o^2) a_i`` and ``b_j``; therefore one product over the rows gives the normal matrix of all outputs.
 """
 
 from __future__ import annotations
@@ -30,17 +30,18 @@ class Perceptron:
         return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Random parameters with the variance that keeps the scale of the signal through the layers."""
+        """Draw random parameters whose variance keeps the scale of the signal through the layers."""
         scales = np.repeat([(self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
         return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
 
     def predict(self, p: Array, x: Array) -> Array:
-        """Outputs (n, outputs) for rows ``x`` (n, inputs)."""
+        """Compute the outputs (n, outputs) for rows ``x`` (n, inputs)."""
         W, V = self._matrices(p)
         return np.asarray(_with_one(np.tanh(_with_one(x) @ W.T)) @ V.T)
 
     def normal_equations(self, p: Array, x: Array, e: Array) -> tuple[Array, Array]:
-        """``J^T J`` (P, P) and ``J^T e`` (P,) for the Jacobian J of the outputs at ``x`` (n, inputs), errors ``e``."""
+        """Compute ``J^T J`` (P, P) and ``J^T e`` (P,): J is the Jacobian of the outputs at ``x`` (n, inputs), ``e`` the
+        errors (n, outputs)."""
         W, V = self._matrices(p)
         a = _with_one(x)
         h = np.tanh(a @ W.T)
@@ -58,13 +59,13 @@ class Perceptron:
         return gram, np.concatenate([(((e @ to_outputs) * slope).T @ a).ravel(), (e.T @ b).ravel()])
 
     def layers(self, p: Array) -> Layers:
-        """Weights and offsets of each layer."""
+        """Return the weights and offsets of each layer."""
         return tuple((matrix[:, :-1].copy(), matrix[:, -1].copy()) for matrix in self._matrices(p))
 
     def decay_groups(self, kind: Inputs) -> Array:
-        """Group (P,) of each parameter with a weight decay of its own: the weights of each joint's inputs, the rest.
+        """Return the weight-decay group (P,) of each parameter: one for the inputs of each joint, one for the rest.
 
-        The evidence then removes the joints that a residual does not depend on: automatic relevance determination
+        The evidence then switches off joints that the residual does not depend on: automatic relevance determination
         (MacKay, ASHRAE Transactions 100 (1994) 1053; Neal, Bayesian Learning for Neural Networks, 1996).
         """
         joints = self.inputs // (2 if kind == "sincos" else 1)

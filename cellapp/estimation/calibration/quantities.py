@@ -1,9 +1,9 @@
-"""What was measured of an arm as one list of vectors with covariances: positions, and orientations beside them.
+"""Positions and orientations measured with an arm, as one list of vectors with covariances.
 
-A 6-D probe measures a position and an orientation at a stop. The estimation takes them as two readings of three numbers
+A 6-D probe measures a position and an orientation at a stop. The estimation treats them as two readings of three values
 each, which share the joint positions and all conditions of the stop: the position [m], and the rotation vector from the
-measured to the computed orientation [rad], of which zero was measured. A model predicts either, with derivatives; what
-is true of readings (whitening, robust weights, folds, residuals, effects) is true of both.
+measured to the computed orientation [rad], whose measured value is zero. A model predicts both, with derivatives.
+Whitening, robust weights, folds, residuals and effects work alike for both.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from cellapp.robot.kinematics.transforms import (
 )
 
 NOT_STATED = 1e-8
-"""Standard uncertainty [m, rad] of what states none, where the other kind does: all of its scatter is estimated."""
+"""Standard uncertainty [m, rad] of a kind that states none while the other does: all of its scatter is estimated."""
 _ODD_RAD = 0.2
-"""Median angle between orientations and the arm from which they are taken as those of another frame."""
+"""Median angle between orientations and the arm from which they are refused: they belong to another frame."""
 _SUSPECT_RAD = 0.02
-"""Median angle from which another frame is looked for: a published arm is off by some mrad."""
+"""Median angle from which other frames are tried: a published arm is off by some mrad."""
 _BETTER = 0.2
 """Share of the median angle below which another frame is the one that was meant."""
 _FEWEST = 4
-"""Orientations from which their frame is judged."""
+"""Least number of orientations from which their frame is judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,13 @@ class Quantities:
     Attributes
     ----------
     reading : array, shape (m,)
-        The reading of each vector.
+        Index of each vector's reading.
     readings : Readings
-        m rows; ``p_M`` is zero where an orientation was measured.
+        m rows; ``p_M`` is zero at orientations.
     conditions : MeasurementConditions
-        Of m rows, with the measured orientations.
+        m rows, with the measured orientations.
     stated : array, shape (m,) or (m, 3, 3), or None
-        Uncertainty as stated, [m, m^2] or [rad, rad^2].
+        Stated uncertainty, [m, m^2] or [rad, rad^2].
     """
 
     reading: NDArray[np.intp]
@@ -62,22 +62,22 @@ class Quantities:
 
     @property
     def R_M_S(self) -> Array | None:
-        """Measured orientations (m, 3, 3), NaN at positions; None where none was measured."""
+        """Measured orientations (m, 3, 3), NaN at positions; None if none was measured."""
         return self.conditions.R_M_S
 
     @property
     def turned(self) -> NDArray[np.bool_] | None:
-        """Which vectors (m,) are orientations; None where none is."""
+        """Mask (m,) of the vectors that are orientations; None if none is."""
         return self.conditions.turned
 
     def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the n readings have one of the ``chosen`` (m,) vectors, or both."""
+        """Return a mask (n,) of the readings that have at least one of the ``chosen`` (m,) vectors."""
         n = len(self.reading) if self.turned is None else int(np.count_nonzero(~self.turned))
         return np.isin(np.arange(n), self.reading[chosen])
 
 
 def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
-    """Rows (k,) at which orientation was measured, and the rotations (k, 3, 3) of the probe in the tracker frame."""
+    """Return the rows (k,) with a measured orientation, and the probe's rotations (k, 3, 3) in the tracker frame."""
     if readings.quaternion_M is None:
         return np.zeros(0, dtype=np.intp), np.zeros((0, 3, 3))
     rows = np.flatnonzero(np.isfinite(readings.quaternion_M).all(axis=1)).astype(np.intp)
@@ -85,7 +85,7 @@ def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
 
 
 def measured_quantities(readings: Readings, conditions: MeasurementConditions | None = None) -> Quantities:
-    """All that was measured at some readings; with positions alone, the readings as they are."""
+    """Return positions and orientations of some readings; the readings unchanged if there are positions only."""
     conditions = MeasurementConditions() if conditions is None else conditions
     n, stated = len(readings), stated_uncertainty(readings)
     rows, rotations = measured_orientations(readings)
@@ -102,7 +102,7 @@ def measured_quantities(readings: Readings, conditions: MeasurementConditions | 
 
 
 def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp]) -> Array:
-    """Uncertainty of positions and orientations; ``NOT_STATED`` where none is."""
+    """Return the uncertainty of positions and orientations, ``NOT_STATED`` for a kind that states none."""
     of_turns = np.full(len(rows), NOT_STATED)
     if readings.sigma_rad is not None and np.isfinite(readings.sigma_rad[rows]).all():
         of_turns = readings.sigma_rad[rows]
@@ -118,14 +118,14 @@ def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp])
 
 
 def states_nothing(stated: Array) -> bool:
-    """Whether an uncertainty, (n,) or (n, 3, 3), is that of a kind of quantity that states none."""
+    """Return whether ``stated``, (n,) or (n, 3, 3), stands for a kind of quantity without stated uncertainty."""
     return float(stated.max()) <= (NOT_STATED if stated.ndim == 1 else NOT_STATED**2)
 
 
 def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:
-    """The arm with a probe as the orientations (m, 3, 3) at ``q`` (m, N) [rad] have it on the mean; NaN rows none.
+    """Set the probe's rotation to the mean over the orientations (m, 3, 3) at ``q`` (m, N) [rad]; skip NaN rows.
 
-    Without orientations, the arm without a probe.
+    Without orientations, return the arm without a probe.
     """
     if R_M_S is None:
         return replace(geometry, probe=None)
@@ -136,9 +136,9 @@ def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:
 
 
 def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -> None:
-    """Raise ``InputError`` where the orientations do not follow arm ``name`` with ``geometry``: in which frame they do.
+    """Raise ``InputError`` if the orientations do not follow arm ``name``; it says in which frame they would.
 
-    Nobody can tell how a probe is mounted, but its orientation relative to the flange is the same at all stops.
+    How the probe is mounted is unknown, but its orientation relative to the flange is the same at all stops.
     """
     rows, rotations = measured_orientations(readings)
     q = readings.q[rows]
@@ -157,13 +157,13 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
 
 
 def _scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
-    """Median angle [rad] between orientations and the arm with the probe that fits them best."""
+    """Compute the median angle [rad] between orientations and the arm with the probe that fits them best."""
     R_F_S = flange_poses(geometry, q)[0].swapaxes(1, 2) @ rotations
     return float(np.median(np.linalg.norm(rotation_vectors(mean_rotation(R_F_S).T @ R_F_S), axis=1)))
 
 
 def _of_quaternions(order: tuple[int, ...], signs: tuple[float, ...]) -> Callable[[Array], Array]:
-    """Rotations whose quaternions (w, x, y, z) have their components taken in another order, and with signs."""
+    """Return a function that reorders the components (w, x, y, z) of rotations' quaternions and changes their signs."""
     return lambda rotations: rotations_of(quaternions_of(rotations)[:, order] * np.array(signs))
 
 

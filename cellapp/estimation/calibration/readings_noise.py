@@ -1,4 +1,4 @@
-"""The noise of readings, of positions and of orientations, by the uncertainties that weigh them."""
+"""Noise of positions and of orientations, from the uncertainties that weigh the readings."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.posterior import ReadingsNoise
 
 _ALIKE_AXES = 0.01
-"""Share by which the noise of orientations about its axes differs before it is stated axis by axis."""
+"""Relative spread of an orientation's noise over its axes from which it is stated axis by axis."""
 
 
 def readings_noise(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> ReadingsNoise:
-    """Root mean square noise, times a scale, of readings with uncertainties ``sigma`` (n,) or covariances (n, 3, 3), of
-    which ``turned`` (n,) are orientations."""
+    """Compute the rms noise, times ``scale``, of readings with uncertainties ``sigma`` (n,) or covariances (n, 3, 3);
+    ``turned`` (n,) masks orientations."""
     if turned is None:
         return ReadingsNoise(math.sqrt(mean_variance(sigma)) * scale)
     m, rad = (math.sqrt(mean_variance(own)) * scale for own in (sigma[~turned], sigma[turned]))
@@ -27,7 +27,7 @@ def readings_noise(sigma: Array, turned: NDArray[np.bool_] | None, scale: float 
 
 
 def mean_variance(sigma: Array) -> float:
-    """Mean variance of a coordinate [m^2] of standard uncertainties (n,) or covariances (n, 3, 3)."""
+    """Compute the mean variance of a coordinate [m^2] from standard uncertainties (n,) or covariances (n, 3, 3)."""
     if sigma.ndim == 1:
         return float(np.mean(sigma**2))
     return float(np.mean(np.trace(sigma, axis1=1, axis2=2))) / 3.0

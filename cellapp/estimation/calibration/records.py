@@ -89,7 +89,7 @@ class Repeatability(Record):
 
 
 SignaturePart = Literal["geometry", "effects", "curves"]
-"""Parts of what an earlier calibration says of an arm: D-H rows, named effects with few values, smooth functions."""
+"""Parts of an earlier calibration of an arm: D-H rows, named effects with few parameters, smooth functions."""
 
 
 class PartDrift(Record):

@@ -1,4 +1,4 @@
-"""One arm of a profile identified from sockets, and what the operator must know of it."""
+"""Identify one arm of a profile from readings in sockets, and write the notes for the operator."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from cellapp.robot.kinematics.transforms import Array, invert
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix, prior_sigmas
 
 _SCALE_SEEN = 0.5
-"""Share of the priors' spread of the scale below which the distances, and not the priors, determine it."""
+"""Share of the scale's prior standard deviation below which the distances, not the priors, determine the scale."""
 _SCALE_OFF = 2e-3
-"""Share of held-out known distances that they are off by from which the scale is said to be hidden."""
+"""Relative error of held-out known distances from which a note says that the scale is hidden."""
 _LOOSE = 2.5
-"""Root mean square residual of a point over that of all points from which its socket seems loose."""
+"""Ratio of a point's rms residual to the median of all points from which its socket seems loose."""
 
 
 def base_in_profile(profile: Profile, name: str) -> Array:
-    """``T_M_B`` (4, 4) where the profile puts the base; the tracker's frame is the cell's where it has no pose."""
+    """Return ``T_M_B`` (4, 4) from the profile; the tracker frame is the cell frame if the profile states no pose."""
     base, tracker = profile.arms[name].base, profile.tracker.pose
     T_C_B = np.eye(4) if base is None else pose_matrix(base)
     return T_C_B if tracker is None else np.asarray(invert(pose_matrix(tracker)) @ T_C_B)
 
 
 def fit_arm(profile: Profile, name: str, learn: Readings, *, robust: bool) -> tuple[Geometry, Fit, dict[str, float]]:
-    """Where an arm begins, its identification from readings in sockets, and its priors [m, rad].
+    """Identify an arm from readings in sockets; return the start geometry, the fit and the priors [m, rad].
 
     Raises
     ------
@@ -68,7 +68,7 @@ def fit_arm(profile: Profile, name: str, learn: Readings, *, robust: bool) -> tu
 def socket_notes(
     name: str, readings: Readings, fit: Fit, prior_sigma: Mapping[str, float], nominal: Geometry
 ) -> tuple[str, ...]:
-    """What sockets cannot show, how well the scale is known, and which sockets seem loose."""
+    """Return notes on what sockets cannot show, how well the scale is known, and which sockets seem loose."""
     notes = [
         f"arm '{name}': sockets do not show where the base stands: it is where the profile puts it, and"
         f" {' and '.join(LIKE_THE_BASE)}, which act like it, are nominal",
@@ -79,7 +79,7 @@ def socket_notes(
 
 
 def gauge_note(name: str, held_out: Readings, mean_mm: float) -> list[str]:
-    """A note where held-out known distances are off by more than the fit promises of the scale."""
+    """Warn if held-out known distances are off by more than ``_SCALE_OFF``."""
     known = Contacts.of(held_out).distance_m
     share = mean_mm * 1e-3 / float(known.mean())
     if share < _SCALE_OFF:
@@ -92,7 +92,7 @@ def gauge_note(name: str, held_out: Readings, mean_mm: float) -> list[str]:
 
 
 def _scale_words(name: str, fit: Fit, prior_sigma: Mapping[str, float], nominal: Geometry) -> str:
-    """Whether known distances show the scale, and to which part of a length."""
+    """Say whether known distances determine the scale, and with which relative uncertainty."""
     spread, of_priors = scale_spread(fit, prior_sigma, nominal)
     count = len(fit.points.contacts.pairs)
     if not count and math.isinf(of_priors):
@@ -110,7 +110,7 @@ def _scale_words(name: str, fit: Fit, prior_sigma: Mapping[str, float], nominal:
 
 
 def _loose_sockets(name: str, fit: Fit) -> list[str]:
-    """Points whose readings scatter far more than the others."""
+    """Warn of points whose readings scatter far more than the others."""
     contacts: Contacts = fit.points.contacts
     squares = np.sum(fit.identification.residuals**2, axis=1)
     rms = np.sqrt(np.bincount(contacts.index, squares) / np.bincount(contacts.index))

@@ -1,7 +1,7 @@
 """Identification of an arm from a ball in sockets.
 
-The points are unknown, so nothing says where the base stands: it stays where the profile puts it, and with it what acts
-like a motion of the base (the first joint's zero and height). The noise of a coordinate is estimated with the rest.
+The points are unknown, so the data do not determine the base: it stays where the profile puts it. Parameters that act
+like a motion of the base (theta1 and d1) stay nominal too. The noise of a coordinate is estimated with the rest.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ from cellapp.estimation.sockets.contacts import Contacts
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, parameter_names, smr_positions
 
 _ROUNDS = 12
-"""Rounds of identification, noise and directions of known distances at most; four to six settle."""
+"""Maximum rounds of identification, noise and directions of known distances; they settle in four to six."""
 _SETTLED = 1e-3
 """Relative change of the noise at which the rounds end."""
 _FIRST_NOISE_M = 1e-3
-"""Noise of a coordinate before the first round: what a nominal arm is off by."""
+"""Noise of a coordinate before the first round: the error of a nominal arm."""
 _LEAST_NOISE_M = 1e-9
-"""Keeps the noise of simulated readings without any above zero."""
+"""Lower bound of the noise, for simulated readings without any."""
 LIKE_THE_BASE = ("theta1", "d1")
 """Parameters of the arm that act exactly like a motion of its base."""
 
 OF_THE_TRACKER = frozenset({"tracker_scale", "tracker_distance_offset", "tracker_angle_error", "target_incidence"})
-"""Effects that need a tracker's beam."""
+"""Effects that only a tracker's beam can have."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """An arm identified from sockets.
+    """Fit of an arm from sockets.
 
     Attributes
     ----------
     identification : Identification
-        Effect values are those of the points.
+        Its effect values are the parameters of the points.
     points : PointColumns
         Linearised at the solution.
     noise_m : float
@@ -63,11 +63,11 @@ class Fit:
 
     @property
     def geometry(self) -> Geometry:
-        """The identified geometry."""
+        """Identified geometry."""
         return self.identification.geometry
 
     def tabulated(self, prior_sigma: Mapping[str, float], nominal: Geometry) -> Identification:
-        """The identification with a table of what the readings determine, the points being unknown."""
+        """Return the identification with a table of the parameters that the readings determine, with points unknown."""
         found, estimated = self.identification, self.identification.estimated
         size = len(estimated.columns)
         covariance = found.estimated_covariance[:size, :size]
@@ -98,7 +98,7 @@ class Fit:
 def estimated_in_sockets(
     wanted: SetName, geometry: Geometry, prior_sigma: Mapping[str, float]
 ) -> tuple[ParameterSet, dict[str, float]]:
-    """Parameters that sockets can show, and the standard deviations of their priors [m, rad]."""
+    """Return the parameters that sockets can determine, and the standard deviations of their priors [m, rad]."""
     whole, priors = estimated_parameters(wanted, geometry, prior_sigma)
     names = parameter_names(geometry.joints)
     unseen = {*names[:6], *LIKE_THE_BASE}
@@ -150,7 +150,7 @@ def identify_in_sockets(
 
 
 def start_in_sockets(nominal: Geometry, readings: Readings, *, tool_unknown: bool) -> Geometry:
-    """The nominal arm, where the ball is unknown with the ball that fits best, beginning at the last frame's origin."""
+    """Return the nominal arm; if the ball's offset is unknown, fit it, beginning at the last frame's origin."""
     if not tool_unknown:
         return nominal
     names = parameter_names(nominal.joints)
@@ -161,7 +161,7 @@ def start_in_sockets(nominal: Geometry, readings: Readings, *, tool_unknown: boo
 
 
 def gross_errors_in_sockets(start: Geometry, nominal: Geometry, readings: Readings) -> np.ndarray:
-    """Which readings (n,) are gross errors for a geometry that gives such readings no weight."""
+    """Return a mask (n,) of the readings that are gross errors by a robust fit, which gives them no weight."""
     parameters, priors = estimated_in_sockets("auto", nominal, {})
     alone = replace(readings, distances=())
     fit = identify_in_sockets(start, alone, parameters, priors, prior_mean=nominal, robust="tukey", tolerance=1e-6)
@@ -169,8 +169,8 @@ def gross_errors_in_sockets(start: Geometry, nominal: Geometry, readings: Readin
 
 
 def scale_spread(fit: Fit, prior_sigma: Mapping[str, float], nominal: Geometry) -> tuple[float, float]:
-    """Relative standard deviation of the distance of the two points that are furthest apart, and what priors alone
-    would leave of the common scale of all lengths: infinite without priors."""
+    """Compute the relative standard deviation of the distance between the two points furthest apart, and that of the
+    common scale of all lengths by the priors alone, infinite without priors."""
     points, estimated = fit.points, fit.identification.estimated
     away = np.linalg.norm(points.at[:, None] - points.at, axis=2)
     a, b = np.unravel_index(int(np.argmax(away)), away.shape)

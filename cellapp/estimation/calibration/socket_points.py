@@ -1,13 +1,13 @@
 """Unknown points as parameters of a fit, with known distances as their priors.
 
-With c the points and c0 a guess that meets all known distances along the present directions u = (c_a - c_b) / |..|, the
-distances d state, to first order,
+Let c be the points, and c0 a guess that meets all known distances along the present directions u = (c_a - c_b) / |..|.
+To first order, the distances d contribute
 
     sum_d ((u (c_a - c0_a) - u (c_b - c0_b)) / sigma_d)^2  =  (c - c0)^T L (c - c0).
 
-In the eigenvectors V of L, c = c0 + V z, each z has a prior of its own: standard deviation lambda^-1/2, none where
-lambda is zero. Points are then columns beside those of effects, and nothing else changes: measured is c0, and the ball
-is found a shift of -V z from where the arm says.
+In the eigenvectors V of L, c = c0 + V z, each z has an independent prior: standard deviation lambda^-1/2, none if
+lambda is zero. Points are then further columns like those of effects, and nothing else changes: c0 counts as measured,
+and the ball is shifted by -V z from where the arm says.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cellapp.estimation.sockets.contacts import Contacts
 from cellapp.robot.kinematics.transforms import Array
 
 _NO_DISTANCE = 1e-9
-"""Share of the largest eigenvalue below which a direction is not fixed by distances."""
+"""Share of the largest eigenvalue below which distances do not fix a direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class PointColumns:
     ----------
     contacts : Contacts
     at : array, shape (P, 3)
-        Where the points are guessed [m].
+        Guess c0 of the points [m].
     basis : array, shape (3 P, 3 P)
         Directions of the parameters.
     prior_sd : array, shape (3 P,)
@@ -46,7 +46,7 @@ class PointColumns:
 
     @classmethod
     def near(cls, contacts: Contacts, centres: Array) -> PointColumns:
-        """Linearised at points (P, 3) [m], which are moved as little as needed to meet the known distances."""
+        """Linearise at points (P, 3) [m], moved as little as needed to meet the known distances."""
         size = 3 * len(contacts.names)
         rows, short_by = np.zeros((len(contacts.pairs), len(contacts.names), 3)), np.zeros(len(contacts.pairs))
         for number, (a, b) in enumerate(contacts.pairs.tolist()):
@@ -72,16 +72,16 @@ class PointColumns:
 
     @property
     def measured(self) -> Array:
-        """The guessed point of each reading (n, 3) [m]."""
+        """Guess c0 of each reading's point (n, 3) [m]."""
         return self.at[self.contacts.index]
 
     @property
     def shifts(self) -> Array:
-        """Shift of the ball per unit of each parameter (3 P, 3, n): against that of its point."""
+        """Shift of the ball per unit of each parameter (3 P, 3, n): opposite to that of its point."""
         return -self.basis.reshape(-1, 3, len(self))[self.contacts.index].transpose(2, 1, 0)
 
     def after(self, effects: EffectColumns | None) -> EffectColumns:
-        """These columns behind those of effects."""
+        """Append these columns to those of effects."""
         count, n = len(self), len(self.contacts.index)
         if effects is None:
             return EffectColumns(

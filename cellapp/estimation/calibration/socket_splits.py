@@ -1,4 +1,4 @@
-"""Which points of a ball in sockets are held out: whole ones, with all that known distances tie to them."""
+"""Choice of held-out points for a ball in sockets: whole points, with all points that known distances tie to them."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from cellapp.robot.kinematics.transforms import Array
 _HELD_OUT = 4
 """Every fourth placement is held out, at least one."""
 _FEWEST = 3
-"""Placements from which one can be spared; with fewer, every fifth reading of each point is held out."""
+"""Number of placements from which one can be spared; with fewer, a fifth of the readings is held out."""
 _FIFTH = 5
 
 
 def draw_point_splits(
     readings: Mapping[str, Readings], positions: Mapping[str, Array], seed: int
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """A split for each reading of each arm, drawn by the seed; and notes.
+    """Draw a split for each reading of each arm by the seed; return splits and notes.
 
-    ``positions`` (n, 3) [m] are about where the ball was. The points of one placement are held out together: what is
-    evaluated is then a place from which the arm has not learnt.
+    ``positions`` (n, 3) [m] are approximate positions of the ball. The points of one placement are held out together,
+    so that the evaluation is at a place from which the arm has not learnt.
     """
     words: dict[str, tuple[str | None, ...]] = {}
     notes: list[str] = []

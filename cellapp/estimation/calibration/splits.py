@@ -12,7 +12,7 @@ from cellapp.ground.counting import counted
 
 @dataclass(frozen=True)
 class SplitSizes:
-    """Number of stops of each split; ``notes`` report where there are fewer stops than the profile requires."""
+    """Number of stops in each split; ``notes`` report if there are fewer stops than the profile requires."""
 
     identify: int
     train: int
@@ -21,7 +21,7 @@ class SplitSizes:
 
 
 def split_sizes(n: int, identify: int, train: int, validate: int | None) -> SplitSizes:
-    """Sizes of the splits of ``n`` stops; ``validate`` None takes the rest. Too few stops reduce all in proportion."""
+    """Compute split sizes of ``n`` stops; ``validate`` None takes the rest. Too few stops reduce all in proportion."""
     wanted = max(1, n // 5) if validate is None else validate
     if identify + train + (1 if validate is None else validate) <= n:
         return SplitSizes(identify, train, n - identify - train if validate is None else validate, ())
@@ -39,7 +39,7 @@ def split_sizes(n: int, identify: int, train: int, validate: int | None) -> Spli
 def draw_splits(
     configurations: NDArray[np.int64], identify: int, train: int, validate: int | None, seed: int
 ) -> tuple[dict[int, str | None], tuple[str, ...]]:
-    """Draw a split for each configuration number, and notes; stops beyond the required ones get None.
+    """Draw a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
 
     The draw depends on the set of numbers and the seed, not on the order of ``configurations``.
     """

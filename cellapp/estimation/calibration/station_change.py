@@ -1,4 +1,4 @@
-"""Detection of a tracker station or robot base that was moved during the run, which would invalidate every fit."""
+"""Detection of a tracker station or robot base that was moved during the run: this would invalidate every fit."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array, apply, register
 
 _COARSE_TRIALS = 24
-"""Places that are tried first, evenly over the readings; then all places around the best one."""
+"""Number of split points that are tried first, evenly over the readings; then all points around the best one."""
 _FEWEST = 6
-"""Readings on either side of a place: registration needs three, twice as many leave a residual."""
+"""Least number of readings before and after a split point: registration needs three, twice as many leave residuals."""
 _RATIO = 3.0
 """Ratio of the rms residual of one registration to that of two from which a move is reported. Unmodelled geometry
 leaves a ratio near 1."""
 _LEAST_M = 2e-3
-"""Rms residual of one station below which no move is looked for: smaller steps are drift, which discovery finds."""
+"""Rms residual of one station below which no move is searched for: smaller steps are drift, which discovery finds."""
 
 
 def station_change(p_B: Array, p_M: Array) -> int | None:
-    """First row measured after the station was moved, or None.
+    """Find the first row measured after the station was moved; None if it was not moved.
 
-    The points before and after a place are registered separately. The station was moved at the place where this leaves
-    the smallest residual, if that is far smaller than the residual of one registration of all points.
+    Register the points before and after a split point separately. The station was moved at the split point with the
+    smallest residual, if that is far smaller than the residual of one registration of all points.
 
     Parameters
     ----------
@@ -48,6 +48,6 @@ def station_change(p_B: Array, p_M: Array) -> int | None:
 
 
 def _registration_rms(p_B: Array, p_M: Array) -> float:
-    """Rms distance of the points after registration [m]."""
+    """Compute the rms distance [m] of the points after registration."""
     off = p_M - apply(register(p_M, p_B), p_B)
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

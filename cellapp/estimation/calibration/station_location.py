@@ -1,8 +1,8 @@
-"""Where the tracker stands after it was moved, from a few SMR points of a calibrated cell.
+"""Pose of the tracker after it was moved, from a few SMR points of a calibrated cell.
 
 The model predicts each point p_i(T) from the joint positions; T maps the tracker frame of the calibration into the
 present one. With measured points m_i, minimise r^T S^-1 r over T, r_i = m_i - p_i(T). S is the covariance of all
-coordinates together: noise of the tracker and of the arms, and what the model is uncertain by, which the points of one
+coordinates together: noise of the tracker and of the arms, and the model's uncertainty, which the points of one
 arm share. Gauss-Newton: a twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
 G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the noise at the points gives one draw of the
 station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
@@ -40,14 +40,14 @@ FEWEST_POINTS = 3
 LEAST_PROBABILITY = 1e-3
 """Probability of a larger chi-squared below which one motion does not explain the points: one false alarm in 1000."""
 _LEAST_WIDTH = 0.05
-"""Distance of the points from their best line over that along it: below it the turn about the line is not known."""
+"""Least ratio of the points' spread across their best line to that along it: below, rotation about it is unknown."""
 _LEAST_SPREAD_M = 0.05
-"""Rms distance of the points from their centre: closer ones turn their noise into more than a milliradian."""
+"""Least rms distance of the points along their best line: closer ones turn noise into more than a milliradian."""
 _STEPS = 20
 _SMALL_STEP = 1e-9
-"""Steps [m, rad] below a nanometre end the iteration."""
+"""Step size [m, rad] at which the iteration ends, a nanometre."""
 _REWEIGHTED = 2
-"""The covariances are computed at the start, and once more at the solution."""
+"""Number of times the covariances are computed: at the start, and once more at the solution."""
 
 MotionKind = Literal["base", "smr"]
 
@@ -65,9 +65,9 @@ class ArmPoints:
     covariance_M : array, shape (m, 3, 3)
         Covariance of each measurement [m^2].
     conditions : MeasurementConditions
-        Without the state of the other arm.
+        Conditions without the state of the other arm.
     other : tuple of name and array (m, K), or None
-        The other arm of a cell of two, and its joint positions [rad].
+        Name of the other arm in a cell of two, and its joint positions [rad].
     """
 
     q: Array
@@ -81,12 +81,12 @@ class ArmPoints:
 
 
 Points = Mapping[str, ArmPoints]
-"""Arm -> its points, at least one."""
+"""Name of an arm -> its points, at least one."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoughStation:
-    """What is known of a station before it is measured: ``T_new_old`` (4, 4), the covariance (6, 6) of its twist."""
+    """Prior of a station before it is measured: ``T_new_old`` (4, 4), and the covariance (6, 6) of its twist."""
 
     T_new_old: Array
     covariance: Array
@@ -94,14 +94,14 @@ class RoughStation:
 
 @dataclass(frozen=True, eq=False)
 class StationFit:
-    """A station that was fitted to n points.
+    """Station that was fitted to n points.
 
     Attributes
     ----------
     T_new_old : array, shape (4, 4)
         Maps coordinates in the tracker frame of the model into the present tracker frame.
     covariance : array, shape (6, 6)
-        Of its twist: velocity of what is at the present origin [m], then rotation [rad].
+        Of its twist: shift at the present origin [m], then rotation [rad].
     residuals : mapping
         Arm -> measured minus predicted points (m, 3) [m].
     chi_squared : float
@@ -109,9 +109,9 @@ class StationFit:
     twists : array, shape (S, 6)
         Draws of the error of ``T_new_old``, one for each draw of the arms' posteriors.
     motion : array, shape (4, 4), or None
-        Motion of one arm's base in the present tracker frame, where that was fitted too.
+        Motion of one arm's base in the present tracker frame; None unless it was fitted too.
     shift_F : array, shape (3,), or None
-        Motion of one arm's SMR on its flange [m], where that was fitted too.
+        Motion of one arm's SMR on its flange [m]; None unless it was fitted too.
     """
 
     T_new_old: Array
@@ -145,10 +145,10 @@ class StationFit:
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """Another motion than the tracker's that was tried.
+    """Possible cause besides the tracker's motion: one arm's base or SMR moved.
 
     ``shift_m`` [m] and ``turn_rad`` [rad] are those of the arm's base, or of its SMR on the flange, which does not
-    turn. ``others_still``: the points of the other arms agree with a tracker that was not moved.
+    rotate. ``others_still``: whether the points of the other arms agree with a tracker that was not moved.
     """
 
     kind: MotionKind
@@ -160,7 +160,7 @@ class Cause:
 
 
 def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
-    """Where ``model`` expects the points of each arm, (m, 3) [m] in its tracker frame."""
+    """Predict the points of each arm, (m, 3) [m] in the tracker frame of ``model``."""
     return {name: model.arms[name].predict(own.q, conditions=_conditions(model, own)) for name, own in points.items()}
 
 
@@ -178,17 +178,17 @@ def fit_station(
     Parameters
     ----------
     model : CellModel
-        In the tracker frame of its calibration.
+        Model in the tracker frame of its calibration.
     points : mapping
     start : array, shape (4, 4)
-        A rough ``T_new_old``.
+        Rough ``T_new_old``.
     excess_m : mapping
         Arm -> standard deviation of a coordinate [m] by which readings scatter about the model beyond the covariance
         of the tracker and the model's own uncertainty: the arm's repeatability.
     seed : sequence of int
-        Of the draws.
+        Seed of the draws.
     rough : RoughStation or None
-        Knowledge besides the points, with which fewer than three are enough; the test does not hold then.
+        Prior of the station; with it fewer than three points are enough, but the chi-squared test does not hold.
 
     Raises
     ------
@@ -203,11 +203,11 @@ def fit_station(
 def possible_causes(
     model: CellModel, points: Points, start: Array, *, excess_m: Mapping[str, float], still_m: float
 ) -> tuple[Cause, ...]:
-    """What besides the tracker may have moved: one arm's base or its SMR, those that explain the points best first.
+    """Find what else than the tracker may have moved: one arm's base or its SMR. The best explanation comes first.
 
-    Only arms with points enough for a motion of their own are asked. Other arms count as still if the tracker's motion
-    that their points ask for moves them by no more than ``still_m`` [m]. In a cell of two arms, a motion of either base
-    explains the same points as well, each with another motion of the tracker: the one that needs none comes first.
+    Only arms with enough points for a motion of their own are tried. The other arms count as still if the fitted motion
+    of the tracker moves their points by at most ``still_m`` [m]. In a cell of two arms, a motion of either base
+    explains the points equally well, each with another motion of the tracker: the one that needs none comes first.
     """
     found = []
     for name, own in points.items():
@@ -222,13 +222,13 @@ def possible_causes(
 
 
 def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
-    """The largest motion of a predicted point by ``T_new_old`` [m]."""
+    """Compute the largest motion [m] of a predicted point by ``T_new_old``."""
     expected = np.concatenate(list(predicted_points(model, points).values()))
     return float(np.linalg.norm(apply(T_new_old, expected) - expected, axis=1).max())
 
 
 def check_layout(points: Points) -> None:
-    """Raise ``InputError`` where the points cannot fix a station."""
+    """Raise ``InputError`` if the points cannot fix a station."""
     refusal = _layout_refusal(np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))]))
     if refusal:
         raise InputError(refusal)
@@ -239,7 +239,7 @@ def check_layout(points: Points) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """``extra`` is the motion that is fitted besides the tracker's, and its arm."""
+    """Problem of one fit; ``extra`` is the motion that is fitted besides the tracker's, and its arm."""
 
     model: CellModel
     points: Points
@@ -255,7 +255,7 @@ class _Problem:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """``station`` is T_new_old, ``motion`` moves the base of the extra arm, ``shift_F`` its SMR."""
+    """State of a fit: ``station`` is T_new_old, ``motion`` moves the base of the extra arm, ``shift_F`` its SMR."""
 
     station: Array
     motion: Array | None = None
@@ -304,7 +304,7 @@ def _fit(problem: _Problem, state: _State) -> StationFit:
 
 
 def _placed(problem: _Problem, state: _State) -> CellModel:
-    """The model in the present tracker frame, with the extra motion."""
+    """Return the model in the present tracker frame, with the extra motion."""
     model = relocated(problem.model, state.station)
     if problem.extra is None:
         return model
@@ -319,7 +319,7 @@ def _placed(problem: _Problem, state: _State) -> CellModel:
 
 
 def _linearised(problem: _Problem, state: _State) -> tuple[Array, Array]:
-    """Residuals (3 n,) and derivatives (3 n, k) of the predicted coordinates."""
+    """Compute residuals (3 n,) and derivatives (3 n, k) of the predicted coordinates."""
     model = _placed(problem, state)
     expected = predicted_points(model, problem.points)
     rows = []
@@ -336,7 +336,7 @@ def _linearised(problem: _Problem, state: _State) -> tuple[Array, Array]:
 
 
 def _uncertainty(problem: _Problem, state: _State) -> tuple[Array, Array]:
-    """Covariance of the noise (3 n, 3 n) [m^2], and draws of the model's error (S, 3 n) [m], at the points."""
+    """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
     model = _placed(problem, state)
     sizes = [3 * len(own) for own in problem.points.values()]
     noise, drawn, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((DRAWS, sum(sizes))), 0
@@ -357,7 +357,7 @@ def _uncertainty(problem: _Problem, state: _State) -> tuple[Array, Array]:
 
 
 def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
-    """The conditions with the state of the other arm in the frame of ``model``."""
+    """Return the conditions with the state of the other arm in the frame of ``model``."""
     if own.other is None:
         return own.conditions
     name, q = own.other
@@ -382,16 +382,16 @@ def _cause(problem: _Problem, start: Array, still_m: float) -> Cause:
 
 
 def _akaike(cause: Cause) -> float:
-    """Akaike's criterion: chi-squared and twice the number of parameters, the tracker's six where it was moved.
+    """Compute Akaike's criterion: chi-squared plus twice the number of parameters, with the tracker's six if it moved.
 
-    Without the latter, rounding would choose between two bases whose motions against each other are the same.
+    Without these six, rounding would choose between two bases whose relative motion is the same.
     """
     parameters = (6 if cause.kind == "base" else 3) + (0 if cause.others_still else 6)
     return cause.fit.chi_squared + 2.0 * parameters
 
 
 def _layout_refusal(p_M: Array) -> str:
-    """Why points (n, 3) [m] do not fix a frame; empty if they do."""
+    """Say why points (n, 3) [m] do not fix a frame; empty if they do."""
     n = len(p_M)
     if n < FEWEST_POINTS:
         return f"{n} points do not fix the tracker's station; at least {FEWEST_POINTS} are needed, better four"
@@ -414,5 +414,5 @@ def _small_motion(twist: Array) -> Array:
 
 
 def _twist(T: Array) -> Array:
-    """The twist (6,) of a small motion (4, 4)."""
+    """Return the twist (6,) of a small motion (4, 4)."""
     return np.concatenate([T[:3, 3], rotation_vectors(T[None, :3, :3])[0]])

@@ -1,17 +1,17 @@
-"""Measured joint torques or motor currents: the masses that they show, as drivers of elasticity.
+"""Estimation of masses from measured joint torques or motor currents, for the torques that drive elasticity.
 
 A drive at rest holds its joint against gravity. At joint j of a reading it measures
 
     y_j = (g_j(q, payload) + f_j d_j) / k_j + o_j + noise,
 
-with the torque g_j that gravity asks for, dry friction f_j against the direction d_j of the last motion, an offset o_j,
+with the torque g_j that holds gravity, dry friction f_j against the direction d_j of the last motion, an offset o_j,
 and the motor constant k_j [Nm/A], 1 for torques. g_j is linear in mass and first moment of every body and of the known
 payload (Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986) 101). Stated masses are the prior mean. Unknown
-ones start at none: then only the payload gives currents a scale.
+masses start at zero: then only the payload gives currents a scale.
 
-What was measured stands in single rows with friction and noise, and at a new posture nothing is measured. The masses
-found from all rows give the torque at every posture and payload. They replace the stated ones where they predict
-held-out torques better and the positions of the SMR tell, through elastic joints, that they are the better drivers.
+Single measured torques contain friction and noise, and there are none at new configurations. The masses from all rows
+give the torque at every configuration and payload. They replace the stated ones if they predict held-out torques better
+and if SMR positions, through elastic joints, show that their torques explain the elasticity better.
 """
 
 from __future__ import annotations
@@ -33,41 +33,41 @@ from cellapp.robot.model import ArmModel
 Kind = Literal["tau", "current"]
 
 _FEWEST = 12
-"""Readings with torques from which masses are estimated."""
+"""Least number of readings with torques from which masses are estimated."""
 _MASS_SHARE, _MASS_SD = 0.3, 0.5
 """Prior standard deviation of a stated mass: a share of it, and at least this [kg]."""
 _UNKNOWN_KG = 10.0
-"""Prior standard deviation of a mass that nobody stated [kg]."""
+"""Prior standard deviation of a mass that is not stated [kg]."""
 _CENTER_SD = 0.1
 """Prior standard deviation of a centre of mass along each axis of its frame [m]."""
 _ROUNDS = 15
 _STILL_NM = 1.0
-"""Range of a torque below which a joint tells no motor constant, and no sign [Nm]."""
+"""Range of a joint's torque below which neither its motor constant nor its sign is determined [Nm]."""
 _ALIKE = 0.6
 """Correlation with the stated masses' torque from which a joint's sign and unit are judged."""
 _UNIT = 30.0
 """Ratio to the stated masses' torque from which the unit must be wrong."""
 _GROSS = 8.0
-"""Standard deviations from which the torque of one row is wrong."""
+"""Residual in standard deviations from which the torque of one row is a gross error."""
 _SURE = 3.0
 """Log likelihood by which masses from torques must explain positions better than the stated ones."""
 _MUCH = 0.5
-"""Share of the held-out error of stated masses below which torques tell enough where positions tell little."""
+"""Share of the stated masses' held-out error below which torques suffice if positions do not clearly contradict."""
 _DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
 class JointTorque:
-    """What one joint measured.
+    """Torque parameters of one joint.
 
     Attributes
     ----------
     constant, constant_standard_error : float or None
-        Motor constant [Nm/A]; None of torques, and of a joint whose torque does not vary.
+        Motor constant [Nm/A]; None for torques, and for a joint whose torque does not vary.
     friction, offset, scatter : float
         Dry friction, offset and standard deviation of the residual, in Nm or A.
     fault : str
-        Why nothing rests on this joint; empty where it is used.
+        Why this joint is not used; empty if it is used.
     """
 
     joint: int
@@ -87,17 +87,17 @@ class TorqueFit:
     ----------
     kind : str
     readings : int
-        Rows that were learnt from.
+        Number of rows that were fitted.
     bodies : Bodies
-        With the masses found; the model's where ``used``.
+        Bodies with the estimated masses; those of the model if ``used``.
     joints : tuple of JointTorque
     held_out : tuple of two floats
-        Rms error of held-out rows with the stated masses and with those found [Nm].
+        Rms error of held-out rows with the stated masses and with the estimated ones [Nm].
     evidence : float
-        Log likelihood of the positions with elastic joints under the masses found less that under the stated ones.
+        Log likelihood of the positions with elastic joints under the estimated masses less that under the stated ones.
     used : bool
     faults : tuple of str
-        Rows that were left out, in sentences.
+        One sentence for each row that was left out.
     """
 
     kind: Kind
@@ -112,8 +112,8 @@ class TorqueFit:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Measured values (n, N), last directions (n, N), and the regressor: torques of the drives [Nm] by parameters
-    (n, N, 4 N), mass [kg] and first moment [kg m] of each body, and of the payload (n, N)."""
+    """Measured values (n, N), directions of the last motion (n, N), the regressor (n, N, 4 N) of the drives' torques
+    [Nm] by mass [kg] and first moment [kg m] of each body, and the torques (n, N) [Nm] of the payload."""
 
     measured: Array
     direction: Array
@@ -121,7 +121,7 @@ class _Rows:
     payload: Array
 
     def torques(self, parameters: Array) -> Array:
-        """Torques of the drives (n, N) [Nm]."""
+        """Compute the torques of the drives (n, N) [Nm]."""
         return np.asarray(self.regressor @ parameters + self.payload)
 
     def take(self, rows: NDArray[np.bool_]) -> _Rows:
@@ -130,8 +130,8 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Parameters (4 N,), and of each joint slope 1 / k, friction and offset (3, N), the slope's standard error and the
-    scatter (N,)."""
+    """Parameters (4 N,); for each joint slope 1 / k, friction and offset (3, N), the slope's standard error (N,) and
+    the scatter (N,)."""
 
     parameters: Array
     joint: Array
@@ -144,20 +144,20 @@ class _Fit:
 
 
 def has_torques(readings: Readings) -> bool:
-    """Whether enough readings have torques or currents."""
+    """Return whether enough readings have torques or currents."""
     _, measured = _measured(readings)
     return measured is not None and int(np.isfinite(measured).all(axis=1).sum()) >= _FEWEST
 
 
 def _measured(readings: Readings) -> tuple[Kind, Array | None]:
-    """Torques (n, N) [Nm], else currents [A]."""
+    """Return the torques (n, N) [Nm] of readings, else their currents [A], with the kind; None if there are neither."""
     return ("current", readings.current_a) if readings.tau_nm is None else ("tau", readings.tau_nm)
 
 
 def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
-    """Masses from the torques of readings, else from their currents; ``has_torques`` must hold.
+    """Estimate masses from the torques of readings, else from their currents; ``has_torques`` must hold.
 
-    ``arm`` has the identified geometry and the stated masses. Rows of the split ``validate`` judge only.
+    ``arm`` has the identified geometry and the stated masses. Rows of the split ``validate`` are held out.
     """
     kind, measured = _measured(readings)
     assert measured is not None
@@ -194,12 +194,12 @@ def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
 
 
 def _better(stated_nm: float, found_nm: float, evidence: float) -> bool:
-    """Whether the masses found are the better drivers: by positions, or by torques that these do not contradict."""
+    """Return whether the estimated masses are better: by positions, or by torques that positions do not contradict."""
     return (found_nm < stated_nm and evidence > _SURE) or (found_nm < _MUCH * stated_nm and evidence > -_SURE)
 
 
 def _rows(arm: ArmModel, readings: Readings, measured: Array) -> _Rows:
-    """The linear model at the readings. Drives hold against gravity: their torques are the negative of its."""
+    """Build the linear model at the readings. Drives hold against gravity: their torques are the negative of its."""
     frames = frame_poses(arm.geometry, readings.q)
     rotations, origins = frames
     joints, n = arm.geometry.joints, len(readings)
@@ -220,14 +220,14 @@ def _rows(arm: ArmModel, readings: Readings, measured: Array) -> _Rows:
 
 
 def _bodies(stated: Bodies, parameters: Array) -> Bodies:
-    """Bodies with masses and first moments of ``parameters``; a mass of nearly none keeps its first moment."""
+    """Return bodies with the masses and first moments of ``parameters``; a mass near zero keeps its first moment."""
     table = parameters.reshape(-1, 4)
     masses = np.where(np.abs(table[:, 0]) < 1e-3, 1e-3, table[:, 0])
     return replace(stated, masses=masses, centers=table[:, 1:] / masses[:, None])
 
 
 def _prior_sd(stated: Array) -> Array:
-    """Standard deviations of the parameters (4 N,)."""
+    """Return prior standard deviations (4 N,) of the parameters."""
     masses = stated.reshape(-1, 4)[:, 0]
     if not masses.any():
         mass_sd = np.full(len(masses), _UNKNOWN_KG)
@@ -239,7 +239,7 @@ def _prior_sd(stated: Array) -> Array:
 
 
 def _fitted(rows: _Rows, stated: Array, usable: NDArray[np.bool_], kind: Kind, *, free: bool = True) -> _Fit:
-    """Joints and masses in turn, each by least squares; with ``free`` false the masses stay as stated."""
+    """Fit joints and masses alternately, each by least squares; if ``free`` is False the masses stay as stated."""
     parameters, sd = stated.copy(), _prior_sd(stated)
     n, joints = rows.measured.shape
     if kind == "current" and free:
@@ -259,9 +259,9 @@ def _fitted(rows: _Rows, stated: Array, usable: NDArray[np.bool_], kind: Kind, *
 
 
 def _start_of_currents(rows: _Rows, stated: Array) -> Array:
-    """Parameters that currents and the payload tell together: ``k_j y_j - payload_j = Y_j p + f_j d + o_j`` is linear.
+    """Estimate initial parameters from currents and payload: ``k_j y_j - payload_j = Y_j p + f_j d + o_j`` is linear.
 
-    It counts the noise of the currents against the torques, which is small; what follows does not.
+    It neglects that the noise is in the currents, not in the torques, which is a small error; the iteration does not.
     """
     n, joints = rows.measured.shape
     by_joint = np.zeros((n, joints, 3, joints))
@@ -277,7 +277,7 @@ def _start_of_currents(rows: _Rows, stated: Array) -> Array:
 
 
 def _joints_fitted(rows: _Rows, torques: Array, kind: Kind) -> tuple[Array, Array, Array]:
-    """Slope, friction, offset (3, N), the slopes' standard errors and the scatter (N,), joint by joint."""
+    """Fit slope, friction, offset (3, N), the slopes' standard errors (N,) and the scatter (N,), joint by joint."""
     n, joints = torques.shape
     found, errors, scatter = np.zeros((3, joints)), np.zeros(joints), np.zeros(joints)
     for j in range(joints):
@@ -299,7 +299,7 @@ def _joints_fitted(rows: _Rows, torques: Array, kind: Kind) -> tuple[Array, Arra
 
 
 def _joint_faults(rows: _Rows, stated: Array, kind: Kind) -> list[str]:
-    """Of each joint what is wrong with all of its torques, against the stated masses; empty where nothing is."""
+    """Say for each joint what is wrong with all its torques, compared with the stated masses; empty if nothing is."""
     expected = rows.torques(stated)
     faults = []
     for j in range(expected.shape[1]):
@@ -319,7 +319,7 @@ def _joint_faults(rows: _Rows, stated: Array, kind: Kind) -> list[str]:
 def _row_faults(
     fit: _Fit, rows: _Rows, readings: Readings, wrong: NDArray[np.bool_], usable: NDArray[np.bool_], kind: Kind
 ) -> tuple[str, ...]:
-    """A sentence for each row that was left out."""
+    """Return a sentence for each row that was left out."""
     left, said = fit.residuals(rows), []
     unit = "Nm" if kind == "tau" else "A"
     turned = replace(rows, measured=-rows.measured)
@@ -346,7 +346,7 @@ def _joint(fit: _Fit, j: int, kind: Kind, fault: str) -> JointTorque:
 
 
 def _rms_nm(fit: _Fit, rows: _Rows, usable: NDArray[np.bool_]) -> float:
-    """Rms error [Nm] of joints that are used and have a constant."""
+    """Compute the rms error [Nm] of joints that are used and have a motor constant."""
     slope = fit.joint[0]
     chosen = usable & (slope != 0.0)
     if not chosen.any() or not len(rows.measured):
@@ -355,10 +355,10 @@ def _rms_nm(fit: _Fit, rows: _Rows, usable: NDArray[np.bool_]) -> float:
 
 
 def _evidence(arm: ArmModel, found: Bodies, readings: Readings) -> float:
-    """Log likelihood of positions with one compliance a joint, under the masses found less under those stated.
+    """Compute the log likelihood of positions with one compliance per joint: estimated masses less stated ones.
 
-    Both have the same number of parameters. Geometry is free beside them, and so are what else joints do most often:
-    one cycle a turn, and lost motion.
+    Both models have the same number of parameters. The geometry is free too, and so are the most frequent other errors
+    of joints: one cycle a turn, and lost motion.
     """
     readings = readings.take(np.flatnonzero(np.isfinite(readings.p_M).all(axis=1)))
     learnt = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
@@ -381,5 +381,5 @@ def _evidence(arm: ArmModel, found: Bodies, readings: Readings) -> float:
 
 
 def _columns(columns: Array) -> Array:
-    """Derivatives (3, k, n) as one column a parameter: (3 n, k)."""
+    """Reshape derivatives (3, k, n) to one column for each parameter: (3 n, k)."""
     return np.asarray(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))

@@ -14,19 +14,19 @@ from cellapp.robot.kinematics.transforms import Array
 RobustName = Literal["none", "huber", "tukey"]
 
 _HUBER = 2.5003
-"""Root of the 90 % quantile of chi-square with 3 degrees of freedom: the norm that 90 % of good points stay below."""
+"""Norm beyond which Huber's weight falls: root of the 90 % quantile of chi-square with 3 degrees of freedom."""
 _TUKEY = 6.0
-"""Norm beyond which a point has no weight: about four times the median norm of a good point."""
+"""Norm beyond which Tukey's weight is zero: about four times the median norm of a good point."""
 MEDIAN_NORM = 1.5382
 """Median of the norm of three independent standard normal variables."""
 _CHANCE = 3.0
-"""Standard deviations by which chi-square must exceed its degrees of freedom before the scatter counts as excess."""
+"""Standard deviations by which chi-square must exceed its degrees of freedom for the scatter to count as excess."""
 
 
 def whitener(sigma: Array) -> Array:
-    """Factors that convert errors of points into units of their standard uncertainty.
+    """Compute factors that convert errors of points into units of their standard uncertainty.
 
-    Of standard uncertainties (n,) [m]: (n,) [1/m]. Of covariances (n, 3, 3) [m^2]: lower triangular (3, 3, n) [1/m].
+    Standard uncertainties (n,) [m] give (n,) [1/m]. Covariances (n, 3, 3) [m^2] give lower triangular (3, 3, n) [1/m].
     """
     if sigma.ndim == 1:
         return np.asarray(1.0 / sigma)
@@ -34,7 +34,7 @@ def whitener(sigma: Array) -> Array:
 
 
 def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
-    """Weights (n,) of whole points from the norms (n,) of their residuals, scaled by the median norm.
+    """Compute robust weights (n,) of whole points from the norms (n,) of their residuals, scaled by the median norm.
 
     Source: Huber, Robust Statistics (1981); Beaton, Tukey, Technometrics 16 (1974) 147 (biweight).
     """
@@ -45,10 +45,10 @@ def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
 
 
 def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -> float:
-    """Variance [m^2] per coordinate that must be added to the stated uncertainty to explain the scatter.
+    """Compute the variance [m^2] per coordinate that must be added to the stated one to explain the scatter.
 
-    Root tau^2 of ``sum_i r_i^T (S_i + tau^2 I)^-1 r_i = degrees of freedom``, after DerSimonian, Laird, Control. Clin.
-    Trials 7 (1986) 177. Zero where the scatter is not larger than chance allows.
+    It is the root tau^2 of ``sum_i r_i^T (S_i + tau^2 I)^-1 r_i = degrees of freedom``, after DerSimonian, Laird,
+    Control. Clin. Trials 7 (1986) 177; zero if the scatter is not larger than chance allows.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -
 
 
 def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, least: float = 0.0) -> float:
-    """The v [m^2] with which ``sum(squares / (variance + v))`` is the degrees of freedom; at least ``least``."""
+    """Find v [m^2] with ``sum(squares / (variance + v)) = degrees_of_freedom``; return at least ``least``."""
 
     def surplus(v: float) -> float:
         return float(np.sum(squares / (variance + v))) - degrees_of_freedom
@@ -78,7 +78,7 @@ def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, l
     most = float(squares.sum()) / degrees_of_freedom
     if surplus(least) <= 0.0:
         return least
-    if surplus(most) >= 0.0:  # by rounding, where nothing else varies
+    if surplus(most) >= 0.0:  # by rounding, if all variances are zero
         return most
     return float(scipy.optimize.brentq(surplus, least, most, xtol=1e-18, rtol=1e-6))
 
@@ -86,9 +86,9 @@ def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, l
 def excess_of_kinds(
     residuals: Array, sigma: Array, degrees_of_freedom: float, turned: NDArray[np.bool_] | None, of_turns: float
 ) -> tuple[float, float]:
-    """``excess_variance`` of positions [m^2] and of orientations [rad^2], each by its own scatter.
+    """Compute ``excess_variance`` of positions [m^2] and of orientations [rad^2], each from its own scatter.
 
-    ``of_turns`` are the degrees of freedom of the orientations ``turned`` (n,), a part of all.
+    ``of_turns`` are the degrees of freedom of the orientations, masked by ``turned`` (n,), a part of all.
     """
     if turned is None:
         return excess_variance(residuals, sigma, degrees_of_freedom), 0.0
@@ -104,9 +104,9 @@ def excess_of_kinds(
 def with_excess(
     sigma: Array, tau_squared: float, turned: NDArray[np.bool_] | None = None, of_turns: float = 0.0
 ) -> Array:
-    """Stated uncertainty plus an excess variance [m^2] per coordinate, in the shape and unit of ``sigma``.
+    """Add an excess variance [m^2] per coordinate to the stated uncertainty, in the shape and unit of ``sigma``.
 
-    Where orientations were measured, at the readings ``turned`` (n,), theirs is ``of_turns`` [rad^2].
+    ``of_turns`` [rad^2] is the excess variance of orientations, masked by ``turned`` (n,).
     """
     added = tau_squared if turned is None else np.where(turned, of_turns, tau_squared)
     if sigma.ndim == 1:

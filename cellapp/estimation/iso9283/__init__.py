@@ -1,1 +1,1 @@
-"""ISO 9283: formulas of the characteristics, test cube and poses, programme of visits. No I/O."""
+"""ISO 9283: formulas of the characteristics, test cube and poses, sequence of visits. No I/O."""

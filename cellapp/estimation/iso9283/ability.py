@@ -1,9 +1,9 @@
-"""What an instrument can tell of each characteristic, before anything is measured.
+"""Capability of an instrument for each characteristic, before anything is measured.
 
-An arm without any error is simulated: it stands exactly where it is commanded, cycle after cycle, and all scatter is
-the tracker's stated covariance. Its characteristic and its expanded uncertainty are computed by the same functions as
-those of measured cycles. If their sum is above the tolerance, the guarded rule (ISO 14253-1) cannot be expected to
-prove conformity of any arm with this instrument from here.
+A perfect arm is simulated: it reaches each commanded position exactly, cycle after cycle, and all scatter is the
+tracker's stated covariance. Its characteristic and expanded uncertainty are computed by the same functions as for
+measured cycles. If their sum is above the tolerance, the guarded rule (ISO 14253-1) cannot be expected to prove
+conformity of any arm with this instrument at this distance.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 
 _ARMS = 5
-"""Simulated arms; the median counts."""
+"""Number of simulated arms, of which the median is taken."""
 _CYCLES = (10, 30, 60, 100, 200)
 """Numbers of cycles that are tried."""
 _HALVINGS = 5
-"""The distance that does is found to a thirtieth of what there is to choose from."""
+"""Number of bisections: they find the sufficient distance to a thirtieth of the possible range."""
 _SEED = 0x9283
 
 CovarianceAt = Callable[[float], Array]
@@ -40,16 +40,16 @@ CovarianceAt = Callable[[float], Array]
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """What measures.
+    """Measuring instrument.
 
     Attributes
     ----------
     covariance : callable
         Distance [m] -> covariance of a point (3, 3) [m^2], the beam along x.
     shortest_m : float
-        From where on it measures [m].
+        Shortest distance at which it measures [m].
     frame : array, shape (3, 3)
-        Covariance of the commanded positions [m^2]; zero where base and SMR are not found by measuring.
+        Covariance of the commanded positions [m^2]; zero unless base and SMR are found by measuring.
     """
 
     covariance: CovarianceAt
@@ -67,13 +67,13 @@ _FORMULAS: Mapping[Characteristic, tuple[int, _Shown]] = {
     "drift": (2, lambda cycles, rng: drift_values(cycles, rng)[0]),
     "cooperative": (2, lambda cycles, rng: distance_values(cycles[0], cycles[1], rng)[0]),
 }
-"""How many positions a characteristic is of, and its formula. Of paths the scatter of a moving SMR is not stated."""
+"""Number of positions of a characteristic, and its formula. Paths are missing: no scatter of a moving SMR is stated."""
 _APART_M = 0.5
-"""Between two positions; their distance changes their uncertainty by nothing that matters here."""
+"""Distance between two simulated positions; its effect on their uncertainty is negligible."""
 
 
 def least_shown_mm(characteristic: Characteristic, instrument: Instrument, distance_m: float, n: int) -> float:
-    """Characteristic plus its expanded uncertainty [mm] of an arm without error, ``n`` cycles: the median of a few."""
+    """Compute characteristic plus expanded uncertainty [mm] of a perfect arm in ``n`` cycles: the median of a few."""
     count, formula = _FORMULAS[characteristic]
     rng = np.random.default_rng([_SEED, n])
     tracker = instrument.covariance(distance_m)
@@ -94,9 +94,9 @@ def ability(
     n: int,
     tolerance_mm: float,
 ) -> IsoAbility:
-    """Compare a tolerance with what would be shown; where it is below, find the distance or cycles that would do.
+    """Compare a tolerance with the value of a perfect arm; if it is below, find a sufficient distance or cycle count.
 
-    ``distance_m`` is the largest from the tracker to a pose of the test, ``n`` the cycles that are asked for.
+    ``distance_m`` is the largest from the tracker to a pose of the test, ``n`` the requested number of cycles.
     """
     shown = least_shown_mm(characteristic, instrument, distance_m, n)
     found = IsoAbility(
@@ -118,7 +118,7 @@ def ability(
 
 
 def ability_words(one: IsoAbility) -> str:
-    """What a person should know of a tolerance that cannot be proven; empty if it can be."""
+    """Explain why conformity with a tolerance cannot be proven, and the remedies; empty if it can be proven."""
     if one.shown_mm <= one.tolerance_mm:
         return ""
     said = (
@@ -147,7 +147,7 @@ def _perfect(commanded: Array, tracker: Array, frame: Array, n: int, rng: np.ran
 def _distance(
     characteristic: Characteristic, instrument: Instrument, distance_m: float, n: int, tolerance_mm: float
 ) -> float | None:
-    """A shorter distance [m] that does; None if none does."""
+    """Find a shorter distance [m] that is sufficient; None if there is none."""
     does, does_not = instrument.shortest_m, distance_m
     if does >= does_not or least_shown_mm(characteristic, instrument, does, n) > tolerance_mm:
         return None
@@ -163,7 +163,7 @@ def _distance(
 def _cycles(
     characteristic: Characteristic, instrument: Instrument, distance_m: float, n: int, tolerance_mm: float
 ) -> int | None:
-    """The smallest larger number of cycles that does; None if none does."""
+    """Find the smallest larger number of cycles that is sufficient; None if there is none."""
     for tried in _CYCLES:
         if tried > n and least_shown_mm(characteristic, instrument, distance_m, tried) <= tolerance_mm:
             return tried

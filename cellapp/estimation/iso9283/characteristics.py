@@ -1,8 +1,8 @@
 """Formulas of ISO 9283:1998 for positions, and their counterparts for two arms.
 
 Attained positions are arrays (..., n, 3) [m]: n cycles on the last axis but one. Every function is vectorised over the
-axes in front, so that the same formula serves measured and simulated cycles. The norm's characteristics of orientation
-need three points on the flange; one SMR gives none of them.
+leading axes, so that the same formula serves measured and simulated cycles. The standard's characteristics of
+orientation need three points on the flange; one SMR gives none of them.
 """
 
 from __future__ import annotations
@@ -15,55 +15,55 @@ from scipy.special import stdtrit
 from cellapp.robot.kinematics.transforms import Array
 
 FEWEST_CYCLES = 2
-"""A standard deviation needs two values."""
+"""Least number of cycles: a standard deviation needs two values."""
 _PROBABILITY = 0.97725
-"""One-sided, of an expanded uncertainty with the coverage factor 2."""
+"""One-sided probability of an expanded uncertainty with the coverage factor 2."""
 
 
 def coverage_of_mean(n: int) -> float:
-    """Expanded uncertainty of the mean of n values, over their standard deviation: Student's t over sqrt(n)."""
+    """Compute the ratio of a mean's expanded uncertainty to its n values' standard deviation: Student's t / sqrt(n)."""
     return float(stdtrit(n - 1, _PROBABILITY)) / math.sqrt(n)
 
 
 def accuracy_vector(attained: Array, commanded: Array) -> Array:
-    """From the commanded (..., 3) to the mean attained position (..., 3): AP_x, AP_y, AP_z (7.2.1)."""
+    """Compute mean attained minus commanded position (..., 3): AP_x, AP_y, AP_z (7.2.1)."""
     return np.asarray(attained.mean(axis=-2) - commanded)
 
 
 def pose_accuracy(attained: Array, commanded: Array) -> Array:
-    """AP (7.2.1), shape (...): distance of the mean attained position from the commanded one (..., 3)."""
+    """Compute AP (7.2.1), shape (...): distance of the mean attained position from the commanded one (..., 3)."""
     return np.asarray(np.linalg.norm(accuracy_vector(attained, commanded), axis=-1))
 
 
 def pose_repeatability(attained: Array) -> Array:
-    """RP (7.2.2), shape (...): ``mean(l) + 3 S_l`` of the distances l of attained positions from their mean.
+    """Compute RP (7.2.2), shape (...): ``mean(l) + 3 S_l`` of the distances l of attained positions from their mean.
 
-    Raises ``ValueError`` for fewer than two cycles.
+    Raise ``ValueError`` for fewer than two cycles.
     """
     centre = attained.mean(axis=-2, keepdims=True)
     return _upper_limit(np.linalg.norm(attained - centre, axis=-1))
 
 
 def directional_variation(attained: Array) -> Array:
-    """vAP (7.2.3), shape (...): largest distance between the mean positions (..., k, n, 3) of k directions."""
+    """Compute vAP (7.2.3), shape (...): largest distance between mean positions of k directions (..., k, n, 3)."""
     means = attained.mean(axis=-2)
     return np.asarray(np.linalg.norm(means[..., :, None, :] - means[..., None, :, :], axis=-1).max(axis=(-2, -1)))
 
 
 def distances(first: Array, second: Array) -> Array:
-    """Distance (..., n) between two attained positions of each cycle."""
+    """Compute the distance (..., n) between two attained positions of each cycle."""
     return np.asarray(np.linalg.norm(second - first, axis=-1))
 
 
 def distance_accuracy(first: Array, second: Array, commanded: Array | float) -> Array:
-    """AD (7.3.2), shape (...): mean attained distance minus the commanded one."""
+    """Compute AD (7.3.2), shape (...): mean attained distance minus the commanded one."""
     return np.asarray(distances(first, second).mean(axis=-1) - commanded)
 
 
 def distance_repeatability(first: Array, second: Array) -> Array:
-    """RD (7.3.3), shape (...): three standard deviations of the attained distance.
+    """Compute RD (7.3.3), shape (...): three standard deviations of the attained distance.
 
-    Raises ``ValueError`` for fewer than two cycles.
+    Raise ``ValueError`` for fewer than two cycles.
     """
     found = distances(first, second)
     _require_cycles(found)
@@ -71,33 +71,34 @@ def distance_repeatability(first: Array, second: Array) -> Array:
 
 
 def drift(values: Array) -> Array:
-    """dAP or dRP (7.6), shape (...): largest change of AP or RP of k groups (..., k) against the first one."""
+    """Compute dAP or dRP (7.6), shape (...): largest change of AP or RP of k groups (..., k) from the first one."""
     return np.asarray(np.abs(values - values[..., :1]).max(axis=-1))
 
 
 def path_accuracy(attained: Array, commanded: Array) -> Array:
-    """AT (8.2), shape (...): largest over m places of the distance of the mean path (..., m, n, 3) from ``commanded``
-    (m, 3)."""
+    """Compute AT (8.2), shape (...): largest distance, over m points, of the mean path from ``commanded`` (m, 3), with
+    ``attained`` (..., m, n, 3)."""
     return np.asarray(pose_accuracy(attained, commanded).max(axis=-1))
 
 
 def path_repeatability(attained: Array) -> Array:
-    """RT (8.3), shape (...): largest over m places (..., m, n, 3) of ``mean(l) + 3 S_l``."""
+    """Compute RT (8.3), shape (...): largest ``mean(l) + 3 S_l`` over m points (..., m, n, 3)."""
     return np.asarray(pose_repeatability(attained).max(axis=-1))
 
 
 def plane_crossings(points: Array, commanded: Array, tangents: Array, within_m: float) -> Array:
-    """Where an attained path crosses the planes normal to the commanded one, (m, c); NaN where it does not.
+    """Compute where an attained path crosses the planes normal to the commanded one, (m, c); NaN where it does not.
 
     Parameters
     ----------
     points : array, shape (k, c)
-        The attained path, in order: position [m], straight between the points, and what else changes along it, as the
-        time.
+        Attained path in order: position [m], straight between the points, and other values that change along it, such
+        as time.
     commanded, tangents : arrays, shape (m, 3)
-        Places on the commanded path [m], and its unit tangents there: normals of the planes.
+        Points on the commanded path [m], and its unit tangents there: normals of the planes.
     within_m : float
-        A crossing farther from its place belongs to another stretch of the path, as on a closed curve [m].
+        Largest distance of a crossing from its point [m]; farther ones belong to another part of the path, as on a
+        closed curve.
     """
     found = np.full((len(commanded), points.shape[1]), np.nan)
     heights = np.einsum("kma,ma->km", points[:, None, :3] - commanded, tangents)

@@ -1,6 +1,6 @@
-"""What ISO 9283:1998 asks for, against what was done: each characteristic done, done in part, or not done, and why.
+"""Coverage of ISO 9283:1998: whether each characteristic was done, done in part, or not done, and why.
 
-Clauses and titles are those of the norm's table of contents, which is public; the norm's text was not at hand.
+Clauses and titles are those of the standard's table of contents, which is public; its text was not at hand.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _EXCHANGE = "exchangeability E"
 class _Counted(Protocol):
     @property
     def n(self) -> int:
-        """Cycles."""
+        """Number of cycles."""
 
 
 _Values = Callable[[CommandedTests], Sequence[_Counted]]
@@ -51,10 +51,10 @@ _Values = Callable[[CommandedTests], Sequence[_Counted]]
 
 @dataclass(frozen=True)
 class _Asked:
-    """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does.
+    """Characteristic of the standard that ``test`` measures; ``never`` says why if this program does not measure it.
 
-    ``without`` is why a test that was made does not show it. ``cycles`` are the norm's, where they are not those of the
-    test; ``part`` says what of it is left out at any time.
+    ``without`` says why a test that was made does not show it. ``cycles`` is the standard's number if it differs from
+    that of the test; ``part`` says which part is never covered.
     """
 
     clause: str
@@ -132,9 +132,9 @@ _ASKED: tuple[_Asked, ...] = (
 def coverage(
     tests: Sequence[IsoTest], arms: Mapping[str, ArmIso9283], conditions: IsoConditions | None, stopped: str = ""
 ) -> tuple[IsoLine, ...]:
-    """One line for each characteristic of the norm; more where arms differ. Conditions stand in the last two lines.
+    """Return one line for each characteristic, more if arms differ; the last two lines are the conditions.
 
-    ``tests`` were asked for, ``stopped`` is why the job ended early.
+    ``tests`` were requested; ``stopped`` says why the job ended early.
     """
     lines: list[IsoLine] = []
     for asked in _ASKED:
@@ -147,7 +147,7 @@ def coverage(
 
 
 def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
-    """Reason -> the characteristics that were not done for it, in the norm's order."""
+    """Map each reason to the characteristics that were not done for it, in the standard's order."""
     found = grouped((line.words, line.characteristic) for line in lines if line.status == "not done")
     return {reason: tuple(dict.fromkeys(names)) for reason, names in found.items()}
 
@@ -184,7 +184,7 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
 
 
 def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> Iterator[IsoLine]:
-    """Speeds and loads of the norm's tests (6.6, 6.7)."""
+    """Yield the lines for speeds and loads of the standard's tests (6.6, 6.7)."""
     if made is None or not any(arm.tests for arm in arms.values()):
         return
     done = {one.speed_share for arm in arms.values() for own in arm.tests.values() for one in own.series}
@@ -205,7 +205,7 @@ def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> I
 
 
 def _loads(arm: ArmIso9283, made: IsoConditions) -> tuple[IsoStatus, str]:
-    """Loads of an arm: done where the pose test was made with one load and with a tenth of it."""
+    """Judge the loads of an arm: done if the pose test was made with one load and with a tenth of it."""
     more = {one.payload_kg for own in arm.tests.values() for one in own.loads}
     loads = sorted({arm.payload_kg, *more}, reverse=True)
     tenth = any(abs(small - 0.1 * large) <= 0.01 * large for large in loads for small in loads)

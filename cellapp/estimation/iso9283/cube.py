@@ -1,8 +1,8 @@
 """The test cube of ISO 9283 (6.8), its inclined planes and the poses P1 to P5 in them.
 
-Corners C1 to C4 go round the upper face, C5 to C8 are below them. Each of the norm's four planes holds one edge of the
-upper face and the opposite one of the lower face. P1 is the centre; P2 to P5 are on the diagonals of the plane, 10 % of
-their length from the corners. All poses have the same orientation.
+Corners C1 to C4 go round the upper face, C5 to C8 are below them. Each of the standard's four planes holds one edge of
+the upper face and the opposite one of the lower face. P1 is the centre; P2 to P5 are on the diagonals of the plane,
+10 % of their length from the corners. All poses have the same orientation.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cellapp.robot.kinematics.transforms import Array
 
 DIRECTIONS = ("x", "y", "z")
-"""Of approach, along the axes of the arm's base (7.2.3)."""
+"""Directions of approach, along the axes of the arm's base (7.2.3)."""
 DIRECTIONAL_POSES = ("P1", "P2", "P4")
 
 CORNERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
@@ -31,48 +31,48 @@ CORNERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
         "C8": (-1, 1, -1),
     }
 )
-"""Sides of the centre along x, y and z of the arm's base."""
+"""Signs of each corner relative to the centre along x, y and z of the arm's base."""
 PLANES: tuple[tuple[str, str, str, str], ...] = (
     ("C1", "C2", "C7", "C8"),
     ("C2", "C3", "C8", "C5"),
     ("C3", "C4", "C5", "C6"),
     ("C4", "C1", "C6", "C7"),
 )
-"""The norm's planes a to d, in its order."""
+"""Planes a to d of the standard, in its order."""
 POSES = ("P1", "P2", "P3", "P4", "P5")
 RECTANGLE_CORNERS = ("P3", "P4", "P5", "P2")
 CYCLE = ("P5", "P4", "P3", "P2", "P1")
-"""Order of the visits in a cycle that begins at P1 (7.2): every pose is always reached from the same one."""
+"""Order of visits in a cycle that begins at P1 (7.2): every pose is always reached from the same previous pose."""
 _INSET = 0.1
-"""Distance of P2 to P5 from the ends of the diagonals, as share of their length; the norm allows 0.08 to 0.12."""
+"""Distance of P2 to P5 from the ends of the diagonals, as share of their length; the standard allows 0.08 to 0.12."""
 LARGE_CIRCLE, SMALL_CIRCLE = 0.8, 0.08
 """Diameters of the test circles as shares of the cube's edge (6.8): the small one is a tenth of the large one."""
 _CIRCLE_POINTS = 4
-"""Two arcs through four points make the circle."""
+"""Number of points on the circle, which is two arcs through them."""
 
 
 def plane_name(plane: tuple[str, str, str, str]) -> str:
-    """The plane as the norm writes it, "C1-C2-C7-C8"."""
+    """Return the plane's name in the standard, "C1-C2-C7-C8"."""
     return "-".join(plane)
 
 
 def pose_positions(centre: Array, edge: float, plane: tuple[str, str, str, str]) -> dict[str, Array]:
-    """Positions (3,) of P1 to P5 for a cube about ``centre`` (3,) [m]; P2 to P5 are near the plane's corners."""
+    """Return positions (3,) [m] of P1 to P5 for a cube about ``centre`` (3,) [m]; P2 to P5 are near the corners."""
     reach = 0.5 * edge * (1.0 - 2.0 * _INSET)
     corners = [centre + reach * np.array(CORNERS[name]) for name in plane]
     return dict(zip(POSES, [np.asarray(centre), *corners], strict=True))
 
 
 def rectangle_positions(poses: Mapping[str, Array]) -> Array:
-    """Points (6, 3) [m] of the rectangle P2 to P5: the middle between P2 and P3, then P3, P4, P5, P2, the middle."""
+    """Return points (6, 3) [m] of the rectangle P2 to P5: middle between P2 and P3, then P3, P4, P5, P2, middle."""
     middle = 0.5 * (poses["P2"] + poses["P3"])
     return np.array([middle, *(poses[name] for name in RECTANGLE_CORNERS), middle])
 
 
 def circle_positions(poses: Mapping[str, Array], edge: float, share: float = LARGE_CIRCLE) -> Array:
-    """Points (5, 3) [m] a quarter turn apart on a circle about P1 in the plane of the poses, the first twice.
+    """Return points (5, 3) [m] a quarter turn apart on a circle about P1 in the plane of the poses, the first twice.
 
-    ``share`` is the diameter as share of the cube's edge. The first point lies towards the middle of P2 and P3.
+    ``share`` is the diameter as a share of the cube's edge. The first point lies towards the middle of P2 and P3.
     """
     centre = poses["P1"]
     first = 0.5 * (poses["P2"] + poses["P3"]) - centre
@@ -83,9 +83,9 @@ def circle_positions(poses: Mapping[str, Array], edge: float, share: float = LAR
 
 
 def lattice_cube(points: NDArray[np.bool_]) -> tuple[int, tuple[int, int, int]] | None:
-    """The largest cube of points (a, b, c) bool that all hold: steps along its edge, and its first corner.
+    """Find the largest all-True cube in a mask (a, b, c); return the steps along its edge and its first corner.
 
-    None if no point holds. Of cubes of the same size the first corner in order is taken.
+    None if no point is True. Of cubes of the same size, take the one whose first corner comes first.
     """
     if not points.any():
         return None

@@ -1,4 +1,4 @@
-"""From measured positions to the characteristics of each arm and each pair of arms."""
+"""Compute the characteristics of each arm and each pair of arms from measured positions."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ _MINUTE_S = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One measured visit: arm -> SMR (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
+    """One measured visit: arm -> SMR position (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
 
-    ``group`` counts the groups of a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` that of the air.
-    ``turned`` has the quaternion (4,) of a probe and its standard uncertainty [rad], of arms with one.
+    ``group`` is the index of the group in a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` is that of
+    the air. ``turned``: arm with a probe -> its quaternion (4,) and standard uncertainty [rad].
     """
 
     place: Place
@@ -58,16 +58,16 @@ class Measured:
 
 @dataclass(eq=False)
 class Measurements:
-    """All measured visits, in their order."""
+    """All measured visits, in order."""
 
     visits: list[Measured] = field(default_factory=list)
 
     def at(self, place: Place, group: int = 0) -> list[Measured]:
-        """The visits of one place, one for each cycle that was measured."""
+        """Return the visits of one place, one for each measured cycle."""
         return [one for one in self.visits if one.place == place and one.group == group]
 
     def groups(self, place: Place) -> list[int]:
-        """The groups of a drift test that were measured."""
+        """Return the indices of the measured groups of a drift test."""
         return sorted({one.group for one in self.visits if one.place == place})
 
 
@@ -79,7 +79,7 @@ def pose_characteristics(
     speed: float = 0.0,
     load_kg: float | None = None,
 ) -> tuple[PoseCharacteristics, ...]:
-    """AP and RP at each pose that was measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
+    """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
     ``speed`` and ``load_kg`` are as in ``Place``.
     """
@@ -96,7 +96,7 @@ def pose_characteristics(
 def directional_characteristics(
     arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
 ) -> tuple[DirectionalCharacteristics, ...]:
-    """vAP at each pose that was measured twice or more from every direction."""
+    """Compute vAP at each pose that was measured twice or more from every direction."""
     found = []
     for pose in DIRECTIONAL_POSES:
         each = {
@@ -117,7 +117,7 @@ def directional_characteristics(
 def distance_characteristics(
     arm: ArmProgramme, measured: Measurements, rng: np.random.Generator
 ) -> tuple[DistanceCharacteristics, ...]:
-    """AD and RD between P2 and P4, of cycles in which both were measured."""
+    """Compute AD and RD between P2 and P4 from cycles in which both were measured."""
     both = [{one.cycle: one for one in measured.at(arm.place("distance", pose))} for pose in ("P2", "P4")]
     common = sorted(both[0].keys() & both[1].keys())
     first, second = (_cycles(arm, pose, [one[c] for c in common]) for pose, one in zip(("P2", "P4"), both, strict=True))
@@ -129,7 +129,7 @@ def distance_characteristics(
 def drift_characteristics(
     arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
 ) -> DriftCharacteristics | None:
-    """dAP and dRP at P1; None with fewer than two groups."""
+    """Compute dAP and dRP at P1; None with fewer than two groups."""
     place = arm.place("drift", "P1")
     visits = [measured.at(place, group) for group in measured.groups(place)]
     visits = [one for one in visits if len(one) >= FEWEST_CYCLES]
@@ -153,7 +153,7 @@ def drift_characteristics(
 def cooperative_characteristics(
     programmes: tuple[ArmProgramme, ArmProgramme], measured: Measurements, rng: np.random.Generator
 ) -> tuple[tuple[PoseCharacteristics, ...], tuple[DistanceCharacteristics, ...]]:
-    """Accuracy and repeatability of the vector between two SMRs, and of its length, at each pair of poses."""
+    """Compute accuracy and repeatability of the vector between two SMRs, and of its length, at each pair of poses."""
     first, second = programmes
     names = (first.name, second.name)
     places = dict.fromkeys(
@@ -178,7 +178,7 @@ def cooperative_characteristics(
 
 
 def _cycles(arm: ArmProgramme, pose: str, visits: Sequence[Measured]) -> Cycles | None:
-    """The cycles of one position; None with fewer than two."""
+    """Collect the cycles of one position; None with fewer than two."""
     own = [one for one in visits if arm.name in one.p_M]
     if len(own) < FEWEST_CYCLES:
         return None

@@ -1,4 +1,4 @@
-"""From positions under forces to static compliance (10): displacement along the force for each newton."""
+"""Compute static compliance (10) from positions under forces: displacement along the force per newton."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from cellapp.estimation.iso9283.records import ComplianceCharacteristics, ForceS
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 
 FORCE_DIRECTIONS = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "+-")
-"""Along the axes of the arm's base, both ways."""
+"""Directions of the force: along the axes of the arm's base, both ways."""
 POSE = "P1"
 
 
 def force_direction(direction: str) -> Array:
-    """Unit vector (3,) of a direction in the arm's base."""
+    """Return the unit vector (3,) of a direction in the arm's base frame."""
     return np.asarray((1.0 if direction[0] == "+" else -1.0) * np.eye(3)["xyz".index(direction[1])])
 
 
 def force_place(arm: ArmProgramme, direction: str, force_n: float) -> Place:
-    """The place of a measurement under a force; without one, before it is group 0 and after it group 1."""
+    """Return the place of a measurement under a force; without force, group 0 is before the load, group 1 after it."""
     return Place("compliance", arm.commands, (arm.name,), (POSE,), direction, force_n=force_n)
 
 
 def compliance_characteristics(
     arm: ArmProgramme, measured: Measurements, base_M: Array
 ) -> tuple[ComplianceCharacteristics, ...]:
-    """Static compliance in each direction that was measured; ``base_M`` (3, 3) is the rotation of the base in M.
+    """Compute static compliance in each measured direction; ``base_M`` (3, 3) is the rotation of the base in M.
 
-    With the displacement d_k along the force under F_k against the position without a force, the compliance of a cycle
-    is ``sum F_k d_k / sum F_k^2``, the line through zero of least squares. Its uncertainty is that of the tracker's
-    stated covariance in all these positions, with what the cycles scatter.
+    With d_k the displacement along the force under F_k from the position without force, the compliance of a cycle
+    is ``sum F_k d_k / sum F_k^2``, the least-squares line through zero. Its uncertainty combines the tracker's
+    stated covariance in all these positions and the scatter of the cycles.
     """
     found = []
     for direction in FORCE_DIRECTIONS:

@@ -1,4 +1,4 @@
-"""From points that were measured along a path to its characteristics: AT, RT, velocity, corners."""
+"""Compute the characteristics of a path, AT, RT, velocity and corners, from points measured along it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from cellapp.estimation.iso9283.uncertainty import path_values
 from cellapp.robot.kinematics.transforms import Array
 
 _SAME_STRETCH_M = 0.02
-"""An arm is nowhere farther from its path; on a closed path the other side is."""
+"""Distance up to which a crossing belongs to its point: no arm is farther off, but the far side of a closed path is."""
 _MIDDLE = (0.25, 0.75)
-"""Shares of a path's length between which its velocity counts: no ramp reaches there."""
+"""Shares of a path's length between which the velocity is evaluated: no ramp reaches there."""
 _DRAWS = 200
 
 
@@ -33,7 +33,7 @@ _DRAWS = 200
 class PathTrack:
     """Measured points of one cycle along a path: times (k,) [s] and positions (k, 3) [m], in order.
 
-    ``lost_beams`` is how often the cycle was begun before and not ended, as the beam broke.
+    ``lost_beams`` is the number of earlier attempts at the cycle that ended because the beam broke.
     """
 
     time_s: Array
@@ -43,31 +43,31 @@ class PathTrack:
 
 @dataclass(frozen=True, eq=False)
 class PathRuns:
-    """A path that was driven several times.
+    """Path that was driven several times.
 
     Attributes
     ----------
     arm, commands, name : str
     speed : float
-        Commanded [m/s].
+        Commanded speed [m/s].
     length : float
-        [m]
+        Length of the path [m].
     commanded_M, tangents_M : array, shape (m, 3)
-        Places on the commanded path [m], and its unit tangents there.
+        Points on the commanded path [m], and its unit tangents there.
     s : array, shape (m,)
-        Arc lengths of these places [m].
+        Arc lengths of these points [m].
     tracks : list of PathTrack
-        Of each cycle.
+        One for each cycle.
     tracker, frame : array, shape (3, 3)
-        As in ``Cycles`` [m^2].
+        Covariances as in ``Cycles`` [m^2].
     wanted : int
-        Cycles that were to be driven.
+        Requested number of cycles.
     corners : tuple of Corner
-        Corners of the commanded path; where it has some, the arm does not keep its speed.
+        Corners of the commanded path; with corners the arm does not keep its speed.
     slowed : str
-        Why the programme itself does not keep the commanded speed; empty if it does.
+        Why the planned motion does not keep the commanded speed; empty if it does.
     series : float
-        Share of the profile's speed where the test is repeated at another one, else 0.
+        Share of the profile's speed if the test is repeated at another speed, else 0.
     problems : list of str
         Why fewer cycles were driven.
     """
@@ -91,7 +91,8 @@ class PathRuns:
 
 
 def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
-    """AT and RT over the places that every cycle crossed, velocity, corners; None with fewer than two cycles."""
+    """Compute velocity, corners, and AT and RT over the points whose planes every cycle crossed; None with fewer than
+    two cycles."""
     if len(runs.tracks) < FEWEST_CYCLES:
         return None
     crossed = np.stack([_crossings(runs, one) for one in runs.tracks], axis=1)
@@ -117,14 +118,14 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
 
 
 def _crossings(runs: PathRuns, track: PathTrack) -> Array:
-    """Where and when one cycle crosses the planes at the places, (m, 4) [m, s]; NaN where it does not."""
+    """Compute where and when one cycle crosses the planes at the points, (m, 4) [m, s]; NaN where it does not."""
     return plane_crossings(
         np.column_stack([track.p_M, track.time_s]), runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M
     )
 
 
 def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:
-    """AV, RV and FV over the middle half of a path without corners; None where a place there was not crossed."""
+    """Compute AV, RV and FV over the middle half of a path; None with corners or if a plane there was not crossed."""
     middle = (runs.s >= _MIDDLE[0] * runs.length) & (runs.s <= _MIDDLE[1] * runs.length)
     if runs.corners or middle.sum() < 3 or not np.isfinite(times[:, middle]).all():
         return None
@@ -159,10 +160,10 @@ def _corner(runs: PathRuns, corner: Corner) -> CornerCharacteristics:
 def _mean_of(
     runs: PathRuns, corner: Corner, formula: Callable[[Array, Corner], float], contained: float
 ) -> IsoValue | None:
-    """The mean over the cycles that passed the corner; None with fewer than two.
+    """Compute the mean over the cycles that passed the corner; None with fewer than two.
 
-    ``contained`` is the noise that the value may contain, in standard deviations of a coordinate: the largest of many
-    points is larger than what it would be without noise.
+    ``contained`` is the noise that the value may contain, in standard deviations of a coordinate: the maximum of many
+    points is larger than it would be without noise.
     """
     values = np.array([formula(one.p_M, corner) for one in runs.tracks])
     values = values[np.isfinite(values)]

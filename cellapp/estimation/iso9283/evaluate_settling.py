@@ -1,4 +1,4 @@
-"""From records of motions to a pose to stabilisation time, overshoot and posing time."""
+"""Compute stabilisation time, overshoot and posing time from records of motions to a pose."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from cellapp.estimation.iso9283.settling import settled
 from cellapp.robot.kinematics.transforms import Array
 
 _BAND_SIGMAS = 5.0
-"""A single point is hardly ever farther off by noise."""
+"""Least limit band in standard deviations of a coordinate: noise hardly ever moves a single point farther."""
 
 
 @dataclass(frozen=True, eq=False)
 class SettlingRuns:
-    """Motions to one pose that were recorded.
+    """Recorded motions to one pose.
 
     Attributes
     ----------
     arm, commands, pose, before : str
-        ``before`` is the pose from which the motions began.
+        ``before`` is the pose at which the motions began.
     commanded_M : array, shape (3,)
-        [m]
+        Commanded position [m].
     distance : float
         Length of the motion [m].
     band : float
@@ -33,11 +33,11 @@ class SettlingRuns:
     tracker : array, shape (3, 3)
         Covariance of a point [m^2].
     tracks : list of PathTrack
-        Of each motion.
+        One for each motion.
     wanted : int
-        Motions that were to be recorded.
+        Requested number of motions.
     problems : list of str
-        Why fewer were.
+        Why fewer were recorded.
     """
 
     arm: str
@@ -54,7 +54,7 @@ class SettlingRuns:
 
 
 def settling_characteristics(runs: SettlingRuns) -> SettlingCharacteristics | None:
-    """Mean stabilisation and posing time, largest overshoot; None where no motion could be evaluated."""
+    """Compute mean stabilisation and posing time and the largest overshoot; None if no motion could be evaluated."""
     sigma = float(np.sqrt(np.trace(runs.tracker) / 3.0))
     band = max(runs.band, _BAND_SIGMAS * sigma)
     found = [one for track in runs.tracks if (one := settled(track.time_s, track.p_M, band)) is not None]

@@ -1,4 +1,4 @@
-"""From points that were measured along a weaving path to its deviations WS and WF (11)."""
+"""Compute the weaving deviations WS and WF (11) from points measured along a weaving path."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ _FEWEST_TURNS = 3
 
 @dataclass(frozen=True, eq=False)
 class WeavingRuns:
-    """A line with weaving that was driven several times.
+    """Line with weaving that was driven several times.
 
     Attributes
     ----------
     arm, commands : str
     speed : float
-        Commanded along the zigzag [m/s].
+        Commanded speed along the zigzag [m/s].
     commanded_M : array, shape (m, 3)
-        The commanded path, closely spaced [m], in the tracker frame.
+        Closely spaced points of the commanded path in the tracker frame [m].
     along_M, across_M : array, shape (3,)
         Unit vectors of the line and of the weaving.
     turns : array, shape (k,)
-        How far along the line each turn of the zigzag is, from the first point of the path [m].
+        Distance of each turn of the zigzag along the line from the first point of the path [m].
     tracker : array, shape (3, 3)
         Covariance of a point [m^2].
     tracks : list of PathTrack
-        Of each cycle.
+        One for each cycle.
     wanted : int
+        Requested number of cycles.
     slowed : str
-        As of ``PathRuns``.
+        As in ``PathRuns``.
     problems : list of str
         Why fewer cycles were driven.
     """
@@ -56,11 +57,11 @@ class WeavingRuns:
 
 
 def weaving_characteristics(runs: WeavingRuns) -> WeavingCharacteristics | None:
-    """WS and WF over all cycles that passed every turn; None with fewer than two.
+    """Compute WS and WF over all cycles that passed every turn; None with fewer than two.
 
-    Both are of the same formulas for the commanded and the attained path: a stroke is the distance across the line from
-    a turn to the next one, a frequency half of what passes from a turn to the next one, inverted. A turn is the
-    outermost point within a quarter of a wave from where it is commanded.
+    The same formulas serve the commanded and the attained path. A stroke is the distance across the line between
+    successive turns. The frequency is one over twice the time between successive turns. A turn is the outermost point
+    within a quarter of a wave from its commanded position.
     """
     commanded = _turns(runs, runs.commanded_M)
     if commanded is None:
@@ -76,7 +77,7 @@ def weaving_characteristics(runs: WeavingRuns) -> WeavingCharacteristics | None:
     n = len(strokes)
     if n < FEWEST_CYCLES:
         return None
-    # the outermost of many points lies farther out than it would without noise, by two standard deviations at most
+    # Noise moves the outermost of many points outwards, by two standard deviations at most.
     sigma = float(np.sqrt(runs.across_M @ runs.tracker @ runs.across_M))
     wide, often = np.array(strokes) / stroke - 1.0, half_s / np.array(halves) - 1.0
     factor = coverage_of_mean(n)
@@ -98,7 +99,7 @@ def weaving_characteristics(runs: WeavingRuns) -> WeavingCharacteristics | None:
 
 
 def _turns(runs: WeavingRuns, p_M: Array) -> Array | None:
-    """Rows (k,) of the turns in points (m, 3); None where one has no point near it."""
+    """Find the rows (k,) of the turns among points (m, 3); None if a turn has no point near it."""
     if len(runs.turns) < _FEWEST_TURNS or not len(p_M):
         return None
     start = runs.commanded_M[0]
@@ -114,5 +115,5 @@ def _turns(runs: WeavingRuns, p_M: Array) -> Array | None:
 
 
 def _stroke(runs: WeavingRuns, turns_M: Array) -> float:
-    """Mean distance across the line from a turn to the next one [m]."""
+    """Compute the mean distance [m] across the line between successive turns."""
     return float(np.abs(np.diff(turns_M @ runs.across_M)).mean())

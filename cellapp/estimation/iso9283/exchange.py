@@ -1,7 +1,7 @@
-"""Exchangeability E (7.7): how far arms of one type miss each other when one takes another's place with its programme.
+"""Exchangeability E (7.7): difference of attained positions when one arm replaces another of its type, same program.
 
-Attained positions are taken relative to the base of each arm, as each base was found: where an arm is bolted down is no
-property of the arm. The norm takes five arms; here are as many as there are tests, one of each arm.
+Attained positions are relative to the measured base of each arm, because the place where an arm is mounted is not a
+property of the arm. The standard takes five arms; here there are as many as tests, one of each arm.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def exchangeability(means: Array) -> Array:
-    """E at each pose (m,) [m]: largest distance between the mean attained positions (k, m, 3) [m] of k arms.
+    """Compute E at each pose (m,) [m]: largest distance between the mean attained positions (k, m, 3) [m] of k arms.
 
-    Raises ``ValueError`` for fewer than two arms.
+    Raise ``ValueError`` for fewer than two arms.
     """
     if len(means) < 2:
         raise ValueError("exchangeability needs two arms or more")
@@ -30,7 +30,7 @@ def exchangeability(means: Array) -> Array:
 def exchanged(
     own: tuple[PoseCharacteristics, ...], other: tuple[PoseCharacteristics, ...], where: str
 ) -> Exchangeability | None:
-    """E of two tests of the same poses, the worst pose; None without a common pose. ``where`` is the other test."""
+    """Compute E of two tests at their worst common pose; None without one. ``where`` names the other test's run."""
     theirs = {pose.pose: pose for pose in other}
     both = [(pose, theirs[pose.pose]) for pose in own if pose.pose in theirs]
     if not both:

@@ -1,8 +1,8 @@
 """Accuracy and repeatability of orientation by ISO 9283:1998, 7.2.1 and 7.2.2, from a 6-D probe on the flange.
 
-The norm takes differences of three angles of the attained and the commanded orientation. Here they are those of the
-rotation from the commanded to the attained orientation about the axes of the arm's base: to first order the same for
-rotations about these axes, and without a choice of angles that may be singular at the commanded orientation.
+The standard takes differences of three angles between attained and commanded orientation. Here they are the components
+of the rotation vector from the commanded to the attained orientation, about the axes of the arm's base. To first order
+this is the same for rotations about these axes, and no choice of angles can be singular at the commanded orientation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ COVERAGE = 2.0
 def orientation_characteristics(
     attained: Sequence[Array], commanded_M: Array, base_M: Array, sigma_rad: Sequence[float]
 ) -> OrientationCharacteristics | None:
-    """Characteristics of one pose; None with fewer than two cycles.
+    """Compute the characteristics of one pose; None with fewer than two cycles.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def orientation_characteristics(
     base_M : array, shape (3, 3)
         Rotation of the base in the tracker frame.
     sigma_rad : sequence of n float
-        Standard uncertainty of each orientation about each axis [rad]; all of it is taken as common to the cycles in
-        the uncertainty of the accuracy.
+        Standard uncertainty of each orientation about each axis [rad]; for the uncertainty of the accuracy, all of it
+        is taken as common to the cycles.
     """
     n = len(attained)
     if n < FEWEST_CYCLES:

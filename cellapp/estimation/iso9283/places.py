@@ -1,4 +1,4 @@
-"""What is measured at a visit of the tests, and what an arm is commanded to."""
+"""Places that are measured in the tests, and the commands of an arm."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True)
 class Place:
-    """What is measured at a visit: its positions are evaluated together, over all cycles.
+    """Key of what is measured at a visit; the positions of one place are evaluated together over all cycles.
 
-    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test or of a force,
-    ``speed`` the share of the profile's speed where the test is repeated at another one, else 0; ``load_kg`` the load
-    where it is repeated with another one, ``force_n`` the force on the flange in a test of static compliance.
+    ``poses`` are those of ``arms`` in turn. ``approach`` is the direction of a multi-directional test or of a force.
+    ``speed`` is the share of the profile's speed if the test is repeated at another speed, else 0. ``load_kg`` is the
+    load if it is repeated with another load. ``force_n`` is the force on the flange in a static compliance test.
     """
 
     test: IsoTest
@@ -37,20 +37,20 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class ArmProgramme:
-    """What one arm is commanded to with one kind of commands.
+    """Commands of one arm with one kind of commands.
 
     Attributes
     ----------
     name : str
     commands : str
     position_M : mapping
-        Position -> where its SMR should be [m].
+        Name of a pose -> commanded SMR position (3,) [m].
     frame : mapping
-        Position -> covariance (3, 3) of that [m^2].
+        Name of a pose -> covariance (3, 3) of that position [m^2].
     rotation_M : mapping
-        Position -> how its probe should be turned (3, 3); empty where that is not known.
+        Name of a pose -> commanded orientation (3, 3) of its probe; empty if unknown.
     q : mapping
-        (position, the one before) -> joint positions (N,) [rad]: a model with play commands by the side of approach.
+        (pose, previous pose) -> joint positions (N,) [rad]: with backlash in the model they depend on the approach.
     """
 
     name: str
@@ -63,5 +63,5 @@ class ArmProgramme:
     def place(
         self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0, load_kg: float | None = None
     ) -> Place:
-        """The place of a position of this arm alone."""
+        """Return the place of a pose of this arm alone."""
         return Place(test, self.commands, (self.name,), (pose,), approach, speed, load_kg)

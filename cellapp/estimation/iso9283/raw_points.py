@@ -1,8 +1,8 @@
-"""Every measured point of the tests with its time, as rows of a table from which another program computes the same.
+"""Table of every measured point of the tests with its time, from which another program can compute the same results.
 
-A row is ``commanded``, where an SMR should have been, or ``measured``. Commanded positions stand once for each place of
-a test; those of a path are its places of evaluation, in order, with the direction of the path, which is the normal of
-the plane in which a crossing counts. Measured points of a path are all points of each cycle in the order of time.
+A row is ``commanded``, the target position of an SMR, or ``measured``. Commanded positions appear once for each place
+of a test. Those of a path are its evaluation points, in order, with the direction of the path: the normal of the plane
+whose crossing is evaluated. Measured points of a path are all points of each cycle in order of time.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ HEADER = (
     "quat_z",
 )
 """Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
-``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty, as is ``load_kg``;
-``force_n`` is the force on the flange along ``approach`` in a test of static compliance, whose group 2 is after it.
-Quaternions are those of a 6-D probe in the tracker frame, where its orientation was measured."""
+``speed_percent`` is the share of the profile's speed if a test was repeated at another speed, else empty; likewise
+``load_kg``. ``force_n`` is the force on the flange along ``approach`` in a static compliance test; group 2 is after it.
+Quaternions are those of a 6-D probe in the tracker frame; empty without a measured orientation."""
 _NO_DIRECTION = ("", "", "")
 _NOT_TURNED = ("", "", "", "")
 
@@ -58,7 +58,7 @@ def raw_rows(
     settling: Sequence[SettlingRuns] = (),
     weaving: Sequence[WeavingRuns] = (),
 ) -> Iterator[Row]:
-    """All rows: commanded and measured positions at rest, then paths, motions to a pose, weaving."""
+    """Yield all rows: commanded and measured positions at rest, then paths, motions to a pose, weaving."""
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
             where = _place_cells(place, name)
@@ -122,12 +122,12 @@ def _percent(share: float) -> str:
 
 
 def _commanded_turn(arm: ArmProgramme, pose: str) -> Row:
-    """The commanded orientation of a probe, as a quaternion; empty where there is none."""
+    """Return the cells of a probe's commanded orientation as a quaternion; empty if there is none."""
     if pose not in arm.rotation_M:
         return _NOT_TURNED
     return _numbers(quaternions_of(arm.rotation_M[pose]))
 
 
 def _numbers(vector: Array) -> Row:
-    """Numbers with all their digits."""
+    """Return the cells of numbers with all their digits."""
     return tuple(repr(float(value)) for value in vector)

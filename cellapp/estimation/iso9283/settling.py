@@ -1,8 +1,8 @@
-"""How an arm comes to rest at a pose: stabilisation time, overshoot, posing time (7.4, 7.5 and 9). Formulas.
+"""Formulas for settling at a pose: stabilisation time, overshoot, posing time (7.4, 7.5 and 9).
 
-The norm's text was not at hand; the definitions are those that are commonly given. The time begins when the SMR enters
-a band about where it comes to rest, and ends when it stays inside. How far it is from there in between is the
-overshoot.
+The standard's text was not at hand; the definitions are those commonly given. Stabilisation begins when the SMR enters
+the limit band about its rest position, and ends when it stays inside. The overshoot is its largest distance from the
+rest position in between.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array
 
 REST_S = 0.5
-"""So long at the end of a record the arm is at rest: the mean of these points is where it came to rest."""
+"""Time at the end of a record in which the arm is at rest: the mean of these points is the rest position."""
 _START_S = 0.1
-"""So long at its beginning the arm has not yet moved."""
+"""Time at the beginning of a record in which the arm has not yet moved."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """One motion to a pose: times [s] and overshoot [m]; zero where the band was not left again."""
+    """Settling of one motion to a pose: times [s] and overshoot [m], zero if the SMR did not leave the band again."""
 
     stabilisation_s: float
     overshoot_m: float
@@ -29,12 +29,12 @@ class Settled:
 
 
 def settled(time_s: Array, points: Array, band_m: float) -> Settled | None:
-    """Evaluate the record of one motion; None where it does not begin or end at rest.
+    """Evaluate the record of one motion; None if it does not begin or end at rest.
 
     Parameters
     ----------
     time_s : array, shape (k,)
-        [s], in order.
+        Times in order [s].
     points : array, shape (k, 3)
         Measured positions [m].
     band_m : float

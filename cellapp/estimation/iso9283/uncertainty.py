@@ -1,12 +1,12 @@
 """Characteristics with their expanded uncertainties, by Monte Carlo simulation (JCGM 101:2008).
 
-Cycles are drawn again from the mean and the covariance of the measured ones, in each draw widened by what n cycles
-leave open about their scatter (t distribution of n - 1 degrees of freedom, JCGM 101:2008, 6.4.9), and the formula of
-the characteristic is applied to each draw. What the tracker and the base frame may be off is drawn once for all cycles
-of a position: the tracker's stated covariance does not say which part of it scatters from cycle to cycle, so that all
-of it counts there. It counts for repeatabilities too, in which it may be contained: they are uncertain by what taking
-it out would change. The expanded uncertainty is the half-width about the median that holds 95.45 % of the draws: of a
-normal distribution it has the coverage factor 2.
+Cycles are drawn from the mean and the covariance of the measured ones. Each draw is widened for the uncertainty of a
+scatter from n cycles (t distribution of n - 1 degrees of freedom, JCGM 101:2008, 6.4.9), and the formula of the
+characteristic is applied to it. Errors of the tracker and of the base frame are drawn once for all cycles of a
+position: the tracker's stated covariance does not say which part of it scatters from cycle to cycle, so all of it
+counts as common. A repeatability may also contain it: its uncertainty includes the change from removing that scatter.
+The expanded uncertainty is the half-width about the median that holds 95.45 % of the draws: for a normal distribution
+this is the coverage factor 2.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from cellapp.robot.kinematics.transforms import Array
 
 _COVERAGE = 0.9545
 _DRAWS = 1000
-"""They give a standard deviation to 2 %."""
+"""Number of draws: they give a standard deviation to 2 %."""
 _PATH_DRAWS = 200
-"""A path has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
+"""Number of draws for a path, which has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,13 @@ class Cycles:
     Attributes
     ----------
     attained : array, shape (n, 3)
-        [m]
+        Measured positions [m].
     commanded : array, shape (3,)
-        [m]
+        Commanded position [m].
     tracker : array, shape (3, 3)
         Covariance of one measured position as the tracker states it [m^2].
     frame : array, shape (3, 3)
-        Covariance of the commanded position, where base and SMR were found by measuring [m^2]; else zero.
+        Covariance of the commanded position if base and SMR were found by measuring [m^2]; else zero.
     """
 
     attained: Array
@@ -70,24 +70,24 @@ class Cycles:
         return np.atleast_2d(np.cov(self.attained, rowvar=False))
 
     def draws(self, rng: np.random.Generator, count: int = _DRAWS) -> Array:
-        """Simulated cycles (count, n, 3), without errors that all cycles share [m]."""
+        """Draw simulated cycles (count, n, 3) [m], without errors that all cycles share."""
         noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(count, self.n), method="eigh")
         return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (count, 1, 1)) * noise)
 
     def common(self, rng: np.random.Generator, count: int = _DRAWS) -> Array:
-        """Simulated errors (count, 1, 3) that all cycles share [m]."""
+        """Draw simulated errors (count, 1, 3) [m] that all cycles share."""
         drawn = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=count, method="eigh")
         return np.asarray(drawn[:, None])
 
 
 def accuracy_value(cycles: Cycles, rng: np.random.Generator) -> IsoValue:
-    """AP of one pose."""
+    """Compute AP of one pose."""
     drawn = pose_accuracy(cycles.draws(rng) + cycles.common(rng), cycles.commanded)
     return _value(float(pose_accuracy(cycles.attained, cycles.commanded)), _expanded(drawn), cycles.n)
 
 
 def repeatability_value(cycles: Cycles, rng: np.random.Generator) -> tuple[IsoValue, float]:
-    """RP of one pose, and the RP [m] that the tracker's stated uncertainty alone would show."""
+    """Compute RP of one pose, and the RP [m] that the tracker's stated uncertainty alone would show."""
     value = float(pose_repeatability(cycles.attained))
     sampling = _expanded(pose_repeatability(cycles.draws(rng)))
     alone = rng.multivariate_normal(np.zeros(3), cycles.tracker, size=(_DRAWS, cycles.n), method="eigh")
@@ -96,14 +96,14 @@ def repeatability_value(cycles: Cycles, rng: np.random.Generator) -> tuple[IsoVa
 
 
 def directional_value(directions: Sequence[Cycles], rng: np.random.Generator) -> IsoValue:
-    """vAP of one pose from its directions of approach; the tracker's error is the same for all of them."""
+    """Compute vAP of one pose from its directions of approach; the tracker's error is the same for all of them."""
     drawn = np.stack([one.draws(rng).mean(axis=1, keepdims=True) for one in directions], axis=1)
     means = np.stack([one.attained.mean(axis=0, keepdims=True) for one in directions])
     return _value(float(directional_variation(means)), _expanded(directional_variation(drawn)), _fewest(directions))
 
 
 def distance_values(first: Cycles, second: Cycles, rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
-    """AD and RD of two positions that were attained in the same cycles."""
+    """Compute AD and RD of two positions that were attained in the same cycles."""
     wanted = float(np.linalg.norm(second.commanded - first.commanded))
     drawn = [one.draws(rng) for one in (first, second)]
     shared = [one.common(rng) for one in (first, second)]
@@ -123,7 +123,7 @@ def distance_values(first: Cycles, second: Cycles, rng: np.random.Generator) -> 
 
 
 def drift_values(groups: Sequence[Cycles], rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
-    """dAP and dRP of groups of cycles, the first one first; the tracker's error is the same in all of them."""
+    """Compute dAP and dRP of groups of cycles in order of time; the tracker's error is the same in all of them."""
     drawn = [one.draws(rng) for one in groups]
     shared = groups[0].common(rng)
     accuracy = partial(pose_accuracy, commanded=groups[0].commanded)
@@ -138,16 +138,16 @@ def drift_values(groups: Sequence[Cycles], rng: np.random.Generator) -> tuple[Is
 def path_values(
     attained: Array, commanded: Array, tracker: Array, frame: Array, rng: np.random.Generator
 ) -> tuple[IsoValue, IsoValue]:
-    """AT and RT of a path that n cycles attained at m places.
+    """Compute AT and RT of a path that n cycles attained at m points.
 
     Parameters
     ----------
     attained : array, shape (m, n, 3)
-        [m]
+        Measured positions [m].
     commanded : array, shape (m, 3)
-        [m]
+        Commanded positions [m].
     tracker, frame : arrays, shape (3, 3)
-        As in ``Cycles``, the same at all places; their errors are the same too.
+        Covariances as in ``Cycles``, the same at all points; the errors are the same at all points too.
     """
     m, n = attained.shape[:2]
     mean = attained.mean(axis=1, keepdims=True)
@@ -164,13 +164,13 @@ def path_values(
 
 
 def _with_tracker(value: float, sampling: float, tracker: float) -> float:
-    """Expanded uncertainty [m] of a repeatability that may contain as much as ``tracker`` of the tracker's scatter."""
+    """Compute the expanded uncertainty [m] of a repeatability that may contain the scatter ``tracker`` [m]."""
     without = np.sqrt(max(value**2 - tracker**2, 0.0))
     return float(np.hypot(sampling, value - without))
 
 
 def _widened(rng: np.random.Generator, n: int, shape: tuple[int, ...]) -> Array:
-    """Factors on the standard deviation of n cycles: what their scatter may be in truth."""
+    """Draw factors from the standard deviation of n cycles to possible values of the true one."""
     return np.asarray(np.sqrt((n - 1) / rng.chisquare(n - 1, shape)))
 
 

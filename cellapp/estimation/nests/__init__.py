@@ -1,4 +1,4 @@
-"""Several SMRs on one flange, measured one after another at a stop: together they give the flange's orientation."""
+"""Several SMRs on one flange, measured one after another at a stop; together they give the flange's orientation."""
 
 from cellapp.estimation.nests.by_stop import NestStops, by_stop, poses
 from cellapp.estimation.nests.shape import NestShape, fit_shape

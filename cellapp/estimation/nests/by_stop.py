@@ -1,10 +1,11 @@
-"""Readings of several nests as one reading a stop: the position of the first nest, and the orientation of all.
+"""Combine readings of several nests into one reading per stop: position of the first nest, orientation from all.
 
-A nest's row at a stop is p_k = p + R s_k with the figure s of the nests. Position p and orientation R of a stop follow
-from three nests or more by weighted least squares, with their covariance. Two nests fix no orientation.
+A nest's row at a stop is p_k = p + R s_k, where s are the nests' positions in the rigid figure. Position p and
+orientation R of a stop follow from three or more nests by weighted least squares, with their covariance. Two nests fix
+no orientation.
 
-Both are stated with full covariances: about the beam an orientation is known several times less well than across it.
-Errors of p and R are correlated, which that leaves out: they are taken as two readings.
+Both are stated with full covariances: an orientation is several times less certain about the beam than across it.
+The correlation of p and R is neglected: they are taken as two readings.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_col
 
 @dataclass(frozen=True, eq=False)
 class NestStops:
-    """One reading a stop, and what it was made of.
+    """One reading per stop, with the data that it was made from.
 
     Attributes
     ----------
     readings : Readings
-        Of the first nest, with orientations where three nests were measured; rows in the order of the stops.
+        Readings of the first nest, with orientations if three nests were measured; rows in the order of the stops.
     shape : NestShape or None
-        None where no figure can be told.
+        None if the figure cannot be determined.
     groups : StopGroups
     left_out : array, shape (S,)
-        Stops without a reading: neither the first nest nor three others were measured.
+        Mask of stops without a reading: neither the first nest nor three others were measured.
     """
 
     readings: Readings
@@ -45,15 +46,15 @@ class NestStops:
 
 
 def by_stop(readings: Readings, names: Sequence[str], offsets_F: Array) -> NestStops:
-    """One reading a stop from rows of nests.
+    """Combine rows of nests into one reading per stop.
 
     Parameters
     ----------
     readings : Readings
-        Rows with ``smr``: one of ``names``, None is the first.
+        Rows whose ``smr`` is one of ``names``; None means the first.
     names : sequence of K str
     offsets_F : array, shape (K, 3)
-        Where the nests are on the flange [m], NaN where unknown. Where three are known, S has the flange's axes.
+        Positions of the nests on the flange [m], NaN where unknown. If three are known, S has the flange's axes.
     """
     groups = StopGroups.of(readings, names)
     try:
@@ -72,7 +73,7 @@ def by_stop(readings: Readings, names: Sequence[str], offsets_F: Array) -> NestS
 
 
 def _means(readings: Readings, groups: StopGroups, first: NDArray[np.intp]) -> Readings:
-    """The rows ``first`` (S,), with joint positions, times and dwell as their means over the rows of a stop."""
+    """Return the rows ``first`` (S,), with joint positions, times and dwell averaged over the rows of each stop."""
     one = readings.take(first)
     count = groups.seen.sum(axis=1)
     means: dict[str, Any] = {}
@@ -85,7 +86,7 @@ def _means(readings: Readings, groups: StopGroups, first: NDArray[np.intp]) -> R
 
 
 def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDArray[np.bool_]) -> Readings:
-    """Readings (S,) with position, orientation and their uncertainty where ``turned`` (S,) says so."""
+    """Set position, orientation and their uncertainty in the readings (S,) that the mask ``turned`` (S,) selects."""
     p_M, information = groups.p_M[turned], groups.information[turned]
     if not groups.stated:
         information = information / (shape.noise_m**2 if np.isfinite(shape.noise_m) and shape.noise_m > 0.0 else 1e-10)
@@ -96,7 +97,7 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     points[turned] = origin
     quaternion[turned] = quaternions_of(rotation)
     turning[turned] = covariance[:, 3:, 3:]
-    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the axis that is known least
+    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the least certain axis
     stated: dict[str, Any] = {"turning_covariance_M": turning}
     of_rows = covariances(one)
     if of_rows is not None:
@@ -106,9 +107,9 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
 
 
 def poses(points_S: Array, p_M: Array, information: Array) -> tuple[Array, Array, Array]:
-    """Rotations (S, 3, 3) and origins (S, 3) of a figure (K, 3) at S stops, and the covariances (S, 6, 6) of both.
+    """Fit rotations (S, 3, 3) and origins (S, 3) of a figure (K, 3) at S stops, with the covariances (S, 6, 6) of both.
 
-    By weighted least squares, of points ``p_M`` (S, K, 3), NaN where not measured, with ``information`` (S, K, 3, 3).
+    Weighted least squares on points ``p_M`` (S, K, 3), NaN where not measured, with ``information`` (S, K, 3, 3).
     """
     rotation, origin = laid_on(points_S, p_M)
     arms = np.einsum("sab,kb->ska", rotation, points_S)

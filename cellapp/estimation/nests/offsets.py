@@ -1,4 +1,4 @@
-"""Where the nests are on the flange, by the calibrated arm."""
+"""Offsets of the nests on the flange from the calibrated arm."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.robot.model import ArmModel
 
 @dataclass(frozen=True, eq=False)
 class NestOffset:
-    """Offset of a nest in F (3,) [m], standard error of each coordinate (3,) [m], number of rows that it rests on."""
+    """Offset of a nest in F (3,) [m], standard error of each coordinate (3,) [m], number of rows used."""
 
     offset_F: Array
     standard_error: Array
@@ -23,9 +23,9 @@ class NestOffset:
 
 
 def offsets_by_arm(arm: ArmModel, rows: Readings, groups: StopGroups) -> dict[str, NestOffset]:
-    """Offsets of the nests that were measured, as the mean of their rows in the computed flange.
+    """Compute the offset of each measured nest as the mean of its rows in the computed flange frame.
 
-    An error of the computed flange that all rows of a nest share, as of the base, is not in the standard error.
+    The standard error omits errors of the computed flange that all rows of a nest share, such as that of the base.
     """
     rotations, origins = arm.flange(rows.q)
     p_F = np.einsum("nba,nb->na", rotations, rows.p_M - origins)

@@ -1,8 +1,8 @@
-"""The rigid figure that the nests on a flange form, from their positions at many stops and nothing else.
+"""Rigid figure of the nests on a flange, from their positions at many stops alone.
 
-Distances between nests do not depend on where the arm is: their medians give the figure up to its handedness
-(multidimensional scaling; Torgerson, Psychometrika 17 (1952) 401). It is then laid onto every stop and averaged in turn
-(generalised Procrustes analysis; Gower, Psychometrika 40 (1975) 33), without stops at which it does not fit.
+Distances between nests do not depend on the arm's configuration: their medians give the figure up to a reflection
+(multidimensional scaling; Torgerson, Psychometrika 17 (1952) 401). Then it is registered to every stop and averaged,
+alternately (generalised Procrustes analysis; Gower, Psychometrika 40 (1975) 33), without stops that it does not fit.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from cellapp.estimation.nests.stop_groups import StopGroups
 from cellapp.robot.kinematics.transforms import Array
 
 _ROUNDS = 6
-"""Rounds of laying on and averaging: the medians are within the noise already."""
+"""Rounds of registration and averaging; few are enough, as the start from medians is within the noise already."""
 _FLAT = 1e-3
-"""Extent of a figure out of its plane, relative to its size, below which its mirror image is itself."""
+"""Ratio of the second to the first singular value of the figure below which the nests are on one line."""
 _OUTLYING = 8.0
-"""Times the usual misfit from which the figure does not fit a stop."""
+"""Multiple of the median misfit above which the figure does not fit a stop."""
 _LEAST_M = 1e-6
-"""Misfit below which stops are alike [m]."""
+"""Lower bound of the median misfit [m]."""
 
 
 class UnseenPair(ValueError):
-    """Two nests that were never measured at the same stop: ``pair`` has their names."""
+    """Error for two nests that were never measured at the same stop; ``pair`` has their names."""
 
     def __init__(self, pair: tuple[str, str]) -> None:
         super().__init__(f"nests {pair[0]} and {pair[1]} were never measured at the same stop")
@@ -44,7 +44,7 @@ class NestShape:
     points_S : array, shape (K, 3)
         Nests in the frame S, whose origin is the first nest [m].
     noise_m : float
-        Standard deviation of a measured coordinate about the figure; NaN where nothing is left to tell it [m].
+        Standard deviation of a measured coordinate about the figure [m]; NaN without degrees of freedom.
     """
 
     names: tuple[str, ...]
@@ -53,12 +53,12 @@ class NestShape:
 
     @property
     def spans(self) -> bool:
-        """Whether the nests do not stand on one line, so that they fix an orientation."""
+        """Whether the nests are not on one line, so that they fix an orientation."""
         singular = np.linalg.svd(self.points_S - self.points_S.mean(axis=0), compute_uv=False)
         return len(self.names) > 2 and bool(singular[1] > _FLAT * singular[0])
 
     def turned_like(self, offsets_F: Array) -> NestShape:
-        """The same figure in axes that are turned like the flange's, by offsets (K, 3) [m] that are NaN if unknown."""
+        """Rotate the figure to the flange's axes by offsets (K, 3) [m], NaN if unknown; no change with fewer than 3."""
         known = np.isfinite(offsets_F).all(axis=1)
         if known.sum() < 3:
             return self
@@ -67,9 +67,9 @@ class NestShape:
 
 
 def fit_shape(groups: StopGroups) -> tuple[NestShape, Array]:
-    """The figure of the nests, and its misfit at each stop (S,) [m]: NaN with fewer than three nests.
+    """Fit the figure of the nests; also return its misfit at each stop (S,) [m], NaN with fewer than three nests.
 
-    Raises ``UnseenPair``.
+    Raise ``UnseenPair`` if two nests were never measured at the same stop.
     """
     points = _from_distances(groups)
     enough = groups.seen.sum(axis=1) >= 3
@@ -92,7 +92,8 @@ def fit_shape(groups: StopGroups) -> tuple[NestShape, Array]:
 
 
 def laid_on(points_S: Array, p_M: Array) -> tuple[Array, Array]:
-    """Rotations (S, 3, 3) and origins (S, 3) of a figure (K, 3) on measured points (S, K, 3), NaN where not measured.
+    """Register a figure (K, 3) to measured points (S, K, 3), NaN where not measured; return rotations (S, 3, 3) and
+    origins (S, 3).
 
     Source: Kabsch, Acta Cryst. A32 (1976) 922, for all stops at once; without reflections.
     """
@@ -108,7 +109,7 @@ def laid_on(points_S: Array, p_M: Array) -> tuple[Array, Array]:
 
 
 def better_names(shape: NestShape, p_M: Array) -> tuple[str, ...] | None:
-    """Names in another order that explain one stop's points (K, 3) far better; None where no exchange does."""
+    """Find an order of the names that explains one stop's points (K, 3) far better; None if there is none."""
     seen = np.flatnonzero(np.isfinite(p_M[:, 0]))
     own = _misfit(shape.points_S[seen], p_M[seen])
     best = min(
@@ -121,7 +122,7 @@ def better_names(shape: NestShape, p_M: Array) -> tuple[str, ...] | None:
 
 
 def outlying(misfit: Array) -> NDArray[np.bool_]:
-    """Which stops (S,) the figure does not fit; NaN is none."""
+    """Return a mask (S,) of the stops that the figure does not fit; False for NaN."""
     usual = max(float(np.nanmedian(misfit)) if np.isfinite(misfit).any() else 0.0, _LEAST_M)
     return np.asarray(misfit > _OUTLYING * usual)
 
@@ -132,12 +133,12 @@ def _misfit(points_S: Array, p_M: Array) -> float:
 
 
 def _rms(vectors: Array) -> Array:
-    """Root mean square length (S,) of vectors (S, K, 3) that are not NaN."""
+    """Compute the rms length (S,) of those vectors (S, K, 3) that are not NaN."""
     return np.asarray(np.sqrt(np.nanmean(np.sum(vectors**2, axis=2), axis=1)))
 
 
 def _from_distances(groups: StopGroups) -> Array:
-    """Points (K, 3) with the median distances, in an arbitrary frame."""
+    """Compute points (K, 3) with the median distances, in an arbitrary frame."""
     apart = np.linalg.norm(groups.p_M[:, :, None] - groups.p_M[:, None], axis=3)
     together = np.isfinite(apart).any(axis=0)
     if not together.all():

@@ -21,12 +21,12 @@ class StopGroups:
     names : tuple of K str
         Names of the nests; the first is the SMR of the profile.
     row : array, shape (S, K)
-        Row of the readings; -1 where a nest was not measured.
+        Row index of the readings; -1 where a nest was not measured.
     p_M : array, shape (S, K, 3)
         Measured positions [m]; NaN where a nest was not measured.
     information : array, shape (S, K, 3, 3)
-        Inverse of their stated covariances [1/m^2]; zero where a nest was not measured, unit matrices where none is
-        stated for all of them.
+        Inverse of their stated covariances [1/m^2]; zero where a nest was not measured, unit matrices if not all
+        covariances are stated.
     stated : bool
         Whether the readings state their uncertainty.
     """
@@ -39,9 +39,9 @@ class StopGroups:
 
     @classmethod
     def of(cls, readings: Readings, names: Sequence[str]) -> StopGroups:
-        """Group readings, each of which has one of these ``names`` as ``smr``; None is the first one.
+        """Group readings, each with one of ``names`` as ``smr``; None means the first one.
 
-        Raises ``ValueError`` for another name.
+        Raise ``ValueError`` for another name.
         """
         words = readings.smr or (None,) * len(readings)
         stations = readings.station or ("",) * len(readings)
@@ -59,17 +59,17 @@ class StopGroups:
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """Which nests were measured (S, K)."""
+        """Mask (S, K) of the nests that were measured."""
         return self.row >= 0
 
     @property
     def first_rows(self) -> NDArray[np.intp]:
-        """The first row of each stop (S,)."""
+        """First row of each stop (S,)."""
         return np.asarray(np.where(self.seen, self.row, np.iinfo(np.intp).max).min(axis=1))
 
 
 def covariances(readings: Readings) -> Array | None:
-    """Stated covariances (n, 3, 3) [m^2] of all readings, a copy; None where one has none."""
+    """Return a copy of the stated covariances (n, 3, 3) [m^2] of all readings; None if one has none."""
     stated = stated_uncertainty(readings)
     if stated is None or stated.ndim == 3:
         return None if stated is None else stated.copy()

@@ -1,4 +1,4 @@
-"""Ball in a socket: readings whose measured point is fixed and unknown, which rows of one name share."""
+"""Ball in a socket: readings of a fixed but unknown point, which all rows of one name share."""
 
 from cellapp.estimation.sockets.contacts import Contacts, gauge_errors, in_sockets, measured_positions, placed
 

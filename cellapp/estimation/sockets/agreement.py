@@ -1,4 +1,4 @@
-"""How well touches of sockets agree, by a model of the arm, while they are being recorded."""
+"""Agreement of touches of sockets by a model of the arm, while they are being recorded."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cellapp.robot.kinematics.transforms import Array
 
 @dataclass(frozen=True, eq=False)
 class PointAgreement:
-    """The touches of one point.
+    """Agreement of the touches of one point.
 
     Attributes
     ----------
     name : str
     rows : array, shape (k,)
-        Its rows among the readings.
+        Row indices of its readings.
     off_m : array, shape (k,)
-        Distance of each computed ball centre from the median of the others of the point [m]; NaN for a single one.
+        Distance of each computed ball centre from the median of the point's others [m]; NaN for a single touch.
     turned_rad : array, shape (N,)
         Range of each joint over the touches [rad].
     """
@@ -35,7 +35,7 @@ class PointAgreement:
 
 
 def agreements(geometry: Geometry, readings: Readings) -> tuple[PointAgreement, ...]:
-    """How well the n touches of each point agree, in the order in which the points occur."""
+    """Compute the agreement of the touches of each point, in the order in which the points occur."""
     contacts = Contacts.of(readings)
     computed = smr_positions(geometry, readings.q)
     found = []
@@ -47,7 +47,7 @@ def agreements(geometry: Geometry, readings: Readings) -> tuple[PointAgreement, 
 
 
 def nearest_point(geometry: Geometry, readings: Readings, row: int) -> tuple[str, float]:
-    """The point, without this touch, that a touch lies nearest to, and how near [m]; empty and inf if there is none."""
+    """Find the point nearest to touch ``row``, without that touch; return name and distance [m], "" and inf if none."""
     contacts = Contacts.of(readings)
     computed = smr_positions(geometry, readings.q)
     others = np.arange(len(readings)) != row
@@ -61,5 +61,5 @@ def nearest_point(geometry: Geometry, readings: Readings, row: int) -> tuple[str
 
 
 def _off(computed: Array, others: NDArray[np.intp], row: int) -> float:
-    """Distance of a row of ``computed`` (n, 3) [m] from the median of ``others``; NaN without any."""
+    """Compute the distance [m] of a row of ``computed`` (n, 3) [m] from the median of ``others``; NaN without any."""
     return float(np.linalg.norm(computed[row] - np.median(computed[others], axis=0))) if len(others) else float("nan")

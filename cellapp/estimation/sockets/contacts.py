@@ -1,4 +1,4 @@
-"""Which readings share a point, which distances are known, and the residuals that follow.
+"""Points that readings share, known distances between them, and the resulting residuals.
 
 The residual of a reading is its computed ball centre minus the mean of all readings of its point (with the sign of
 measured minus computed). A known distance is compared with that of the two means.
@@ -15,11 +15,11 @@ from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.transforms import Array
 
 _SAME_BLOCK_M = 0.1
-"""Points nearer to each other than this [m] stand in one block: an arm errs alike at both."""
+"""Distance below which two points count as one block [m]: the arm's errors are alike at both."""
 
 
 def in_sockets(readings: Readings) -> bool:
-    """Whether these are readings of a ball in sockets."""
+    """Return whether these are readings of a ball in sockets."""
     return readings.point is not None
 
 
@@ -30,11 +30,11 @@ class Contacts:
     Attributes
     ----------
     names : tuple of str, length P
-        In the order in which they occur.
+        Names in order of occurrence.
     index : array, shape (n,)
-        Point of each reading.
+        Index of each reading's point.
     pairs : array, shape (m, 2)
-        Points whose distance is known, among those that occur.
+        Indices of two points whose distance is known.
     distance_m, sigma_m : array, shape (m,)
         That distance and its standard uncertainty [m].
     """
@@ -47,7 +47,7 @@ class Contacts:
 
     @classmethod
     def of(cls, readings: Readings) -> Contacts:
-        """Those of readings in sockets; distances to points that do not occur are not among them."""
+        """Collect the points of readings in sockets; omit distances to points that do not occur."""
         points = [name or "" for name in readings.point or ()]
         place = {name: number for number, name in enumerate(dict.fromkeys(points))}
         known = [one for one in readings.distances if one.point_a in place and one.point_b in place]
@@ -60,15 +60,15 @@ class Contacts:
         )
 
     def centres(self, computed: Array, weights: Array | None = None) -> Array:
-        """Weighted means (P, 3) [m] of the computed ball centres (n, 3) of each point."""
+        """Compute the weighted means (P, 3) [m] of each point's computed ball centres (n, 3)."""
         weights = np.ones(len(self.index)) if weights is None else weights
         total = np.bincount(self.index, weights, minlength=len(self.names))
         sums = [np.bincount(self.index, weights * axis, minlength=len(self.names)) for axis in computed.T]
         return np.stack(sums, axis=1) / total[:, None]
 
     def placements(self, centres: Array) -> NDArray[np.intp]:
-        """Number (P,) of the placement of each point, from 0: a known distance or a short one (``centres`` (P, 3) [m])
-        between two points says that they stand in one block."""
+        """Return the placement index (P,) of each point, from 0. Two points are in one placement if their distance is
+        known or short by ``centres`` (P, 3) [m]: they are in one block."""
         near = np.argwhere(np.linalg.norm(centres[:, None] - centres, axis=2) < _SAME_BLOCK_M)
         place = np.arange(len(self.names), dtype=np.intp)
         for a, b in (*self.pairs.tolist(), *near.tolist()):
@@ -77,7 +77,7 @@ class Contacts:
 
 
 def measured_positions(readings: Readings, computed: Array) -> Array:
-    """Positions (n, 3) [m] that ``computed`` ones (n, 3) are compared with: measured, or the means of their points."""
+    """Return reference positions (n, 3) [m] for ``computed`` ones (n, 3): measured, or the means of their points."""
     if not in_sockets(readings):
         return readings.p_M
     contacts = Contacts.of(readings)
@@ -85,13 +85,13 @@ def measured_positions(readings: Readings, computed: Array) -> Array:
 
 
 def placed(readings: Readings, computed: Array) -> Readings:
-    """Readings in sockets with the points where ``computed`` ball centres (n, 3) [m] have their means; others as they
-    are."""
+    """Set the points of readings in sockets to the means of ``computed`` ball centres (n, 3) [m]; return other readings
+    unchanged."""
     return replace(readings, p_M=measured_positions(readings, computed)) if in_sockets(readings) else readings
 
 
 def gauge_errors(readings: Readings, computed: Array) -> Array:
-    """Computed less known distance (m,) [m] of points among ``readings`` with computed ball centres (n, 3)."""
+    """Compute the errors (m,) [m] of known distances: by ``computed`` ball centres (n, 3) less the known values."""
     contacts = Contacts.of(readings)
     centres = contacts.centres(computed)
     first, second = contacts.pairs.T

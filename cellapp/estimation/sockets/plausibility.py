@@ -1,8 +1,8 @@
-"""Readings and distances that contradict the published arm: swapped sockets, distances in another unit.
+"""Search for readings and distances that contradict the published arm: swapped sockets, distances in another unit.
 
-A published arm places a ball within some 15 mm. Names of points and distances that are off by much more are mistakes of
-the person who wrote them down. The ball is fitted first where its offset is not known, with weights 1 / |r| that a
-minority of wrong rows does not pull.
+A published arm predicts a ball within some 15 mm. Names of points and distances that are off by much more are mistakes
+of the person who wrote them down. If the ball's offset is unknown, it is fitted first, with weights 1 / |r|, so that a
+minority of wrong rows does not bias it.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from cellapp.robot.kinematics.transforms import Array, apply, register
 _ROUNDS = 25
 """Rounds of the robust fit of the ball; its weights settle to a few per cent."""
 _LEAST_M = 1e-3
-"""Residuals below this weigh alike [m]."""
+"""Residual below which all weights are equal [m]."""
 _OWN_M = 0.02
-"""Distance from its own point from which a reading is mistaken [m]: a published arm is off by less."""
+"""Distance of a reading from its own point above which it is mistaken [m]: a published arm is off by less."""
 _OTHER = 0.5
-"""Share of that distance within which it must lie at another point to belong there."""
+"""Share of that distance within which a mistaken reading must lie at another point to belong there."""
 _DISTANCE_M, _DISTANCE_SHARE = 0.02, 0.05
-"""Error of a known distance by a published arm [m], and in proportion to it, from which it is mistaken."""
+"""Error of a known distance by a published arm from which the distance is mistaken: a constant [m] plus this share."""
 
 
 def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geometry:
-    """The geometry with the ball where most readings want it, if its offset is ``unknown``."""
+    """Fit the ball robustly if its offset is ``unknown``; return the geometry with it."""
     if not unknown:
         return geometry
     contacts = Contacts.of(readings)
@@ -49,7 +49,7 @@ def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geome
 
 
 def misplaced_readings(geometry: Geometry, readings: Readings) -> Iterator[tuple[int, str]]:
-    """Rows that lie far from the others of their point and near those of another one, with what is wrong."""
+    """Yield rows that lie far from the others of their point and near another point, with a message."""
     contacts = Contacts.of(readings)
     computed = smr_positions(geometry, readings.q)
     places = range(len(contacts.names))
@@ -66,8 +66,8 @@ def misplaced_readings(geometry: Geometry, readings: Readings) -> Iterator[tuple
 
 
 def swapped_between_arms(geometries: Sequence[Geometry], readings: Sequence[Readings]) -> Iterator[tuple[int, str]]:
-    """Rows of the second of two arms at sockets that the first arm has elsewhere, where exchanging two names explains
-    it, with what is wrong. Three sockets or more must be common."""
+    """Yield rows of the second arm at sockets that the first arm found elsewhere, if exchanging two names explains it,
+    with a message. At least three sockets must be common."""
     names, first, second = _common_centres(geometries, readings)
     if len(names) < 3 or (own := _misfit_m(first, second)) <= _OWN_M:
         return
@@ -91,9 +91,9 @@ def swapped_between_arms(geometries: Sequence[Geometry], readings: Sequence[Read
 def wrong_between_arms(
     geometries: Sequence[Geometry], readings: Sequence[Readings], known: Iterable[Distance]
 ) -> Iterator[tuple[Distance, str]]:
-    """Known distances between sockets of two arms that both published arms contradict, with what is wrong.
+    """Yield known distances between sockets of two arms that the published arms contradict, with a message.
 
-    How the bases stand follows from common sockets: without three, nothing is judged.
+    The relative pose of the bases follows from common sockets: with fewer than three, nothing is judged.
     """
     names, first, second = _common_centres(geometries, readings)
     if len(names) < 3:
@@ -109,13 +109,13 @@ def wrong_between_arms(
 
 
 def _centres(geometry: Geometry, readings: Readings) -> dict[str, Array]:
-    """Medians (3,) [m] of the computed ball centres of each point, in the arm's base."""
+    """Compute the median (3,) [m] of each point's computed ball centres, in the arm's base frame."""
     contacts, computed = Contacts.of(readings), smr_positions(geometry.with_T_M_B(np.eye(4)), readings.q)
     return {name: np.median(computed[contacts.index == k], axis=0) for k, name in enumerate(contacts.names)}
 
 
 def _common_centres(geometries: Sequence[Geometry], readings: Sequence[Readings]) -> tuple[list[str], Array, Array]:
-    """Names of the points that both arms touched, and where either has them (C, 3) [m], each in its base."""
+    """Return the names of the points that both arms touched, and their positions (C, 3) [m] in each base frame."""
     first, second = (_centres(one, its) for one, its in zip(geometries, readings, strict=True))
     names = [name for name in first if name in second]
     at = [np.array([one[name] for name in names]).reshape(-1, 3) for one in (first, second)]
@@ -123,12 +123,12 @@ def _common_centres(geometries: Sequence[Geometry], readings: Sequence[Readings]
 
 
 def _misfit_m(first: Array, second: Array) -> float:
-    """Rms distance of points (C, 3) [m] after the second ones are laid onto the first."""
+    """Compute the rms distance [m] of points (C, 3) [m] after registration of the second ones to the first."""
     return float(np.sqrt(np.mean(np.sum((apply(register(first, second), second) - first) ** 2, axis=1))))
 
 
 def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tuple[str, str], str]]:
-    """Pairs of points whose known distance the published arm contradicts, with what is wrong."""
+    """Yield pairs of points whose known distance the published arm contradicts, with a message."""
     contacts = Contacts.of(readings)
     errors = gauge_errors(readings, smr_positions(geometry, readings.q))
     for (a, b), known, error in zip(contacts.pairs.tolist(), contacts.distance_m.tolist(), errors.tolist()):
@@ -138,7 +138,7 @@ def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tu
 
 
 def _contradicted(known: float, computed: float) -> bool:
-    """Whether a computed distance [m] is not the known one by more than a published arm is off."""
+    """Return whether computed and known distance [m] differ by more than the error of a published arm."""
     return abs(computed - known) > _DISTANCE_M + _DISTANCE_SHARE * min(known, computed)
 
 
@@ -150,5 +150,5 @@ def _contradiction(a: str, b: str, known: float, found: str) -> str:
 
 
 def _from_centres(contacts: Contacts, vectors: Array, weights: Array) -> Array:
-    """Vectors (n, 3) less the weighted mean of those of the same point."""
+    """Subtract from vectors (n, 3) the weighted mean of those of the same point."""
     return np.asarray(vectors - contacts.centres(vectors, weights)[contacts.index])

@@ -1,4 +1,4 @@
-"""Several stations of a tracker in one frame: reference nests that more than one of them measured tie them."""
+"""Registration of several tracker stations in one frame, by reference nests that more than one of them measured."""
 
 from cellapp.estimation.stations.tie import NestPoint, StationTie, TooFewNests, tie_stations
 

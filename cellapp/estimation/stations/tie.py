@@ -1,7 +1,8 @@
-"""The poses of tracker stations in the frame of the first one, from reference nests, all in one fit.
+"""Poses of tracker stations in the frame of the first one, from reference nests, all in one fit.
 
-Unknown are the nests x (3 each) in the frame of the first station and the pose T of every other station. A nest that a
-station measured at p gives x - T p = 0, whitened by the uncertainty of p. Gauss-Newton steps from pairwise fits.
+The unknowns are the nest positions x (3 each) in the frame of the first station and the pose T of every other station.
+A nest that a station measured at p gives x - T p = 0, whitened by the uncertainty of p. Gauss-Newton starts from
+pairwise fits.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, twist_columns
 
 FEWEST_NESTS = 3
-"""Common nests of two stations that fix a pose, if they are not on one line."""
+"""Least number of common nests that fix a station's pose, if they are not on one line."""
 _STEPS = 8
 _SETTLED = 1e-12
 
@@ -32,18 +33,18 @@ class NestPoint:
 
 @dataclass(frozen=True, eq=False)
 class StationTie:
-    """The pose of a station in the frame of the first one.
+    """Pose of a station in the frame of the first one.
 
     Attributes
     ----------
     T : array, shape (4, 4)
         Maps points of this station's frame into that of the first one.
     covariance : array, shape (6, 6)
-        Of its shift [m] and its rotation about the axes of the first frame at that frame's origin [rad].
+        Covariance of its shift [m] and its rotation about the axes of the first frame at that frame's origin [rad].
     nests : tuple of str
-        Nests that it measured and another station too.
+        Nests that this and another station measured.
     residual_m : array, shape (n,)
-        Distance of each of them from the common position.
+        Distance of each of these nests from its fitted position [m].
     """
 
     station: str
@@ -53,13 +54,13 @@ class StationTie:
     residual_m: Array
 
     def uncertainty(self, p_M: Array) -> Array:
-        """Standard deviation (n,) of a coordinate that the tie adds to points (n, 3) in the first frame [m]."""
+        """Return the coordinate standard deviation (n,) that the tie adds to points (n, 3) in the first frame [m]."""
         J = twist_columns(p_M)
         return np.asarray(np.sqrt(np.einsum("nai,ij,naj->n", J, self.covariance, J) / 3.0))
 
 
 class TooFewNests(ValueError):
-    """A station that is not tied to the first one; ``station`` is its name."""
+    """Error for a station that cannot be tied to the first one; ``station`` is its name."""
 
     def __init__(self, station: str) -> None:
         super().__init__(f"station {station} shares fewer than {FEWEST_NESTS} nests with stations that are tied")
@@ -67,7 +68,7 @@ class TooFewNests(ValueError):
 
 
 def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTie]:
-    """The pose of every station but the first. Raises ``TooFewNests``."""
+    """Fit the pose of every station but the first. Raise ``TooFewNests`` if one cannot be tied."""
     stations = [first, *(one for one in dict.fromkeys(p.station for p in points) if one != first)]
     T = _pairwise(stations, points)
     nests = list(dict.fromkeys(one.nest for one in points))
@@ -98,7 +99,7 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
 
 
 def _pairwise(stations: Sequence[str], points: Sequence[NestPoint]) -> dict[str, Array]:
-    """Poses by the nests that each station shares with those that have one already."""
+    """Register the stations one by one, each by the nests that it shares with those already registered."""
     T: dict[str, Array] = {stations[0]: np.eye(4)}
     left = list(stations[1:])
     while left:
@@ -115,7 +116,7 @@ def _pairwise(stations: Sequence[str], points: Sequence[NestPoint]) -> dict[str,
 
 
 def _spans(p: Array) -> bool:
-    """Whether points (n, 3) do not stand on one line."""
+    """Return whether points (n, 3) are not on one line."""
     singular = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
     return bool(singular[1] > 1e-3 * singular[0])
 
@@ -123,7 +124,7 @@ def _spans(p: Array) -> bool:
 def _equations(
     stations: Sequence[str], nests: Sequence[str], points: Sequence[NestPoint], T: dict[str, Array], x: Array
 ) -> tuple[Array, Array]:
-    """Whitened rows (3 m, k) and what is left (3 m,) of m points."""
+    """Compute the whitened Jacobian rows (3 m, k) and residuals (3 m,) of m points."""
     free = 6 * (len(stations) - 1)
     A = np.zeros((len(points), 3, free + 3 * len(nests)))
     b = np.zeros((len(points), 3))
