@@ -1,4 +1,4 @@
-"""The quantities that effects depend on: the conditions of each reading, and what follows from the arm model."""
+"""Quantities that effects depend on: conditions of each reading, and quantities derived from the arm model."""
 
 from __future__ import annotations
 
@@ -39,8 +39,7 @@ class MeasurementConditions:
     time_s : array, shape (n,)
         Time since the run began [s]; NaN means "now": the state at the end of the run that the effect was fitted to.
     order : array, shape (n,)
-        Place in the order of measurement among all readings of the arm, counted in stops from 0. It says what came
-        first where no clock does.
+        Rank in the order of measurement among all readings of the arm, in stops from 0; used if there are no times.
     payload_kg, air_c : arrays, shape (n,)
         Payload [kg]; temperature of arm or air [degC].
     payload_center_F : array, shape (n, 3)
@@ -54,8 +53,8 @@ class MeasurementConditions:
     record : TemperatureRecord
         Temperatures of the whole run, for effects that follow them with a lag; not per stop.
     R_M_S : array, shape (n, 3, 3)
-        Measured orientations of a probe: what is computed at these readings is the rotation vector from them [rad], at
-        those where it is NaN a position [m]. A stop at which both were measured has a reading of each.
+        Measured orientations of a probe: at these readings the model computes the rotation vector from them [rad], at
+        NaN a position [m]. A stop at which both were measured has one reading of each.
     """
 
     approach: Array | NDArray[np.int8] | None = None
@@ -74,7 +73,7 @@ class MeasurementConditions:
 
     @property
     def turned(self) -> NDArray[np.bool_] | None:
-        """Readings (n,) of an orientation; None where there are none."""
+        """Mask (n,) of readings of an orientation; None if there are none."""
         return turned_rows(self.R_M_S)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
@@ -127,7 +126,7 @@ class EffectContext:
         return self.q if self.q_actual is None else self.q_actual
 
     def wave(self, joint: int, wave: Wave) -> Array:
-        """A wave at the angles (n,) of a joint (from 0) as read; many columns have the same ones."""
+        """Evaluate a wave at the angles (n,) of a joint (from 0) as read; cached, as many columns share waves."""
         if (joint, wave) not in self._waves:
             self._waves[joint, wave] = wave(self.q[:, joint])
         return self._waves[joint, wave]
@@ -173,20 +172,20 @@ class EffectContext:
 
     @cached_property
     def angles(self) -> JointAngles:
-        """Best known joint positions as the chain takes them, with what is computed at each reading."""
+        """Best known joint positions for the chain, with the measured orientations."""
         return JointAngles.of(self.posture, self.conditions.R_M_S)
 
     @cached_property
     def turned(self) -> Array | None:
-        """1 at readings (n, 1) of an orientation, 0 at those of a position; None where all are of positions."""
+        """1 at readings (n, 1) of an orientation, 0 at those of a position; None if all are of positions."""
         turned = self.conditions.turned
         return None if turned is None else turned[:, None].astype(np.float64)
 
     def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
-        """What a small motion (n, 3) in the tracker frame does to each reading, a position [m] or an orientation [rad].
+        """Compute the change (n, 3) of each reading, position [m] or orientation [rad], by a small motion of a body.
 
-        A body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
-        points to the SMR. An orientation is changed by the turn alone.
+        The body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
+        points to the SMR, all in the tracker frame. An orientation changes by the turn alone.
         """
         moved = np.zeros((len(self), 3)) if shift_M is None else np.asarray(shift_M)
         if turn_M is not None and lever_M is not None:
@@ -234,10 +233,10 @@ class EffectContext:
         return azimuth, elevation, horizontal, upward
 
     def twist_shift(self, frame: int, shift: Array | None, turn: Array | None) -> Array:
-        """SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
+        """Compute the SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
 
-        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame. At readings of an orientation, its
-        change [rad].
+        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame. For readings of an orientation, the
+        result is its change [rad].
         """
         rotations, origins = self.frames
         R, o = rotations[frame], origins[frame]
@@ -249,7 +248,7 @@ class EffectContext:
 
 
 def varies(values: Array | NDArray[np.int8] | None) -> bool:
-    """Whether a quantity is known at all stops and not constant."""
+    """Return whether a quantity is known at all stops and not constant."""
     if values is None or len(values) == 0:
         return False
     known = np.asarray(values, dtype=np.float64)

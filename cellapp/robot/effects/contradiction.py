@@ -1,8 +1,8 @@
-"""Laws of the library without their names: what the readings show, said in words and not dropped.
+"""Library laws that are borrowed for other causes: what the readings show is reported and not dropped.
 
-A law that holds with physically impossible values only has a cause of its own, such as another sign convention of the
-readings or a wrong mass. A law may also describe a part of what something unknown does. Such terms belong to the
-unknown effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``.
+A law that fits only with physically impossible values has another cause, such as a wrong sign convention of the
+readings or a wrong mass. A law may also describe a part of an unknown effect. Such terms belong to the unknown effects;
+in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CONTRADICTION, _IMITATION = "contradiction", "imitation"
 
 @dataclass(frozen=True)
 class BorrowedForm(LawForm):
-    """The form ``lent`` of an effect's law, without physical bounds, for what is not that effect."""
+    """The form ``lent`` of an effect's law, without physical bounds, for something that is not that effect."""
 
     effect: Effect = field(kw_only=True)
     lent: LawForm = field(kw_only=True)
@@ -31,19 +31,19 @@ class BorrowedForm(LawForm):
 
 @dataclass(frozen=True)
 class ContradictionForm(BorrowedForm):
-    """One that holds with impossible values only."""
+    """A borrowed form that fits only with physically impossible values."""
 
 
 _Form = TypeVar("_Form", bound=BorrowedForm)
 
 
 def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
-    """A form of an effect as a contradiction."""
+    """Return a form of an effect as a contradiction."""
     return _borrowed(ContradictionForm, _CONTRADICTION, effect, form, ", but with impossible values")
 
 
 def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
-    """A form of an effect as a part of what something unknown does."""
+    """Return a form of an effect as a part of an unknown effect."""
     return _borrowed(BorrowedForm, _IMITATION, effect, form)
 
 
@@ -59,7 +59,7 @@ def _borrowed(kind: type[_Form], prefix: str, effect: Effect, form: LawForm, but
 
 
 def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedForm | None:
-    """The form of a name in JSON; None if it is not one. Raises ``ValueError`` for a law that the effect lacks."""
+    """Return the borrowed form named so in JSON, else None; raise ``ValueError`` if the effect lacks the law."""
     prefix, _, rest = name.partition("|")
     slug, _, law = rest.partition("|")
     make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation}.get(prefix)
@@ -69,29 +69,29 @@ def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedFor
 
 
 def lent_law(law: Law) -> Law:
-    """The law of the library that a term without its name has."""
+    """Return the library law behind a borrowed one."""
     assert isinstance(law.form, BorrowedForm)
     return law.form.lent.law(law.constants, law.tried)
 
 
 def contradicted_effect(law: Law) -> Effect:
-    """The effect of the library that a contradiction behaves like."""
+    """Return the library effect that a contradiction behaves like."""
     assert isinstance(law.form, ContradictionForm)
     return law.form.effect
 
 
 def is_contradiction(law: Law) -> bool:
-    """Whether a law is one of the library with impossible values."""
+    """Return whether a law is a library law with impossible values."""
     return isinstance(law.form, ContradictionForm)
 
 
 def is_borrowed(law: Law) -> bool:
-    """Whether a law is one of the library, for what is not its effect."""
+    """Return whether a law is a library law borrowed for another cause."""
     return isinstance(law.form, BorrowedForm)
 
 
 def contradiction_meaning(effect: Effect) -> Meaning:
-    """What it means that the readings show an effect with impossible values."""
+    """Build the meaning of an effect that the readings show with impossible values."""
     words = effect.impossible
     checks = dict.fromkeys((words.sign_check, words.size_check))
     return Meaning(
@@ -107,7 +107,7 @@ def contradiction_meaning(effect: Effect) -> Meaning:
 
 
 def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[float]) -> str:
-    """What an effect with impossible values looks like, where, and what to check.
+    """Say what an effect with impossible values looks like, where, and what to check.
 
     ``columns``, with their bounds, and ``values`` are those outside the bounds only.
     """

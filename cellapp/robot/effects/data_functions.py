@@ -1,4 +1,4 @@
-"""Basis functions of data-driven laws, and the constants that they take from a run."""
+"""Basis functions of data-driven laws, and their constants, which are taken from a run."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
 
 ORDER = 4
-"""Highest order of the functions of one variable; more would follow noise in a few hundred readings."""
+"""Highest order of the functions of one variable; higher ones would fit noise in a few hundred readings."""
 TIME_ORDER = 20
-"""Half cycles over the run: a drift may change its direction twenty times."""
+"""Most half cycles over the run: a drift may change its direction twenty times."""
 PAIR_ORDER = 3
 """Highest total order of the functions of two variables: 24 columns at most."""
 PAIR_ORDERS = (2, PAIR_ORDER)
-"""Total orders that are tried: with 12 columns or fewer, a weak effect in few readings can be described as well."""
+"""Total orders that are tried: with at most 12 columns, a weak effect in few readings can be described too."""
 ANGLE_PAIR_ORDERS = (*PAIR_ORDERS, 2 * PAIR_ORDER)
-"""Total orders of functions of two angles, each to order 3: the last has all 48 products, as of two toothed wheels."""
+"""Total orders of functions of two angles, each up to order 3: the last has all 48 products, as for two gear wheels."""
 
 
 def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
-    """Constants that a law takes from the run for a variable: order, range, and a default where it is unknown."""
+    """Return a variable's constants from the run: order, range, and a default for unknown values."""
     if variable.is_joint_angle:
         return {"order": float(ORDER)}
     if variable.quantity is Quantity.TIME:
@@ -63,12 +63,12 @@ def run_constants(context: EffectContext, variable: Variable) -> dict[str, float
 
 
 def _about(azimuth: Array, center: float) -> Array:
-    """Azimuths relative to a centre (n,), -pi to pi: no jump inside the cell wherever the tracker's x axis points."""
+    """Compute azimuths (n,) relative to a centre, -pi to pi: no jump within the cell, whatever the tracker's x axis."""
     return np.asarray(np.remainder(azimuth - center + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
-    """Functions (n,) of a law's variables, by name."""
+    """Evaluate the functions (n,) of a law's variables, by name."""
     return FunctionTable(context).functions(data_driven_form(law).drivers, law.constants)
 
 
@@ -76,7 +76,7 @@ def functions(context: EffectContext, law: Law) -> dict[str, Array]:
 class FunctionTable:
     """Functions of data-driven laws at the stops of a context; those of one variable are evaluated once for all pairs.
 
-    ``families`` and ``waves`` hold what was evaluated before.
+    ``families`` and ``waves`` are caches.
     """
 
     context: EffectContext
@@ -84,7 +84,7 @@ class FunctionTable:
     waves: dict[Variable, NDArray[np.complex128]] = field(default_factory=dict)
 
     def functions(self, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
-        """Functions (n,) of some variables, by name."""
+        """Evaluate the functions (n,) of some variables, by name."""
         if drivers == POSITION:
             return field_functions(position_in_base(self.context), constants)
         first = _own(constants, FIRST_CONSTANTS, "")
@@ -111,7 +111,7 @@ class FunctionTable:
         return self.families[key]
 
     def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
-        """Cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, pairs of opposite signs once."""
+        """Evaluate cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, opposite signs once."""
         v, w = (self._waves(one) for one in drivers)
         labels = tuple(one.name.replace(" ", "_") for one in drivers)
         found = {}
@@ -121,7 +121,7 @@ class FunctionTable:
         return found
 
     def _waves(self, angle: Variable) -> NDArray[np.complex128]:
-        """``exp(i m v)`` for m = 0 to 3 (4, n); zero where an angle is unknown, as a cosine's mean over the turn."""
+        """Evaluate ``exp(i m v)`` for m = 0 to 3 (4, n); zero, its mean over a turn, if the angle is unknown."""
         if angle not in self.waves:
             values = angle.values(self.context)
             waves = np.exp(1j * np.arange(PAIR_ORDER + 1)[:, None] * values)
@@ -130,12 +130,12 @@ class FunctionTable:
 
 
 def _own(constants: Mapping[str, float], declared: Iterable[Constant], suffix: str) -> dict[str, float]:
-    """The constants of one variable, without the suffix of the second."""
+    """Return the constants of one variable, without the suffix of the second."""
     return {one.name.removesuffix(suffix): constants[one.name] for one in declared if one.name in constants}
 
 
 def _family(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> list[tuple[int, str, Array]]:
-    """Order, name and values (n,) of the functions of one variable; zero where an angle is unknown."""
+    """Return order, name and values (n,) of the functions of one variable; zero if an angle is unknown."""
     label, order = variable.name.replace(" ", "_"), round(constants["order"])
     if variable.is_joint_angle:
         angle = variable.values(context)
@@ -149,7 +149,7 @@ def _family(context: EffectContext, variable: Variable, constants: Mapping[str, 
 
 
 def _unit(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> Array:
-    """A variable (n,) scaled to 0 to 1 over its range in the run, constant beyond."""
+    """Scale a variable (n,) to 0 to 1 over its range in the run, constant beyond."""
     values = variable.values(context)
     if variable.quantity is Quantity.AZIMUTH:
         values = _about(values, constants["center"])
@@ -158,7 +158,7 @@ def _unit(context: EffectContext, variable: Variable, constants: Mapping[str, fl
 
 
 def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, float]) -> dict[str, Array]:
-    """A line and half cycles over the run, or one period."""
+    """Evaluate a line and half cycles over the run, or one period."""
     x = _unit(context, time, constants)
     if PERIOD.name in constants:
         phase = 2.0 * np.pi * x * (constants["high"] - constants["low"]) / constants[PERIOD.name]
@@ -169,7 +169,7 @@ def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, flo
 
 @lru_cache(maxsize=256)
 def _phases(labels: tuple[str, ...], order: int) -> tuple[tuple[int, int, str], ...]:
-    """m, k and the text of each m v + k w."""
+    """List m, k and the text of each m v + k w."""
     return tuple(
         (m, k, _phase_text(m, k, labels))
         for m in range(min(order, PAIR_ORDER) + 1)

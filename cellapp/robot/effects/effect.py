@@ -22,16 +22,16 @@ from cellapp.robot.effects.smooth import SmoothLaw
 
 @dataclass(frozen=True)
 class ImpossibleValues:
-    """Words for values of an effect outside their physical bounds, and what to check then.
+    """Texts for values of an effect outside their physical bounds, and what to check then.
 
     Attributes
     ----------
     sign : str
-        What the opposite sign looks like; empty: the effect's title "of the opposite sign".
+        What the opposite sign looks like; if empty, the effect's title "of the opposite sign".
     sign_check, size_check : str
         What to check.
     limit : str
-        What values beyond the bound are multiples of.
+        Name of the limit of which values beyond the bound are stated as multiples.
     limit_size : float
         That limit in the parameter's unit; 0 for the bound itself.
     """
@@ -59,17 +59,17 @@ class Effect(ABC):
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
     free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
-    """What its law may depend on in ways that the law does not describe; empty: the law is taken as exact."""
+    """Drivers on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
 
     arm_bound: ClassVar[bool] = False
-    """Whether it belongs to the arm itself: its parameters then stay when the arm gets another base or tool."""
+    """Whether it belongs to the arm itself: its parameters then remain valid with another base or tool."""
 
     of_reading: ClassVar[bool] = False
     """Whether it moves the reading or the reflector instead of the flange."""
     wears: ClassVar[bool] = False
-    """Whether it comes with wear: a check looks for it at every joint, although the calibration did not find it."""
+    """Whether it is caused by wear: a check looks for it at every joint, even if the calibration did not find it."""
     lengthens: ClassVar[bool] = False
-    """Whether links grow by it."""
+    """Whether it lengthens links."""
     shifts_zero: ClassVar[bool] = False
     """Whether it shifts the zero positions of joints."""
 
@@ -77,36 +77,36 @@ class Effect(ABC):
     """Words for values outside the bounds of its columns."""
 
     def missing_data(self, context: EffectContext) -> str:
-        """Reason why the data cannot show the effect at all ("no approach signs"); empty if they can."""
+        """Return why the data cannot show the effect at all ("no approach signs"); empty if they can."""
         return ""
 
     def laws(self, context: EffectContext) -> list[Law]:
-        """The laws to try on the data at hand, the simplest first."""
+        """Return the laws to try on these data, the simplest first."""
         return [form.law() for form in self.forms]
 
     def refinements(self, context: EffectContext, law: Law, names: Collection[str]) -> list[Law]:
-        """Further laws to try where ``law`` with the columns ``names`` was found."""
+        """Return further laws to try if ``law`` with the columns ``names`` was found."""
         return []
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
-        """The smooth laws that the structured process adds for what its other laws leave over."""
+        """Return the smooth laws that the structured process adds for the residuals of the other laws."""
         return []
 
     @abstractmethod
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """Columns of a law, the same set for any data; ``names`` requests columns that are made only on request."""
+        """Compute the columns of a law, the same set for any data; ``names`` requests columns made only on request."""
 
     def meaning_of(self, law: Law) -> Meaning:
-        """What this law of the effect means; the same for all laws unless an effect says more."""
+        """Return the meaning of this law; the same for all laws unless an effect overrides it."""
         return self.meaning
 
     def form(self, name: str) -> LawForm:
-        """The form of this name; the simplest one for an empty name. Raises ``ValueError`` if there is none."""
+        """Return the form ``name``, the simplest one if empty; raise ``ValueError`` if there is none."""
         for form in self.forms:
             if name in ("", form.name):
                 return form
         raise ValueError(f"effect {self.slug} has no law '{name}' in this version of the program")
 
     def law(self, name: str = "", constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
-        """A law by the name of its form."""
+        """Return a law by the name of its form."""
         return self.form(name).law(constants, tried)

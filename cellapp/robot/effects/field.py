@@ -31,24 +31,24 @@ BOX = tuple(Constant(f"{end}_{axis}", "m", FIXED) for axis in "xyz" for end in (
 """Least and largest coordinate of the readings along each axis."""
 FIELD_CONSTANTS = (*BOX, AMPLITUDE, FIELD_LENGTH)
 _WAVES = 80
-"""Functions of each component: in a box of 3 x 3 x 2 m they resolve periods down to 1 m, which is where a field with a
-length scale of 0.4 m has 1 % of its variance left."""
+"""Number of functions per component: in a box of 3 x 3 x 2 m they resolve periods down to 1 m. Shorter periods have 1 %
+of the variance of a field with a length scale of 0.4 m."""
 _MARGIN = 0.15
 """Share of each side by which the box exceeds the readings at either end."""
 _LEAST_SIDE = 1e-3
-"""Least side of the box [m]: readings in a plane have no function across it."""
+"""Least margin of the box [m]: readings in a plane have no function across it."""
 _MOST_WAVES_A_SIDE = 16
-"""Half waves along a side that are considered; the ``_WAVES`` slowest functions of a usual box have at most 8."""
+"""Number of half waves along a side that are considered; the ``_WAVES`` slowest of a usual box have at most 8."""
 
 
 def box_of(position: Array) -> dict[str, float]:
-    """The box around positions (n, 3) [m], as the constants ``BOX``."""
+    """Return the box around positions (n, 3) [m] as the constants ``BOX``."""
     ends = np.stack([position.min(axis=0), position.max(axis=0)], axis=1).ravel()
     return dict(zip((one.name for one in BOX), ends.tolist(), strict=True))
 
 
 def field_functions(position: Array, constants: Mapping[str, float]) -> dict[str, Array]:
-    """The functions at positions (n, 3) [m], each (n,), by name; beyond the box as on its nearest face."""
+    """Evaluate the functions at positions (n, 3) [m], each (n,), by name; beyond the box as on its nearest face."""
     low, side = _extended_box(constants)
     counts, _ = _waves(tuple(side.tolist()))
     unit = np.clip((position - low) / side, 0.0, 1.0)
@@ -60,19 +60,19 @@ def field_functions(position: Array, constants: Mapping[str, float]) -> dict[str
 
 
 def field_frequencies(constants: Mapping[str, float]) -> Array:
-    """Angular frequency |omega_k| [1/m] of each function."""
+    """Return the angular frequency |omega_k| [1/m] of each function."""
     _, side = _extended_box(constants)
     return _waves(tuple(side.tolist()))[1]
 
 
 def field_variances(length: float, frequencies: Array) -> Array:
-    """Relative prior variances w_k at a length scale [m]; their sum is 1."""
+    """Compute relative prior variances w_k at a length scale [m]; their sum is 1."""
     spectrum = (5.0 / length**2 + frequencies**2) ** -4
     return np.asarray(spectrum / spectrum.sum())
 
 
 def _extended_box(constants: Mapping[str, float]) -> tuple[Array, Array]:
-    """Lower corner and sides (3,) [m] of the box of the functions."""
+    """Return lower corner and sides (3,) [m] of the box of the functions."""
     ends = np.array([constants[one.name] for one in BOX]).reshape(3, 2)
     margin = np.maximum(_MARGIN * (ends[:, 1] - ends[:, 0]), _LEAST_SIDE)
     return ends[:, 0] - margin, ends[:, 1] - ends[:, 0] + 2.0 * margin
@@ -80,7 +80,7 @@ def _extended_box(constants: Mapping[str, float]) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def _waves(side: tuple[float, float, float]) -> tuple[NDArray[np.intp], Array]:
-    """Half waves along each side (m, 3) of the slowest functions, and their frequencies (m,); not the constant one."""
+    """Return half waves along each side (m, 3) and frequencies (m,) of the slowest functions, without the constant."""
     counts = np.indices((_MOST_WAVES_A_SIDE,) * 3).reshape(3, -1).T[1:]
     frequencies = np.linalg.norm(np.pi * counts / np.array(side), axis=1)
     slowest = np.argsort(frequencies, kind="stable")[:_WAVES]

@@ -38,7 +38,7 @@ class Tuning(Protocol):
     """Rule by which the search tunes a constant."""
 
     def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
-        """Values to try next to ``value``; ``shrink`` (1 and below) scales the step down as the search closes in."""
+        """Return values to try near ``value``; ``shrink`` (at most 1) reduces the step as the search converges."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,13 @@ class Scaled:
 
 @dataclass(frozen=True)
 class NeighbouringPauses:
-    """An onset in one of the ``reach`` pauses between two readings before or after, ``margin`` from either end."""
+    """Steps of an onset to the ``reach`` pauses between readings before and after, ``margin`` from either end."""
 
     reach: int
     margin: int
 
     def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
-        """Middles of the pauses [s]."""
+        """Return the middles of the pauses [s]."""
         times = np.sort(np.asarray(context.conditions.time_s))
         pauses = (times[1:] + times[:-1]) / 2.0
         place = int(np.searchsorted(pauses, value))
@@ -81,7 +81,7 @@ class NeighbouringPauses:
 
 FIXED = Fixed()
 SCALED = Scaled(math.exp(0.3))
-"""35 % per step: neighbours on the grids that laws are scanned on are a factor of 1.5 to 2.5 apart."""
+"""Steps of 35 %: neighbours on the grids of the scan of laws differ by a factor of 1.5 to 2.5."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Constant:
     unit : str
         SI; empty where dimensionless.
     tuning : Tuning
-        How the search moves it.
+        Rule by which the search changes it.
     words : str
         For reports, with ``{}`` for the value: ``time constant {} min``, ``knee at {}``. Empty: not reported.
     each : str
@@ -122,13 +122,13 @@ class Constant:
         return f"{self.name}{joint + 1}"
 
     def declares(self, key: str) -> bool:
-        """Whether ``key`` is one of its keys."""
+        """Return whether ``key`` is one of its keys."""
         if not self.per_joint:
             return key == self.name
         return key.startswith(self.name) and key[len(self.name) :].isdigit()
 
     def describe(self, constants: Mapping[str, float], joints: Iterable[int] = ()) -> str:
-        """Its value in words, for joints counted from 0; empty where it has none or is not reported."""
+        """Say its value in words, for joints counted from 0; empty if it has none or is not reported."""
         if not self.words:
             return ""
         if not self.per_joint:
@@ -154,7 +154,7 @@ class LawForm:
     constants : tuple of Constant
         Every constant that a law of this form may carry.
     variables : frozenset of DriverVariable
-        What this form depends on; empty where it is all that the effect depends on.
+        Variables of this form; empty if they are all those of the effect.
     """
 
     name: str
@@ -163,31 +163,31 @@ class LawForm:
     variables: frozenset[DriverVariable] = frozenset()
 
     def law(self, constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
-        """A law of this form with values for its constants."""
+        """Return a law of this form with values for its constants."""
         return Law(self, {} if constants is None else constants, tried)
 
     @property
     def is_smooth(self) -> bool:
-        """Whether its parameters are those of smooth free functions, with priors of a fitted amplitude."""
+        """Whether its parameters are coefficients of smooth functions with priors of a fitted amplitude."""
         return any(one.name == AMPLITUDE_NAME for one in self.constants)
 
     def constant(self, key: str) -> Constant | None:
-        """The declaration that ``key`` belongs to."""
+        """Return the declaration that ``key`` belongs to; None if there is none."""
         return next((one for one in self.constants if one.declares(key)), None)
 
     def undeclared(self, keys: Iterable[str]) -> list[str]:
-        """Keys without a declaration."""
+        """Return the keys without a declaration."""
         return [key for key in keys if self.constant(key) is None]
 
     def missing(self, keys: Iterable[str]) -> list[str]:
-        """Names of mandatory constants that are not among ``keys``."""
+        """Return the names of mandatory constants that are not among ``keys``."""
         given = set(keys)
         return [one.name for one in self.constants if not (one.per_joint or one.optional) and one.name not in given]
 
 
 @dataclass(frozen=True)
 class Law:
-    """A form with values for its constants; the parameters that are linear in it are its effect's columns.
+    """A form with values for its constants; its linear parameters are the columns of the effect.
 
     Attributes
     ----------
@@ -195,7 +195,7 @@ class Law:
     constants : mapping
         Values in SI units, by the keys of the form's declarations.
     tried : int
-        Number of alternatives it was chosen from (onsets, time constants): choosing costs 2 ln(tried) of its score.
+        Number of alternatives it was chosen from (onsets, time constants): the choice costs 2 ln(tried) of its score.
 
     Raises
     ------
@@ -218,7 +218,7 @@ class Law:
         return self.form.name
 
     def nearby(self, context: EffectContext, shrink: float) -> list[Law]:
-        """Laws with one tunable constant a step away, by the tuning that each constant declares."""
+        """Return laws with one constant changed by a step, by the tuning that the constant declares."""
         found = []
         for key, value in self.constants.items():
             constant = self.form.constant(key)
@@ -228,7 +228,7 @@ class Law:
         return found
 
     def words(self, joints: Sequence[int] = ()) -> str:
-        """The law in words, with its reported constants; of per-joint constants those of ``joints`` (from 0)."""
+        """Say the law in words, with its reported constants; of per-joint constants those of ``joints`` (from 0)."""
         whole = [one.describe(self.constants) for one in self.form.constants if not one.per_joint]
         by_joint = [one.describe(self.constants, joints) for one in self.form.constants if one.per_joint]
         return "; ".join(filter(None, [", ".join(filter(None, [self.form.words, *whole])), *by_joint]))

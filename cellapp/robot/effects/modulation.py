@@ -5,8 +5,8 @@ A law is never exactly right. With base column B, fitted value v and a smooth fu
     displacement = B v (1 + g(z)),    g(z) = sum_k c_k f_k(z) / v,
 
 f_k = cos kz, sin kz (k = 1 to 3) for an angle that closes on itself, else cos(k pi u) (k = 1 to 4) with u from 0 to 1
-over the range that z had in the run. A driver may be the size of B itself (k = 1 to 8): a response that is not in
-proportion. What the law leaves over stays with its effect instead of looking like another.
+over the range that z had in the run. A driver may be the size of B itself (k = 1 to 8), for a response that is not
+proportional. So the residual of a law stays with its effect and does not look like another effect.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from cellapp.robot.kinematics.transforms import Array
 HARMONICS = 3
 """Highest multiple of an angle: with a law of n cycles per revolution its neighbours n - 3 to n + 3 are covered."""
 HALF_CYCLES = 4
-"""Half cycles over the range of other drivers: a law that is nearly right differs smoothly."""
+"""Most half cycles over the range of other drivers: the error of a nearly right law is smooth."""
 OWN_HALF_CYCLES = 8
-"""Half cycles over the column's own size: springs have knees, within an eighth of the range here."""
+"""Most half cycles over the column's own size: knees of springs are resolved to an eighth of the range."""
 _OWN_SIZE_NAME = "own size"
 """Name of the driver that is the size of the base column itself."""
 _REPRESENTATIVES: Mapping[Quantity, tuple[int, ...]] = {
@@ -35,7 +35,7 @@ _REPRESENTATIVES: Mapping[Quantity, tuple[int, ...]] = {
     Quantity.TORQUE: (1, 2),
     Quantity.OTHER_JOINT_ANGLE: (0, 1, 2),
 }
-"""Joints that stand for the whole arm: the first turns the moment on the base, the next two carry nearly all of it."""
+"""Joints that represent the whole arm: the first turns the moment on the base, the next two carry nearly all of it."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""The list of all effects. Discovery looks for them in this order, the simplest first: ties go to the first.
+"""Registry of all effects. Discovery tries them in this order, the simplest first: ties go to the first.
 
-A new effect is one file and one line here, or a plug-in; those of plug-ins come after all others.
+A new effect is one file and one line here, or a plug-in; effects of plug-ins come after all others.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _DECLARED = ("slug", "title", "meaning", "variables", "forms")
 
 
 def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
-    """Effects by slug. Raises ``ValueError`` where a declaration is incomplete or ambiguous."""
+    """Map slugs to effects; raise ``ValueError`` if a declaration is incomplete or ambiguous."""
     found: dict[str, Effect] = {}
     for effect in effects:
         if effect.slug in found:
@@ -44,7 +44,7 @@ def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
 
 
 def _effect(name: str, found: object) -> Effect:
-    """The effect of a plug-in. Raises ``ValueError`` if it is none, or its declaration does not hold."""
+    """Return the effect of a plug-in; raise ``ValueError`` if it is no effect or its declaration is invalid."""
     if not (isinstance(found, type) and issubclass(found, Effect)):
         raise ValueError(f"expected a class made from cellapp.robot.effects.Effect, got {found!r}")
     lacking = [*sorted(found.__abstractmethods__), *(one for one in _DECLARED if not hasattr(found, one))]

@@ -57,7 +57,7 @@ class Displacement:
 
 
 def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
-    """Sum of the displacements of all terms."""
+    """Compute the sum of the displacements of all terms."""
     columns: list[EffectColumn] = []
     for term in terms:
         of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
@@ -68,7 +68,7 @@ def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], con
 
 
 def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n: int, joints: int) -> Displacement:
-    """Sum of columns times values at ``n`` stops of an arm with ``joints`` joints."""
+    """Compute the sum of columns times values at ``n`` stops of an arm with ``joints`` joints."""
     moved, shift_M = np.zeros((n, joints)), np.zeros((n, 3))
     for column, value in zip(columns, values, strict=True):
         if column.joint is not None:
@@ -81,7 +81,7 @@ def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n:
 
 
 def term_to_json(term: EffectTerm) -> dict[str, Any]:
-    """A term for JSON: slug, law, constants, parameters, note, and its free part if any."""
+    """Convert a term to a JSON object: slug, law, constants, parameters, note, and its free part if any."""
     free = {"modulations": [modulation_to_json(one) for one in term.modulations], "law_misfit": term.law_misfit}
     return {
         "effect": term.slug,
@@ -99,7 +99,7 @@ def term_to_json(term: EffectTerm) -> dict[str, Any]:
 
 
 def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) -> EffectTerm:
-    """Read what ``term_to_json`` wrote, or an entry of discovery's list of accepted effects.
+    """Parse an object from ``term_to_json``, or an entry of discovery's list of accepted effects.
 
     Raises
     ------

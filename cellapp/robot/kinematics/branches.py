@@ -1,4 +1,4 @@
-"""All inverse solutions of a chain: in closed form where its structure allows, else from sampled configurations."""
+"""Find all inverse solutions of a chain: in closed form if its structure allows, else from sampled configurations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 _TURN = 2.0 * np.pi
 _ROUNDING = 1e-9
-"""Joint positions [rad] may exceed a limit by rounding, as the safety gate allows."""
+"""Tolerance [rad] by which joint positions may exceed a limit, as in the safety gate."""
 
 
 def all_branches(
@@ -24,7 +24,7 @@ def all_branches(
     seed: int,
     liked: Array | None = None,
 ) -> Array:
-    """Joint positions (n, K, N) [rad] that reach n targets, without regard to limits; NaN where there are fewer.
+    """Find joint positions (n, K, N) [rad] that reach n targets, regardless of limits; padded with NaN.
 
     Parameters
     ----------
@@ -32,15 +32,15 @@ def all_branches(
     position_M : array, shape (n, 3)
         SMR centre in the tracker frame [m].
     rotation_M : array, shape (n, 3, 3)
-        Rotation of the flange; NaN where it is free, and some solutions near ``near`` are given.
+        Rotation of the flange; NaN if it is free, which gives some solutions near ``near``.
     limits : array, shape (N, 2)
-        Where samples are drawn for chains without a closed form [rad].
+        Range of the samples for chains without a closed form [rad].
     near : array, shape (N,)
         Preferred configuration [rad].
     seed : int
-        Of the samples.
+        Seed of the samples.
     liked : array, shape (m, N), optional
-        Configurations near which solutions with free rotation are welcome, besides those near ``near``.
+        More preferred configurations for solutions with free rotation, besides ``near``.
     """
     free = np.isnan(rotation_M[:, 0, 0])
     parts: list[tuple[NDArray[np.bool_], Array]] = []
@@ -59,14 +59,14 @@ def all_branches(
 
 
 def turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, Array]:
-    """Each joint of ``q`` (..., N) moved by whole turns to its place within ``limits`` (N, 2) nearest to ``to``.
+    """Shift each joint of ``q`` (..., N) by whole turns to the position within ``limits`` (N, 2) nearest to ``to``.
 
     Returns
     -------
     q : array, shape (..., N)
-        Joint positions [rad]; where no turn is within the limits, the one least beyond them.
+        Joint positions [rad]; if no turn is within the limits, the one that exceeds them least.
     beyond : array, shape (..., N)
-        By how much that exceeds them [rad]; zero within.
+        Excess over the limits [rad]; zero within.
     """
     low, high = limits.T
     fewest, most = np.ceil((low - _ROUNDING - q) / _TURN), np.floor((high + _ROUNDING - q) / _TURN)

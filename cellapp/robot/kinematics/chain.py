@@ -1,4 +1,4 @@
-"""Forward kinematics of a serial arm with revolute joints, and analytic derivatives of what is measured of it.
+"""Forward kinematics of a serial arm with revolute joints, and its analytic derivatives by all parameters.
 
 The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with Hayati's angle beta,
 
@@ -6,15 +6,15 @@ The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with 
     T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
     A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
 
-M is the tracker frame, B the base, S the SMR centre or the frame of a 6-D probe, whose rotation in the last frame is
-that about the vector r by its length; an SMR has none. ``R_ref`` is the identity unless the first joint axis is more
-than 60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and
-``R_ref`` permutes the tracker's axes so that its z is the one nearest to the first joint axis.
+M is the tracker frame, B the base, S the SMR centre or the frame of a 6-D probe. The probe is rotated in the last frame
+by the rotation vector r; an SMR has no rotation. ``R_ref`` is the identity unless the first joint axis is more than 60
+degrees off the tracker's z axis (an arm on a wall). The parameters x0, y0, z0 become singular there, so ``R_ref``
+permutes the tracker's axes such that its z axis is the one nearest to the first joint axis.
 
 Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
-parameter along u moves it by u per metre. What is computed at a configuration is the position of S or, where an
-orientation was measured, the rotation vector from the measured to the computed orientation: a rotation about u changes
-it by u, to first order in that vector, a translation not at all.
+parameter along u moves it by u per metre. The output at a configuration is the position of S or, if an orientation was
+measured there, the rotation vector from the measured to the computed orientation. A rotation about u changes that
+vector by u, to first order in it; a translation does not change it.
 
 Internal arrays have the shape (m, 3, n), vector first and configurations last: every operation runs along the
 configurations, and the components of all m vectors times a matrix are one product.
@@ -47,7 +47,7 @@ BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
 TOOL_NAMES = ("tx", "ty", "tz")
 PROBE_NAMES = ("rx", "ry", "rz")
-"""Rotation of a probe whose orientation is measured; they follow the names of ``parameter_names``."""
+"""Rotation vector of a probe whose orientation is measured; these names follow those of ``parameter_names``."""
 _REFERENCES = (
     np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -55,7 +55,7 @@ _REFERENCES = (
 )
 """``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
 _AT_ONCE = 8192
-"""Configurations whose frames are in memory at once where only positions are asked for: some 6 MB."""
+"""Most configurations whose frames are in memory at once if only positions are computed: some 6 MB."""
 _PARALLEL = math.sin(math.radians(5.0))
 """Sine of 5 degrees. Joint axes closer to parallel than that make D-H parameters nearly singular."""
 
@@ -185,8 +185,8 @@ def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
 class JointAngles:
     """Cosines and sines (N, n) of joint positions, computed once and used for several geometries.
 
-    ``R_M_S`` (n, 3, 3) are orientations that were measured: at these configurations orientation is computed, at those
-    where it is NaN position. None: position at all.
+    ``R_M_S`` (n, 3, 3) are measured orientations: at these configurations the kinematics compute orientation, at NaN
+    they compute position. None if position is computed at all.
     """
 
     cosines: Array
@@ -195,25 +195,25 @@ class JointAngles:
 
     @classmethod
     def of(cls, q: Array, R_M_S: Array | None = None) -> JointAngles:
-        """Cosines and sines of joint positions ``q`` (n, N) [rad]."""
+        """Compute cosines and sines of joint positions ``q`` (n, N) [rad]."""
         angles = np.ascontiguousarray(q.T)
         return cls(np.cos(angles), np.sin(angles), R_M_S)
 
     @cached_property
     def turned(self) -> NDArray[np.bool_] | None:
-        """Configurations (n,) at which orientation is computed; None where it is at none."""
+        """Mask (n,) of configurations at which orientation is computed; None if there are none."""
         return turned_rows(self.R_M_S)
 
     @cached_property
     def signed_sines(self) -> Array:
-        """Sines, and sines with the opposite sign, (N, 2, 1, n): what a turn adds to the x axis and to the y axis."""
+        """Sines and negative sines (N, 2, 1, n): coefficients by which a rotation mixes the x and y axes."""
         signed: Array = np.empty((len(self.sines), 2, 1, self.count))
         signed[:, 0, 0] = self.sines
         np.negative(self.sines, out=signed[:, 1, 0])
         return signed
 
     def part(self, first: int, last: int) -> JointAngles:
-        """The configurations first to last - 1."""
+        """Select the configurations ``first`` to ``last - 1``."""
         if last - first == self.count:
             return self
         R_M_S = None if self.R_M_S is None else self.R_M_S[first:last]
@@ -226,15 +226,15 @@ class JointAngles:
 
 
 def smr_positions(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> Array:
-    """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad].
+    """Compute SMR positions in the tracker frame, shape (n, 3) [m], at configurations ``q`` (n, N) [rad].
 
-    Where an orientation ``R_M_S`` (n, 3, 3) was measured, the rotation vector from it to the computed one [rad].
+    If an orientation ``R_M_S`` (n, 3, 3) was measured, a row is the rotation vector from it to the computed one [rad].
     """
     return np.ascontiguousarray(smr_positions_of(geometry, JointAngles.of(q, R_M_S)).T)
 
 
 def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
-    """SMR positions in the tracker frame, shape (3, n) [m], or rotation vectors [rad]: component first."""
+    """Compute SMR positions in the tracker frame, shape (3, n) [m], or rotation vectors [rad]: component first."""
     if angles.count <= _AT_ONCE:
         return _computed(geometry, angles, _new_frames(geometry, angles))
     P: Array = np.empty((3, angles.count))
@@ -245,13 +245,13 @@ def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
 
 
 def probe_rotations(geometry: Geometry, q: Array) -> Array:
-    """Rotations (n, 3, 3) of the probe frame in the tracker frame; of the flange where there is no probe."""
+    """Compute rotations (n, 3, 3) of the probe frame in the tracker frame; of the flange if there is no probe."""
     rotations, _ = flange_poses(geometry, q)
     return rotations if geometry.probe is None else np.asarray(rotations @ rotation_from_vector(geometry.probe))
 
 
 def frame_vectors(geometry: Geometry, q: Array) -> Array:
-    """x, y, z axes and origins [m] of all D-H frames, base first, in the tracker frame: (3, N + 1, 4, n).
+    """Compute x, y, z axes and origins [m] of all D-H frames, base first, in the tracker frame: (3, N + 1, 4, n).
 
     ``q`` (n, N) are joint positions [rad]. Components come first, configurations last.
     """
@@ -260,7 +260,7 @@ def frame_vectors(geometry: Geometry, q: Array) -> Array:
 
 
 def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
-    """All D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in the tracker frame.
+    """Compute all D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in tracker frame M.
 
     ``q`` (n, N) are joint positions [rad].
     """
@@ -270,7 +270,7 @@ def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
 
 
 def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
-    """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame, of configurations ``q`` (n, N) [rad]."""
+    """Compute flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame at ``q`` (n, N) [rad]."""
     rotations, origins = frame_poses(geometry, q)
     return rotations[-1], origins[-1]
 
@@ -278,7 +278,7 @@ def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
 def jacobian(
     geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: Workspace | None = None
 ) -> tuple[Array, Array]:
-    """SMR positions and their derivatives with respect to some of the parameters.
+    """Compute SMR positions and their derivatives with respect to some of the parameters.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def jacobian(
     columns : tuple of int, length k
         Indices into ``all_names``. Rotations before translations are fastest: no reordering is needed.
     workspace : Workspace, optional
-        Holds J and what leads to it; the next call with it overwrites J. New arrays without.
+        Memory for J and intermediate arrays; the next call with it overwrites J. New arrays if None.
 
     Returns
     -------
@@ -305,7 +305,7 @@ def jacobian(
     axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
     frames = _frames(geometry, angles, *of_frames)
     P = _computed(geometry, angles, frames)
-    # every index is valid: "clip" only spares the copy that the check of indices makes
+    # every index is valid; mode "clip" avoids the copy that the check of indices would make
     components = frames.reshape(-1, n)
     np.take(components, sources.axes, axis=0, out=axes, mode="clip")
     np.take(components, sources.centers, axis=0, out=lever, mode="clip")
@@ -337,7 +337,7 @@ def jacobian(
 
 
 def base_twists(geometry: Geometry) -> Array:
-    """Twist of the base frame per unit of each base parameter, shape (6, 6): a column for each of ``BASE_NAMES``.
+    """Compute the twist of the base frame per unit of each base parameter, (6, 6): one column per ``BASE_NAMES``.
 
     The first three components are the velocity of a point of the base that is at the tracker's origin, the last three
     the rotation, both in the tracker frame: a point at p moves by ``v + w x p``.
@@ -357,13 +357,13 @@ def base_twists(geometry: Geometry) -> Array:
 
 
 def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Array]:
-    """SMR positions (3, n) [m] and their derivatives by the joint angles (3, N, n) [m/rad], in the tracker frame."""
+    """Compute SMR positions (3, n) [m] and derivatives by joint angles (3, N, n) [m/rad], in the tracker frame."""
     return jacobian(geometry, angles, tuple(6 + 5 * i for i in range(geometry.joints)))
 
 
 @dataclass(frozen=True)
 class _ColumnSources:
-    """Where ``_frames`` has the vectors from which the columns of a Jacobian are made.
+    """Indices into ``_frames`` of the vectors from which the columns of a Jacobian are computed.
 
     Attributes
     ----------
@@ -371,12 +371,11 @@ class _ColumnSources:
         Position of each parameter of the chain among the rotations, or among the translations, of the Jacobian; -1 for
         parameters that are not among its columns.
     axes, centers : array, shape (3, r)
-        Indices of the components of each rotation's axis, and of a point on it, where all vectors' components are
-        counted through.
+        Indices of the components of each rotation's axis, and of a point on it, in the flattened vectors.
     along : array, shape (k - r,)
         Index of each translation's direction.
     restore : array, shape (k,), or None
-        Order of the columns, where it is not rotations before translations.
+        Order of the columns; None if it is rotations before translations.
     """
 
     slot: tuple[int, ...]
@@ -408,12 +407,12 @@ def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
 
 
 def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
-    """Indices (3, r) of the components of some vectors, where the components of all vectors are counted through."""
+    """Return indices (3, r) of the components of some vectors in the flattened array of all vectors."""
     return 3 * np.array(vectors, dtype=np.int64) + np.arange(3)[:, None]
 
 
 def _source(column: int, joints: int) -> tuple[int, int]:
-    """Indices into ``_frames`` of a parameter's axis and of a point on it, which a translation does not need."""
+    """Return indices into ``_frames`` of a parameter's axis and of a point on it (not used for a translation)."""
     fixed = 4 * (joints + 1)  # the four fixed vectors of base_frame
     if column < 6:
         of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
@@ -437,7 +436,7 @@ def _smr(geometry: Geometry, frames: Array) -> Array:
 
 
 def _computed(geometry: Geometry, angles: JointAngles, frames: Array) -> Array:
-    """SMR positions (3, n) [m], or where an orientation was measured, the rotation vector from it [rad]."""
+    """Compute SMR positions (3, n) [m] or, if an orientation was measured, the rotation vector from it [rad]."""
     P = _smr(geometry, frames)
     if angles.R_M_S is not None:
         turned, last = angles.turned, 4 * geometry.joints
@@ -448,7 +447,7 @@ def _computed(geometry: Geometry, angles: JointAngles, frames: Array) -> Array:
 
 
 def _probe_axes(geometry: Geometry, frames: Array) -> Array:
-    """Axes (3, 3, n) about which the three components of a probe's rotation vector turn it: component, axis."""
+    """Compute the axes (3, 3, n) about which the components of a probe's rotation vector rotate it: component, axis."""
     last = 4 * geometry.joints
     turn = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
     return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], turn))
@@ -465,10 +464,10 @@ def _new_frames(geometry: Geometry, angles: JointAngles) -> Array:
 
 
 def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Array, scratch: Array) -> Array:
-    """x, y, z axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
+    """Compute axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
 
-    They are written into ``vectors``; ``turned`` and ``scratch`` are overwritten (``_frame_shapes``).
-    All of A_i after rot_z(q_i) is one constant matrix for all configurations, hence one matrix product per joint.
+    The result is written into ``vectors``; ``turned`` and ``scratch`` are overwritten (``_frame_shapes``). The part of
+    A_i after rot_z(q_i) is the same for all configurations, hence one matrix product per joint.
     """
     base = geometry.base_vectors[:, :, None]
     vectors[:4], vectors[-4:] = base[:4], base[4:]

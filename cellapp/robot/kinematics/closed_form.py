@@ -1,13 +1,13 @@
-"""All inverse solutions of six-joint chains whose structure admits a closed form.
+"""Find all inverse solutions of six-joint chains whose structure admits a closed form.
 
-Two structures are covered, with any offsets d, twist angles and tool that they leave free. Both have parallel or
+Two structures are covered, with any values of the other offsets, twist angles and tool. Both have parallel or
 anti-parallel axes 2 and 3; h is the direction of axis 2, phi_i = q_i + theta_i:
 
 - axes 2, 3 and 4 parallel, a5 = a6 = 0 (Universal Robots): every point beyond joint 4 that lies on axis 5 keeps its
-  distance along h, which gives phi_1; the angle of axis 6 to h gives phi_5, h seen from the flange phi_6, and what is
-  left is a planar arm of two links;
+  distance along h, which gives phi_1; the angle of axis 6 to h gives phi_5, h in the flange frame gives phi_6, and the
+  rest is a planar arm of two links;
 - axes 4, 5 and 6 meet in one point (elbow arms with a spherical wrist): the distance of that point along h gives phi_1,
-  a planar arm of two links phi_2 and phi_3, the rotation that is left phi_4 to phi_6.
+  a planar arm of two links gives phi_2 and phi_3, the remaining rotation gives phi_4 to phi_6.
 
 Each has up to eight solutions. Sources: Hawkins, Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms
 (2013); Pieper, The kinematics of manipulators under computer control (1968).
@@ -27,15 +27,15 @@ from cellapp.robot.kinematics.transforms import Array
 
 Structure = Literal["parallel axes 2-3-4", "spherical wrist"]
 _NEAR_RAD, _NEAR_M = 0.02, 0.01
-"""A chain this near to a structure is solved by the structure and then made exact: a maker's own calibration of an arm
-stays within."""
+"""Tolerances [rad, m] within which a chain is solved by a structure and then refined: they include the maker's own
+calibration of an arm."""
 _EXACT = 1e-12
 _POLISH_ROUNDS = 12
-"""Iterations that make the solutions of a chain beside its structure exact: few, as they begin a centimetre away."""
+"""Iterations that refine solutions of a chain that is only near a structure: few, as they start a centimetre away."""
 _LEAST_SINE = 0.05
-"""Twist angles nearer to 0 or pi than this count as parallel axes."""
+"""Sine of a twist angle below which axes count as parallel."""
 _ROUNDING = 1e-9
-"""Sines and cosines may exceed 1 by rounding: the arm is stretched, and the solution double."""
+"""Tolerance by which sines and cosines may exceed 1: the arm is then stretched and the solution double."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class _Chain:
 
 
 def structure_of(geometry: Geometry) -> tuple[Structure, float] | None:
-    """The structure that a chain has or nearly has, and how far it is from it [rad or m]; None: neither.
+    """Return the structure that a chain has or nearly has, and its deviation from it [rad or m]; None if it has none.
 
-    Nearly means within 20 mrad and 10 mm: such a chain needs its solutions to be made exact.
+    Nearly means within 20 mrad and 10 mm: solutions of such a chain must be refined.
     """
     if geometry.joints != 6:
         return None
@@ -76,7 +76,7 @@ def structure_of(geometry: Geometry) -> tuple[Structure, float] | None:
 def closed_form_solutions(
     geometry: Geometry, position_M: Array, rotation_M: Array, near: Array | None = None
 ) -> Array | None:
-    """All joint positions that reach n poses, (n, 8, 6) [rad], each in (-pi, pi]; NaN where there is no solution.
+    """Find all joint positions that reach n poses, (n, 8, 6) [rad], each in (-pi, pi]; NaN if there is no solution.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def closed_form_solutions(
     rotation_M : array, shape (n, 3, 3)
         Rotation of the flange in the tracker frame.
     near : array, shape (6,) or (n, 6), optional
-        Where a singular wrist leaves one of its joints free, it stands as here [rad]; zero by default.
+        Position of a joint that a singular wrist leaves free [rad]; zero by default.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def closed_form_solutions(
 
 
 def _structured(geometry: Geometry, name: Structure) -> _Chain:
-    """The chain with what is nearly zero or pi set to it."""
+    """Return the chain with parameters that are nearly zero or pi set to exactly that."""
     theta, d, a, alpha, _ = geometry.rows.T.copy()
     parallel = [1, 2] if name == "parallel axes 2-3-4" else [1]
     alpha[parallel] = np.pi * np.round(alpha[parallel] / np.pi)
@@ -132,7 +132,7 @@ def _flange_in_base(geometry: Geometry, position_M: Array, rotation_M: Array) ->
 
 
 def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
-    """Angles phi (n, 8, 6) of chains with parallel axes 2, 3 and 4; order: shoulder, wrist, elbow."""
+    """Solve phi (n, 8, 6) of chains with parallel axes 2, 3 and 4; branches in order shoulder, wrist, elbow."""
     d, c, s = chain.d, chain.c, chain.s
     sense = c[1] * c[2]  # of axis 4 against axis 2
     z5 = R @ np.array([0.0, s[5], c[5]])
@@ -153,7 +153,7 @@ def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
 
 
 def _planar(chain: _Chain, phi1: Array, R_04: Array, o4: Array, phi5: Array, phi6: Array) -> Array:
-    """Angles (n, 8, 6) from frame 4, by the planar arm of joints 2 to 4."""
+    """Solve the planar arm of joints 2 to 4 for frame 4; return all angles (n, 8, 6)."""
     a, c = chain.a, chain.c
     R_1, o1 = _frame_1(chain, phi1)
     v = np.einsum("nijba,nijb->nija", R_1, o4 - o1)
@@ -167,7 +167,7 @@ def _planar(chain: _Chain, phi1: Array, R_04: Array, o4: Array, phi5: Array, phi
 
 
 def _spherical_wrist(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
-    """Angles phi (n, 8, 6) of chains whose axes 4, 5 and 6 meet; order: shoulder, elbow, wrist."""
+    """Solve phi (n, 8, 6) of chains whose axes 4, 5 and 6 meet; branches in order shoulder, elbow, wrist."""
     d, a, c, s = chain.d, chain.a, chain.c, chain.s
     z5 = R @ np.array([0.0, s[5], c[5]])
     centre = o6 - d[5] * z5 - a[5] * R[:, :, 0]
@@ -189,7 +189,7 @@ def _spherical_wrist(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
 
 
 def _shoulder(chain: _Chain, point: Array, along: float) -> Array:
-    """Both angles phi_1 (n, 2) at which ``point`` (n, 3) is ``along`` [m] from frame 1 in the direction of axis 2."""
+    """Solve both phi_1 (n, 2) with ``point`` (n, 3) at distance ``along`` [m] from frame 1 in direction of axis 2."""
     x, y, z = point.T
     k = (along - chain.c[0] * (z - chain.d[0])) / chain.s[0]
     up = 0.5 * np.pi - _arccos(k / np.maximum(np.hypot(x, y), 1e-300))[:, None]
@@ -210,7 +210,7 @@ def _frame_1(chain: _Chain, phi1: Array) -> tuple[Array, Array]:
 
 
 def _two_links(tip: Array, first: float, second: float) -> tuple[Array, Array]:
-    """Directions of the first link and bends of the second against it, (..., 2) [rad], for tips x + iy [m]."""
+    """Solve a planar two-link arm for tips x + iy [m]: direction of link 1, angle of link 2 to it, (..., 2) [rad]."""
     cosine = (np.abs(tip) ** 2 - first**2 - second**2) / (2.0 * first * second)
     bend = _arccos(cosine)[..., None] * np.array([1.0, -1.0])
     direction = np.angle(tip)[..., None] - np.angle(first + second * np.exp(1j * bend))
@@ -218,13 +218,13 @@ def _two_links(tip: Array, first: float, second: float) -> tuple[Array, Array]:
 
 
 def _arccos(cosine: Array) -> Array:
-    """Angles [rad]; NaN beyond rounding."""
+    """Compute the arc cosine [rad]; clip rounding beyond 1, NaN for more."""
     within = np.abs(cosine) <= 1.0 + _ROUNDING
     return np.asarray(np.where(within, np.arccos(np.clip(cosine, -1.0, 1.0)), np.nan))
 
 
 def _between(from_xy: Array, to_xy: Array, free: Array) -> Array:
-    """Angle from one plane vector (..., 2) to another; ``free`` where they vanish, as any angle will do there."""
+    """Compute the angle from one plane vector (..., 2) to another; ``free`` if they vanish and any angle will do."""
     angle = np.arctan2(to_xy[..., 1], to_xy[..., 0]) - np.arctan2(from_xy[..., 1], from_xy[..., 0])
     return np.asarray(np.where(np.hypot(from_xy[..., 0], from_xy[..., 1]) < _ROUNDING, free, angle))
 
@@ -241,7 +241,7 @@ def _rotation_x(c: float, s: float) -> Array:
 
 
 def _made_exact(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> Array:
-    """Solutions (n, 8, 6) of the chain itself, from those of the structure beside it; NaN where there is none."""
+    """Refine solutions (n, 8, 6) of the structure to those of the chain itself; NaN if there is none."""
     rows, branch = np.nonzero(np.isfinite(q[:, :, 0]))
     solved = solve_pose(geometry, position_M[rows], rotation_M[rows], q[rows, branch], max_iterations=_POLISH_ROUNDS)
     exact = np.full(q.shape, np.nan)

@@ -1,4 +1,4 @@
-"""Linear interpolation of tables of which each row is at a time, or at another place along a path."""
+"""Linear interpolation of tables whose rows belong to times or to positions along a path."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _Floats = NDArray[np.floating[Any]]
 
 
 def rows_at(wanted: _Floats, places: _Floats, table: Array) -> Array:
-    """Rows (m, k) at ``wanted`` (m,) of a ``table`` (n, k) that is given at growing ``places`` (n,).
+    """Interpolate a ``table`` (n, k), given at increasing ``places`` (n,), at ``wanted`` (m,): rows (m, k).
 
-    Before the first and after the last place they are the first and the last row.
+    Outside the given places the first or last row is returned.
     """
     return np.column_stack([np.interp(wanted, places, column) for column in table.T])

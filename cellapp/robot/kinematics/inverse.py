@@ -11,7 +11,7 @@ from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 
 _LARGEST_STEP = 0.5
-"""Limit on the change of any joint in one iteration [rad]: beyond it the linearisation of the chain does not hold."""
+"""Largest change of any joint in one iteration [rad]: beyond it the linearisation of the chain does not hold."""
 _DAMPING = (1e-2, 1e-3, 1e-14)
 """Damping per squared error, its upper limit, and its lower limit, which keeps the normal matrix regular."""
 
@@ -47,10 +47,10 @@ def solve_pose(
     tolerance: float = 1e-10,
     max_iterations: int = 60,
 ) -> InverseSolution:
-    """Joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
+    """Find joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
 
-    Where the pose cannot be reached (fewer than six joints, a singularity, out of range), the iterate with the smallest
-    error is returned and reported as not reached.
+    If a pose cannot be reached (fewer than six joints, a singularity, out of range), the iterate with the smallest
+    error is returned and marked as not reached.
 
     Parameters
     ----------
@@ -87,7 +87,8 @@ def solve_pose(
 
 
 def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array, q: Array) -> tuple[Array, Array]:
-    """Position error [m] and rotation vector [rad] to the wanted pose (n, 6), and the geometric Jacobian (n, 6, N)."""
+    """Compute position error [m] and rotation vector [rad] to the wanted pose (n, 6), and the geometric Jacobian
+    (n, 6, N)."""
     rotations, origins = frame_poses(geometry, q)
     flange = rotations[-1]
     P = origins[-1] + flange @ geometry.tool
@@ -99,7 +100,7 @@ def errors_and_jacobian(geometry: Geometry, position_M: Array, rotation_M: Array
 
 
 def damped_step(J: Array, errors: Array) -> Array:
-    """Damped least-squares step (n, N) [rad], its largest component limited, from errors (n, 6) and ``J`` (n, 6, N)."""
+    """Compute a damped least-squares step (n, N) [rad] of limited size from errors (n, 6) and ``J`` (n, 6, N)."""
     share, most, least = _DAMPING
     damping = np.minimum(most, share * np.einsum("na,na->n", errors, errors)) + least
     A = J.transpose(0, 2, 1) @ J + damping[:, None, None] * np.eye(J.shape[2])

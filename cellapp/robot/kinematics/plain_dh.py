@@ -1,4 +1,4 @@
-"""Plain D-H rows that describe the same arm as rows with Hayati's angle beta, and the way back.
+"""Convert D-H rows with Hayati's angle beta to plain D-H rows of the same arm, and back.
 
 A D-H row places both of its frames on the common normal of two joint axes. Between axes that are nearly parallel this
 normal lies far from the arm: at a tilt of 1 mrad, hundreds of metres. The rows then hold large d of opposite signs,
@@ -30,9 +30,9 @@ _NEARLY_PARALLEL = math.sin(math.radians(5.0))
 def plain_geometry(geometry: Geometry) -> Geometry:
     """Return the same arm with all beta zero: ``smr_positions`` are equal to rounding at every configuration.
 
-    What a row cannot hold is a turn about and a shift along the next joint axis; these commute with that joint's
-    rotation and go into theta and d of the next row, and behind the last row into the tool. Flange orientations are
-    equal, too, unless the last row has a beta.
+    A plain row leaves a rotation about and a shift along the next joint axis. These commute with that joint's rotation,
+    so they are added to theta and d of the next row, and after the last row to the tool. Flange orientations are equal
+    too, unless the last row has a beta.
     """
     rows = geometry.rows.copy()
     turn = shift = 0.0
@@ -45,14 +45,14 @@ def plain_geometry(geometry: Geometry) -> Geometry:
 
 
 def _plain_row(row: Array) -> tuple[Array, float, float]:
-    """A row (5,) without beta, and the turn [rad] about and the shift [m] along its z axis that remain.
+    """Convert a row (5,) to one without beta; also return the remaining rotation [rad] about and shift [m] along z.
 
     With the row's x axis turned by ``psi`` about its first axis onto the common normal, and ``twist`` between the axes:
 
         trans(a, 0, d) rot_x(alpha) rot_y(beta)
             = rot_z(psi) trans(a', 0, d') rot_x(twist) trans(0, 0, shift) rot_z(turn)
 
-    Of the two directions of the normal, the one that is closer to the row's x axis is taken.
+    Of the two directions of the normal, the one closer to the row's x axis is chosen.
     """
     theta, d, a, alpha, beta = row.tolist()
     if beta == 0.0:
@@ -71,10 +71,10 @@ def _plain_row(row: Array) -> tuple[Array, float, float]:
 
 
 def hayati_rows(plain: Array, published: Array) -> Array:
-    """Rows (N, 5) with beta that describe the same arm as plain rows (N, 4), near its published ones (N, 4).
+    """Convert plain rows (N, 4) to rows (N, 5) with beta of the same arm, near its published rows (N, 4).
 
-    Where two published axes are parallel, the row keeps the published d and has a beta, so that no length is large;
-    what that leaves goes into theta and d of the next row, as in ``plain_geometry``. Flange poses are equal.
+    If two published axes are parallel, the row keeps the published d and has a beta, so that no length is large; the
+    remaining rotation and shift go into theta and d of the next row, as in ``plain_geometry``. Flange poses are equal.
     """
     rows = np.column_stack([plain, np.zeros(len(plain))])
     turn = shift = 0.0
@@ -88,7 +88,7 @@ def hayati_rows(plain: Array, published: Array) -> Array:
 
 
 def same_chain(plain: Array, other: Array, published: Array) -> bool:
-    """Whether plain rows (N, 4) and others (N, 4) of an arm are equal to rounding, also where lengths d are large."""
+    """Return whether plain rows (N, 4) and others (N, 4) describe the same arm to rounding, even if d are large."""
     if plain.shape != other.shape:
         return False
     rows = [hayati_rows(one, published) for one in (plain, other)]
@@ -97,9 +97,10 @@ def same_chain(plain: Array, other: Array, published: Array) -> bool:
 
 
 def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
-    """A plain row (5,) as one with the published d and a beta, and the turn [rad] and shift [m] that remain about z.
+    """Convert a plain row (5,) to one with the published d and a beta; also return the remaining rotation [rad] and
+    shift [m] about z.
 
-    The next axis passes the plane z = d at the row's new origin; x goes through that point.
+    The next axis intersects the plane z = d at the row's new origin; the x axis goes through that point.
     """
     theta, d, a, alpha = row[:4].tolist()
     c, s = math.cos(theta), math.sin(theta)

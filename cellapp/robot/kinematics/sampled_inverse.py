@@ -1,8 +1,8 @@
-"""Inverse solutions of any chain, from starts in a table of sampled configurations.
+"""Find inverse solutions of any chain from starts in a table of sampled configurations.
 
-Newton's iteration finds the solution whose basin holds its start. Samples whose pose is already near the wanted one
-lie in the basins of the different branches, so that a few dozen starts find nearly all of them; of a redundant arm,
-whose solutions are a continuum, they give a spread.
+Newton's iteration converges to the solution whose basin contains its start. Samples with a pose near the wanted one lie
+in the basins of the different branches, so a few dozen starts find nearly all branches; for a redundant arm, whose
+solutions are a continuum, they give a spread of solutions.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from cellapp.robot.kinematics.transforms import Array
 _SAMPLES = 20_000
 """Configurations in the table: their poses lie some 0.3 rad and 0.2 of the reach apart, from where Newton converges."""
 _STARTS = 32
-"""Starts for each pose: a six-joint arm has at most 16 solutions."""
+"""Number of starts for each pose: a six-joint arm has at most 16 solutions."""
 _POSITION_STARTS, _LIKED_STARTS = 5, 12
-"""Starts from a table for each position whose rotation is free: postures of different branches."""
+"""Numbers of starts for each position with free rotation, from the samples and from ``liked``: different branches."""
 _NEAREST = 64
-"""Samples near a position, from which the starts nearest to the preferred configuration are taken."""
+"""Number of samples nearest to a position; the starts are those of them nearest to the preferred configuration."""
 _ROUNDS = 40
-"""Iterations of one start; those that need more are not near a solution."""
+"""Most iterations of one start; a start that needs more is not near a solution."""
 _AT_ONCE = 1000
-"""Poses at once: with their starts some tens of MB."""
+"""Number of poses in a batch: with their starts some tens of MB."""
 _SAME = 1e-5
-"""Solutions that agree to 10 µrad in every joint are one; two branches meet only at a singularity."""
+"""Solutions that agree to 10 µrad in every joint count as one; two branches meet only at a singularity."""
 _PULL, _PULL_ROUNDS, _CLOSE_ROUNDS = 0.5, 12, 25
-"""Share of the way to the preferred configuration that each iteration goes within the positions' null space, the
-iterations with it, and those after it that close the position error."""
+"""Share of the way to the preferred configuration that one iteration moves in the null space of the position, number of
+such iterations, and number of later ones that only reduce the position error."""
 _DAMPING, _MOST_DAMPING, _DAMPING_SHARE = 1e-9, 1e-2, 1e-2
 """Damping of a position step: its limits [m^2], the lower far below the squared levers of an arm, and its size per
 squared error, as in ``solve_pose``."""
@@ -43,10 +43,10 @@ _LARGEST_STEP = 0.5
 def sampled_solutions(
     geometry: Geometry, position_M: Array, rotation_M: Array, limits: Array, near: Array, seed: int
 ) -> Array:
-    """Joint positions (n, K, N) [rad] that reach n poses, each joint within a turn of ``near`` (N,); NaN pads.
+    """Find joint positions (n, K, N) [rad] that reach n poses, each joint within half a turn of ``near`` (N,).
 
     Positions (n, 3) [m] of the SMR and rotations (n, 3, 3) of the flange are in the tracker frame. Samples are drawn
-    from ``seed`` within ``limits`` (N, 2) [rad].
+    from ``seed`` within ``limits`` (N, 2) [rad]. The result is padded with NaN.
     """
     samples = sampled_configurations(limits, near, seed)
     rotations, _ = flange_poses(geometry, samples)
@@ -67,11 +67,11 @@ def sampled_solutions(
 def position_solutions(
     geometry: Geometry, position_M: Array, samples: Array, near: Array, liked: Array | None = None
 ) -> Array:
-    """Joint positions (n, K, N) [rad] that put the SMR at n positions (n, 3) [m] with any rotation; NaN pads.
+    """Find joint positions (n, K, N) [rad] that put the SMR at n positions (n, 3) [m] with any rotation; NaN pads.
 
-    From ``near``, and from those of ``samples`` (m, N) with the SMR near the position that are nearest to ``near``, a
-    motion within the null space leads towards ``near``, to a local minimum of the distance from there. From ``near``
-    and from those of ``liked`` (m', N) with the SMR nearest to the position the least motion is taken.
+    Starts are ``near`` and those ``samples`` (m, N) with the SMR near the position that are nearest to ``near``; they
+    are pulled towards ``near`` within the null space, to a local minimum of the distance from it. Other starts,
+    ``near`` and those of ``liked`` (m', N) with the SMR nearest to the position, go to it by the least motion.
     """
     found = []
     for begin in range(0, len(position_M), _AT_ONCE):
@@ -91,12 +91,12 @@ def position_solutions(
 
 
 def missed_distances(geometry: Geometry, position_M: Array, start: Array) -> Array:
-    """How near (n,) [m] the SMR comes to positions (n, 3) with any rotation, from one configuration (N,) [rad]."""
+    """Return the SMR's remaining distance (n,) [m] from positions (n, 3), any rotation, from one start (N,) [rad]."""
     return _to_position(geometry, position_M, np.tile(start, (len(position_M), 1)), start, 0)[1]
 
 
 def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
-    """Configurations (m, N) [rad] within limits (N, 2), within half a turn of ``near`` where the limits allow."""
+    """Draw configurations (m, N) [rad] within limits (N, 2), and within half a turn of ``near`` if limits allow."""
     middle = np.clip(near, limits[:, 0] + np.pi, limits[:, 1] - np.pi)
     low, high = np.maximum(limits[:, 0], middle - np.pi), np.minimum(limits[:, 1], middle + np.pi)
     return np.random.default_rng([seed, 0x7A6]).uniform(low, high, size=(_SAMPLES, len(low)))
@@ -106,7 +106,10 @@ def sampled_configurations(limits: Array, near: Array, seed: int) -> Array:
 
 
 def _starts_near(geometry: Geometry, position_M: Array, table: Array, near: Array, among: int) -> Array:
-    """The ``among`` entries of a table with the SMR nearest to each of n positions, those nearest to ``near`` first."""
+    """Select the ``among`` table entries with the SMR nearest to each of n positions, sorted by closeness to ``near``.
+
+    ``near`` (N,) [rad] is the preferred configuration.
+    """
     at, _ = _positions(geometry, table)
     _, rows = scipy.spatial.cKDTree(at).query(position_M, k=min(among, len(table)))
     rows = rows.reshape(len(position_M), -1)
@@ -115,7 +118,7 @@ def _starts_near(geometry: Geometry, position_M: Array, table: Array, near: Arra
 
 
 def _positions(geometry: Geometry, samples: Array) -> tuple[Array, float]:
-    """SMR positions (m, 3) [m] and the size of the volume that they fill."""
+    """Compute SMR positions (m, 3) [m] and the size of the volume that they fill [m]."""
     rotations, origins = flange_poses(geometry, samples)
     at = origins + rotations @ geometry.tool
     return at, max(float(np.linalg.norm(at.std(axis=0))), 1e-9)
@@ -124,9 +127,9 @@ def _positions(geometry: Geometry, samples: Array) -> tuple[Array, float]:
 def _to_position(
     geometry: Geometry, position_M: Array, start: Array, near: Array, pull_rounds: int
 ) -> tuple[Array, Array]:
-    """Least motions from starts to positions, ``pull_rounds`` iterations of them with a pull to ``near``.
+    """Move starts to positions by least motions, the first ``pull_rounds`` iterations with a pull to ``near``.
 
-    Returns joint positions (n, N) [rad] and their distances (n,) [m] from the positions.
+    Return joint positions (n, N) [rad] and the SMR's distances (n,) [m] from the positions.
     """
     q, active = start.copy(), np.arange(len(start))
     for k in range(pull_rounds + _CLOSE_ROUNDS):
@@ -153,12 +156,12 @@ def _to_position(
 
 
 def _around(q: Array, near: Array) -> Array:
-    """The same configurations with every joint within half a turn of ``near``."""
+    """Shift joints by whole turns to within half a turn of ``near``."""
     return np.asarray(near + np.pi - np.mod(near + np.pi - q, 2.0 * np.pi))
 
 
 def _distinct(q: Array) -> Array:
-    """Solutions (n, K, N) without repeats, those left in front, NaN behind."""
+    """Remove repeated solutions from (n, K, N); the kept ones come first, padded with NaN."""
     kept = np.isfinite(q[:, :, 0])
     for k in range(1, q.shape[1]):
         apart = np.abs(np.mod(q[:, :k] - q[:, k : k + 1] + np.pi, 2.0 * np.pi) - np.pi).max(axis=2)
@@ -169,7 +172,7 @@ def _distinct(q: Array) -> Array:
 
 
 def _stacked(parts: list[Array], joints: int) -> Array:
-    """Blocks (n, K, N) of different K below each other, padded with NaN."""
+    """Stack blocks (n, K, N) of different K along n, padded with NaN."""
     if not parts:
         return np.empty((0, 1, joints))
     most = max(one.shape[1] for one in parts)

@@ -67,11 +67,11 @@ class GravityLoads:
 
     @cached_property
     def _torque_by_lever(self) -> Array:
-        """Times a lever from a joint: the torque of 1 kg at its end about the joint's axis (N, n, 3) [m/s^2]."""
+        """Factor (N, n, 3) [m/s^2]: its product with a lever from a joint is the torque of 1 kg at the lever's end."""
         return np.cross(self.gravity, self.rotations[:-1, :, :, 2])
 
     def beyond(self, frame: int) -> tuple[Array, Array]:
-        """Weight (n, 3) [N] of all masses beyond D-H frame ``frame``, and its moment (n, 3) [Nm] about its origin.
+        """Compute the weight (n, 3) [N] beyond D-H frame ``frame`` and its moment (n, 3) [Nm] about the frame's origin.
 
         Beyond frame i are the bodies i + 1 to N and the payload; beyond frame 0 (base) is the whole arm.
         """
@@ -79,7 +79,7 @@ class GravityLoads:
         return mass * self.gravity, np.cross(first_moment - mass * self.origins[frame], self.gravity)
 
     def joint_torques(self) -> Array:
-        """Gravity torque about each joint axis (n, N) [Nm], positive in the joint's positive direction.
+        """Compute the gravity torque about each joint axis (n, N) [Nm], positive in the joint's positive direction.
 
         ``tau_j = z_j . sum over masses beyond joint j of (c_k - o_j) x m_k g``.
         """
@@ -89,7 +89,7 @@ class GravityLoads:
         return np.asarray(np.einsum("jna,jna->nj", axes, np.cross(levers, self.gravity)))
 
     def torques_of(self, mass: int) -> Array:
-        """Torque of one of the masses about each joint axis (n, N) [Nm]; zero for joints beyond it.
+        """Compute the torque of one mass about each joint axis (n, N) [Nm]; zero for joints beyond it.
 
         ``mass`` counts bodies from 0; -1 or N is the payload.
         """
@@ -139,5 +139,5 @@ def gravity_loads(
 
 
 def base_moment(geometry: Geometry, bodies: Bodies, q: Array, up_M: Array, payload_kg: Array | None = None) -> Array:
-    """Moment of gravity on the arm about its base origin (n, 3) [Nm] at configurations ``q`` (n, N) [rad]."""
+    """Compute the gravity moment of the arm about its base origin (n, 3) [Nm] at configurations ``q`` (n, N) [rad]."""
     return gravity_loads(frame_poses(geometry, q), bodies, up_M, payload_kg).beyond(0)[1]

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 _TRUSTED = {"assume_valid": True} if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 17) else {}
-"""Scipy (1.17) checks each matrix, in five times the time of its vector: what comes here are rotations."""
+"""Skips the check of matrices, which takes scipy (1.17) five times as long as the conversion: all are rotations."""
 _SMALL_ANGLE = 1e-9
-"""Below it [rad] a rotation is its vector to double precision."""
+"""Angle [rad] below which the left Jacobian of a rotation vector is taken as the identity."""
 
 
 def rotation_x(angle: float) -> Array:
@@ -41,8 +41,8 @@ def rotation_zyx(z: float, y: float, x: float) -> Array:
 def zyx_angles(rotation: Array) -> tuple[float, float, float]:
     """Yaw, pitch and roll (z, y, x) [rad] of a rotation (3, 3): ``rot_z(z) rot_y(y) rot_x(x)``, |y| <= pi/2.
 
-    Roll is computed after yaw is taken out, so that the three angles reproduce the rotation at gimbal lock too. There
-    only the sum or difference of yaw and roll is defined: roll is then zero. (``Rotation.as_euler`` warns instead.)
+    Roll is computed after yaw is removed, so that the three angles reproduce the rotation at gimbal lock too. There
+    only the sum or difference of yaw and roll is defined; roll is set to zero. (``Rotation.as_euler`` warns instead.)
     """
     cos_y = math.hypot(rotation[0, 0], rotation[1, 0])
     y = math.atan2(-rotation[2, 0], cos_y)
@@ -73,8 +73,8 @@ def rows_of(matrix: Array) -> tuple[tuple[float, ...], ...]:
 def rotation_from_vector(vector: ArrayLike) -> Array:
     """Rotation (3, 3) about the direction of ``vector`` (3,) by its length [rad].
 
-    With the vector's cross product K and the angle t: I + sin(t) / t K + (1 - cos(t)) / t^2 K^2 (Rodrigues). Written
-    out, as every start of the program needs it, and scipy's rotations take a third of a second to load.
+    With the vector's cross-product matrix K and the angle t: I + sin(t) / t K + (1 - cos(t)) / t^2 K^2 (Rodrigues). It
+    is written out because every start of the program needs it, and scipy's rotations take a third of a second to load.
     """
     x, y, z = np.asarray(vector, dtype=np.float64).tolist()
     angle = math.hypot(x, y, z)
@@ -112,7 +112,7 @@ def quaternions_of(rotations: Array) -> Array:
 
 
 def left_jacobian(vector: Array) -> Array:
-    """Rotation (3, 3) [rad/rad] in the outer frame by each component of a rotation vector (3,) [rad].
+    """Compute the rotation in the outer frame per unit of each component of a rotation vector (3,): (3, 3) [rad/rad].
 
     With the angle t about the unit vector u: ``(sin t / t) I + (1 - sin t / t) u u^T + ((1 - cos t) / t) [u x]``.
     Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), section 10.6.
@@ -151,14 +151,14 @@ def apply(T_A_B: Array, p_B: Array) -> Array:
 
 
 def turned_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
-    """Rows (n,) at which an orientation was measured: it is NaN (n, 3, 3) at all others; None where none was."""
+    """Return the mask (n,) of rows with a measured orientation (n, 3, 3), not NaN; None if ``R_M_S`` is None."""
     return None if R_M_S is None else np.asarray(np.isfinite(R_M_S[:, 0, 0]))
 
 
 def twist_columns(p: Array) -> Array:
-    """Motion of points (..., 3) per unit of each twist component, (..., 3, 6).
+    """Compute the motion of points (..., 3) per unit of each twist component, (..., 3, 6).
 
-    Three shifts [m/m], then three turns about the axes at the origin [m/rad].
+    Three translations [m/m], then three rotations about the axes at the origin [m/rad].
     """
     columns = np.zeros((*p.shape, 6))
     columns[..., :3] = np.eye(3)
@@ -167,7 +167,7 @@ def twist_columns(p: Array) -> Array:
 
 
 def register(p_A: Array, p_B: Array, weights: Array | None = None) -> Array:
-    """Rigid ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] in weighted least squares.
+    """Fit the ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] by weighted least squares.
 
     ``weights`` (n,) default to one. The result is unique for three or more points that are not on one line.
     Source: Kabsch, Acta Cryst. A32 (1976) 922; the sign of the determinant, which excludes reflections, is from

@@ -1,7 +1,7 @@
-"""Memory that repeated computations of the same size use again.
+"""Memory that repeated computations of the same size reuse.
 
-A large array comes from the operating system as fresh pages each time. To touch these for the first time takes longer
-than the arithmetic that fills the Jacobian of some hundred configurations.
+The operating system provides a large array as new pages each time. The first access to these takes longer than the
+arithmetic that fills the Jacobian of some hundred configurations.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 class Workspace:
-    """Uninitialised arrays by their purpose and shapes. One computation at a time may use them."""
+    """Cache of uninitialised arrays by purpose and shapes. Only one computation at a time may use it."""
 
     def __init__(self) -> None:
         self._arrays: dict[tuple[str, tuple[tuple[int, ...], ...]], tuple[Array, ...]] = {}
 
     def arrays(self, purpose: str, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
-        """Arrays of these shapes; the next call for the same purpose with the same shapes returns the same arrays.
+        """Return arrays of these shapes; the next call with the same purpose and shapes returns the same arrays.
 
-        They lie in one block, which each of them keeps alive. C libraries keep a block of this size for the process
-        when it is freed, so that the next workspace gets pages that are there already; many smaller ones they return.
+        They share one block, which each of them keeps alive. When it is freed, C libraries keep a block of this size
+        for the process, so that the next workspace reuses its pages; many smaller blocks they return to the system.
         """
         found = self._arrays.get((purpose, shapes))
         if found is None:

@@ -1,4 +1,4 @@
-"""Checks of what a caller in Python hands over: names of arms, shapes and units of joint positions."""
+"""Check arguments from Python callers: names of arms, shapes and units of joint positions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Value = TypeVar("Value")
 
 
 def of_arm(arms: Mapping[str, Value], name: str, owner: str) -> Value:
-    """The value of the arm called ``name``; ``owner`` is what has these arms, as "this run".
+    """Return the value of the arm ``name``; ``owner`` names the owner of the arms in the message, as "this run".
 
     Raises
     ------
     InputError
-        If there is no such arm; it names those that there are.
+        If there is no such arm; the message lists the arms.
     """
     if name in arms:
         return arms[name]
@@ -32,7 +32,7 @@ def of_arm(arms: Mapping[str, Value], name: str, owner: str) -> Value:
 
 
 def configurations(q: ArrayLike, joints: int, arm: str = "") -> Array:
-    """Joint positions as an array (n, N) of float64 [rad], for an arm with N ``joints``; no copy of such an array.
+    """Convert joint positions to a float64 array (n, N) [rad] for N ``joints``; such an array is not copied.
 
     Raises
     ------

@@ -43,7 +43,7 @@ Signs = NDArray[np.float64] | NDArray[np.int8]
 MODEL_SCHEMA = "cellapp-calibration"
 _VERSION = 1
 _AT_ONCE = 4096
-"""Configurations whose columns of effects are held together: 1000 columns of them take 32 MB."""
+"""Configurations per batch of effect columns: 1000 columns of a batch take 32 MB."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,8 +67,8 @@ class ArmModel:
     identified : tuple of str, length k
         Names of the identified parameters, effects last.
     covariance : array, shape (k, k), or None
-        Covariance of the identified parameters in their units. If an effect is a free curve, that of the geometry and
-        of the effects before the curve.
+        Covariance of the identified parameters in their units. If an effect is a free curve, it covers the geometry and
+        the effects before that curve only.
     smr_normal : array, shape (3,), or None
         SMR viewing direction in the flange frame.
     posterior : PosteriorDraws or None
@@ -100,7 +100,7 @@ class ArmModel:
         payload_kg: Array | None = None,
         conditions: MeasurementConditions | None = None,
     ) -> EffectContext:
-        """Variables that effects depend on, at configurations ``q`` (n, N) [rad].
+        """Return the variables that effects depend on, at configurations ``q`` (n, N) [rad].
 
         ``conditions`` replaces ``approach`` (n, N) and ``payload_kg`` (n,); it also holds times, temperatures and the
         state of the other arm.
@@ -123,7 +123,7 @@ class ArmModel:
         payload_kg: Array | None = None,
         conditions: MeasurementConditions | None = None,
     ) -> Displacement:
-        """Displacement by all effects of the model where the controller reads ``q`` (n, N) [rad]."""
+        """Compute the displacement by all effects of the model at controller readings ``q`` (n, N) [rad]."""
         if len(q) > _AT_ONCE:
             conditions = self.context(q, approach, payload_kg, conditions).conditions
             chunks = np.array_split(np.arange(len(q)), -(-len(q) // _AT_ONCE))
@@ -135,7 +135,7 @@ class ArmModel:
         if not moved.joints.any():
             return moved
         # Gravity acts at the actual joint positions, a few mrad off: the loads change by some parts in a thousand.
-        # What depends on the positions that are read alone, and shifts nothing by the posture, stays as it is.
+        # Effects that depend on joint readings only and do not shift the SMR are not recomputed.
         actual = replace(context, q_actual=q + moved.joints)
         again = [
             one
@@ -148,7 +148,7 @@ class ArmModel:
     def true_joints(
         self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
     ) -> Array:
-        """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
+        """Compute true joint positions (n, N) [rad] at controller readings ``q`` (n, N) [rad]; see ``context``."""
         q = configurations(q, self.geometry.joints)
         return q if not self.effects else q + self.effect_displacement(q, approach, conditions=conditions).joints
 
@@ -159,11 +159,11 @@ class ArmModel:
         payload_kg: Array | None = None,
         conditions: MeasurementConditions | None = None,
     ) -> Array:
-        """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
+        """Predict SMR positions (n, 3) in the tracker frame [m] at controller readings ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``conditions`` replaces both, see ``context``; where it has a measured orientation, the rotation vector
-        from that to the computed one [rad] takes the place of a position. Another shape of ``q`` raises ``InputError``.
+        given. ``conditions`` replaces both, see ``context``. Rows with a measured orientation return the rotation
+        vector from it to the computed one [rad] instead. Raise ``InputError`` if ``q`` has another shape.
         """
         q = configurations(q, self.geometry.joints)
         R_M_S = None if conditions is None else conditions.R_M_S
@@ -176,30 +176,30 @@ class ArmModel:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
         if conditions is not None and conditions.turned is not None:
-            correction_M[conditions.turned] = 0.0  # it learnt positions only
+            correction_M[conditions.turned] = 0.0  # the network is trained on positions only
         return np.asarray(p_M + correction_M)
 
     def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Rotations (n, 3, 3) of the probe in the tracker frame where the controller reads ``q`` (n, N) [rad].
+        """Predict rotations (n, 3, 3) of the probe in the tracker frame at controller readings ``q`` (n, N) [rad].
 
-        Of the flange, if no orientation was ever measured. The network corrects positions only.
+        If the model has no probe, these are rotations of the flange. The network corrects positions only.
         """
         q = configurations(q, self.geometry.joints)
         rotations = probe_rotations(self.geometry, self.true_joints(q, conditions=conditions))
         return self.turns(q, conditions) @ rotations if self.effects else rotations
 
     def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Rotations (n, 3, 3) of the flange, in the tracker frame, by links, bearings and base that give way."""
+        """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base."""
         some = conditions or MeasurementConditions()
         moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
+        """Compute the standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise.
 
-        Root mean square over the three coordinates, of geometry, effects and network together; zero where the model
-        holds no draws and no network. It grows outside the trained joint ranges. At readings of an orientation it is
-        that of a component of the rotation [rad].
+        It is the rms over the three coordinates and includes geometry, effects and network; zero if the model has
+        neither draws nor a network. It grows outside the trained joint ranges. For a measured orientation it is that of
+        a component of the rotation [rad].
         """
         q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
@@ -213,9 +213,9 @@ class ArmModel:
         return np.asarray(np.sqrt(variance))
 
     def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Standard deviation (n,) [m] of a measured coordinate about its prediction: ``uncertainty`` and noise.
+        """Compute the standard deviation (n,) [m] of a measured coordinate about its prediction: model and noise.
 
-        At readings of an orientation that of a component of the rotation [rad].
+        For a measured orientation it is that of a component of the rotation [rad].
         """
         noise: Array = np.full(len(q), 0.0 if self.posterior is None else self.posterior.noise_m)
         if conditions is not None and conditions.turned is not None:
@@ -224,9 +224,9 @@ class ArmModel:
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
 
     def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:
-        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
+        """Compute flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
 
-        The rotations include ``turns`` only where orientations were measured, which show whether the model has them.
+        Rotations include ``turns`` only if the model has a probe: only measured orientations can confirm them.
         """
         rotations, origins = flange_poses(self.geometry, self.true_joints(q, conditions=conditions))
         if self.geometry.probe is None or not self.effects:
@@ -234,7 +234,7 @@ class ArmModel:
         return self.turns(q, conditions) @ rotations, origins
 
     def of_positions(self) -> ArmModel:
-        """The arm as positions alone show it, without the rotation of a probe."""
+        """Return the arm without the rotation of a probe, for positions alone."""
         if self.geometry.probe is None:
             return self
         kept = [place for place, name in enumerate(self.identified) if name not in PROBE_NAMES]
@@ -272,8 +272,8 @@ class CellModel:
     provenance : mapping
         Profile, seed, time and versions of the programs that made the model.
     T_M_M0 : array, shape (4, 4), or None
-        Maps coordinates in the tracker frame at the station where the readings were taken, which the profile's
-        ``tracker.pose`` describes, into the tracker frame M of this model. None: the tracker stands there still.
+        Maps the tracker frame of the station where the readings were taken (``tracker.pose`` of the profile) into the
+        tracker frame M of this model. None if the tracker has not been moved.
     """
 
     arms: Mapping[str, ArmModel]
@@ -294,7 +294,7 @@ class CellModel:
         payload_kg: Array | None = None,
         conditions: MeasurementConditions | None = None,
     ) -> Array:
-        """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad].
+        """Predict SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad].
 
         Raises
         ------
@@ -307,7 +307,7 @@ class CellModel:
         return model.predict(q, approach, payload_kg, conditions)
 
     def to_json(self) -> str:
-        """JSON text with floats in their shortest exact form."""
+        """Return JSON text with floats in their shortest exact form."""
         station = {} if self.T_M_M0 is None else {"T_M_M0": self.T_M_M0.tolist()}
         return json.dumps(
             {
@@ -326,7 +326,7 @@ class CellModel:
 
     @classmethod
     def from_json(cls, text: str, where: str = "calibration") -> CellModel:
-        """Read what ``to_json`` wrote. Raises ``InputError``, which begins with ``where``, for anything else."""
+        """Parse text from ``to_json``; raise ``InputError``, which begins with ``where``, for anything else."""
         try:
             content = json.loads(text)
         except json.JSONDecodeError as error:
@@ -352,14 +352,14 @@ class CellModel:
             ) from None
 
     def save(self, path: Path) -> None:
-        """Write the file atomically: a reader finds the old or the new one, never a part."""
+        """Write the file atomically: a reader finds the old or the new file, never a partial one."""
         partial = path.with_name(path.name + ".part")
         partial.write_text(self.to_json() + "\n", encoding="utf-8")
         partial.replace(path)
 
     @classmethod
     def load(cls, path: Path | str) -> CellModel:
-        """Read a calibration file. Raises ``InputError`` if it is missing, damaged or newer."""
+        """Read a calibration file; raise ``InputError`` if it is missing, damaged or of another version."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")

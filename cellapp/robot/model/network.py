@@ -37,7 +37,7 @@ class ResidualNetwork:
     scale : float
         Scale of the outputs [m].
     members : tuple of layers
-        Of each member, (weights (out, in), offsets (out,)) of each layer.
+        For each member and layer: weights (out, in) and offsets (out,).
     """
 
     inputs: Inputs
@@ -49,12 +49,12 @@ class ResidualNetwork:
     members: tuple[Layers, ...]
 
     def correct(self, q: Array) -> Array:
-        """Correction of the SMR position at ``q`` (n, N) [rad], shape (n, 3) [m], in the frame of its training."""
+        """Compute the correction (n, 3) [m] of SMR positions at ``q`` (n, N) [rad], in the frame of its training."""
         correction = self._each(q).mean(axis=0) * self._fade(q)
         return rotate_about_z(correction, q[:, 0]) if self.rotates_with_joint_1 else np.asarray(correction)
 
     def spread(self, q: Array) -> Array:
-        """Standard deviation of the members at ``q`` (n, N) [rad], shape (n, 3) [m]."""
+        """Compute the standard deviation (n, 3) [m] of the members at ``q`` (n, N) [rad]."""
         each = self._each(q)
         if self.rotates_with_joint_1:
             each = np.array([rotate_about_z(member, q[:, 0]) for member in each])
@@ -78,7 +78,7 @@ class ResidualNetwork:
 
 
 def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
-    """JSON object of a network; floats are exact."""
+    """Convert a network to a JSON object; floats are exact."""
     return {
         "inputs": network.inputs,
         "low": network.low.tolist(),
@@ -95,7 +95,7 @@ def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
 
 
 def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
-    """Read what ``network_to_json`` wrote; any other content raises ``KeyError``, ``ValueError`` or ``TypeError``."""
+    """Parse an object from ``network_to_json``; raise ``KeyError``, ``ValueError`` or ``TypeError`` for others."""
     if content["inputs"] not in get_args(Inputs) or content["activation"] != "tanh":
         raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
     return ResidualNetwork(
@@ -116,14 +116,15 @@ def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
 
 
 def rotate_about_z(vectors: Array, angles: Array) -> Array:
-    """Vectors (n, 3) rotated about z by ``angles`` (n,) [rad]."""
+    """Rotate vectors (n, 3) about z by ``angles`` (n,) [rad]."""
     c, s = np.cos(angles), np.sin(angles)
     x, y, z = vectors.T
     return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
 
 
 def network_inputs(kind: Inputs, low: Array, high: Array, q: Array) -> Array:
-    """Inputs of the first layer from ``q`` (n, N) [rad]: scaled to [-1, 1], (n, N); then cosines, sines, (n, 2 N)."""
+    """Compute inputs of the first layer from ``q`` (n, N) [rad], by ``kind``: angles scaled to [-1, 1], (n, N), cosines
+    and sines, (n, 2 N), or both in this order."""
     parts = []
     if kind != "sincos":
         parts.append((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))

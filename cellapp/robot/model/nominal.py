@@ -14,13 +14,13 @@ from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 
 OFF_AXIS = np.array([0.05, 0.03, 0.05])
-"""Stands for an unknown SMR offset [m]: on the last axis fewer parameters could be identified."""
+"""Typical SMR offset [m] in place of an unknown one: on the last axis, fewer parameters could be identified."""
 
 
 def nominal_arm(arm: Arm) -> Geometry:
-    """The chain by which an arm's controller computes, with its base at the origin; an unknown SMR offset is zero.
+    """Return the chain that the arm's controller uses, with its base at the origin; an unknown SMR offset is zero.
 
-    It is the published one, or that of the factory's calibration if the profile has it.
+    It is the published chain, or that of the factory calibration if the profile has one.
     """
     tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
     published = published_rows(arm)
@@ -31,18 +31,18 @@ def nominal_arm(arm: Arm) -> Geometry:
 
 
 def published_rows(arm: Arm) -> Array:
-    """D-H rows (N, 4) of the arm's type: theta, d, a, alpha [rad, m]."""
+    """Return the D-H rows (N, 4) of the arm's type: theta, d, a, alpha [rad, m]."""
     return np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm.type.joints])
 
 
 def controller_rows(arm: Arm) -> Array:
-    """Plain D-H rows (N, 4) by which the controller computes: the published ones and the factory's deltas, if any."""
+    """Return the plain D-H rows (N, 4) of the controller: the published ones plus the factory's deltas, if any."""
     rows = published_rows(arm)
     return rows if arm.factory is None else rows + np.array(arm.factory.deltas).T
 
 
 def bodies_of(arm: Arm) -> Bodies:
-    """Masses and centres of mass of an arm and of its payload."""
+    """Return masses and centres of mass of an arm and of its payload."""
     return Bodies(
         masses=np.array([joint.mass for joint in arm.type.joints]),
         centers=np.array([joint.center_of_mass for joint in arm.type.joints]),
@@ -52,27 +52,27 @@ def bodies_of(arm: Arm) -> Bodies:
 
 
 def joint_rates(arm: Arm, share: float = 1.0) -> tuple[Array, Array]:
-    """Speeds (N,) [rad/s], at a share of the profile's speed, and accelerations (N,) [rad/s^2] of an arm's joints."""
+    """Return joint speeds (N,) [rad/s], at a share of the profile's speed, and accelerations (N,) [rad/s^2]."""
     joints = arm.type.joints
     speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
     return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
 
 
 def pose_matrix(pose: Pose | Placement) -> Array:
-    """``T_C_X`` (4, 4) of an object X at ``pose`` in the cell frame C."""
+    """Return ``T_C_X`` (4, 4) of an object X at ``pose`` in the cell frame C."""
     roll, pitch, yaw = pose.rpy
     return transform(rotation_zyx(yaw, pitch, roll), pose.position)
 
 
 def up_in_tracker(profile: Profile) -> Array:
-    """Unit vector against gravity in the tracker frame, shape (3,): the cell's z, or the tracker's without its pose."""
+    """Return the upward unit vector (3,) in the tracker frame: z of the cell, or of the tracker if it has no pose."""
     if profile.tracker.pose is None:
         return np.array([0.0, 0.0, 1.0])
     return np.asarray(pose_matrix(profile.tracker.pose)[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
 
 
 def prior_sigmas(geometry: Geometry, priors: Priors) -> dict[str, float]:
-    """Parameter name -> prior standard deviation [m, rad] for the D-H rows; base and tool have none."""
+    """Map names of D-H parameters to prior standard deviations [m, rad]; base and tool have none."""
     sigma = {"m": priors.length, "rad": priors.angle}
     return {
         name: value

@@ -1,9 +1,9 @@
 """Uncertainty of predictions from draws of all fitted parameters about their estimate.
 
-The posterior of geometry and effects is close to normal; its covariance has a million entries where smooth functions
-are fitted. A few dozen draws of the parameters from it hold all correlations, and give the standard deviation of any
-prediction to 1 / sqrt(2 S): 9 % with 64. Up to S parameters the draws are made orthogonal, so that their second moment
-is the covariance itself.
+The posterior of geometry and effects is close to normal, but with smooth functions its covariance has a million
+entries. S draws of the parameters keep all correlations and give the standard deviation of any prediction with a
+relative error of 1 / sqrt(2 S): 9 % with 64. With up to S parameters the draws are made orthogonal, so that their
+second moment is exactly the covariance.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from cellapp.robot.kinematics.transforms import Array
 
 DRAWS = 64
 _DIGITS = 4
-"""Significant digits of a draw in JSON: its scatter is known to one."""
+"""Significant digits of a draw in JSON: more than enough, as the scatter is known to one digit."""
 
 
 class ReadingsNoise(NamedTuple):
     """Standard deviations of measured coordinates about the true predictions.
 
-    ``m`` is that of a coordinate [m], ``rad`` that of a component of an orientation [rad], None where none was
-    measured, and ``axes_rad`` (3,) those about the axes that are known best to least, where these differ, as of several
-    SMRs on a flange.
+    ``m`` is that of a coordinate [m], ``rad`` that of a component of an orientation [rad], None if none was measured.
+    ``axes_rad`` (3,) are those about the three axes in ascending order if they differ, as with several SMRs on a
+    flange; else None.
     """
 
     m: float
@@ -48,9 +48,9 @@ class PosteriorDraws:
     columns : tuple of int, length K
         Geometric parameters, as indices into ``parameter_names``.
     geometry : array, shape (S, K)
-        In the parameters' units.
+        Deviations of the geometric parameters, in their units.
     terms : tuple of array, shape (S, m)
-        One for each term of the model, in the order of its names.
+        Deviations of the parameters of each term of the model, in the order of the term's names.
     noise_m, noise_rad, noise_axes_rad
         See ``ReadingsNoise``.
     """
@@ -71,7 +71,7 @@ class PosteriorDraws:
         noise: ReadingsNoise,
         seed: Sequence[int],
     ) -> PosteriorDraws:
-        """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
+        """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -84,20 +84,20 @@ class PosteriorDraws:
         return cls(columns, parts[0], tuple(parts[1:]), *noise)
 
     def of_columns(self, end: int) -> PosteriorDraws:
-        """The draws of the geometric parameters before ``end``, and of all terms; without noise of orientations."""
+        """Keep the draws of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
         kept = [place for place, column in enumerate(self.columns) if column < end]
         columns = tuple(self.columns[place] for place in kept)
         return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None, noise_axes_rad=None)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
-        """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order; of an orientation [rad]."""
+        """Compute deviations (S, n, 3) of SMR [m] or orientation [rad] from the prediction, to first order."""
         by_geometry, by_terms = self.displacements_by_part(geometry, terms, context)
         return by_geometry + by_terms
 
     def displacements_by_part(
         self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext
     ) -> tuple[Array, Array]:
-        """Deviations (S, n, 3) [m] of the SMR by the geometric parameters and by the terms: their sum is the whole."""
+        """Compute deviations (S, n, 3) [m] of the SMR by geometric parameters and by terms; their sum is the total."""
         angles = JointAngles.of(context.q, context.conditions.R_M_S)
         _, J = jacobian(geometry, angles, self.columns)
         _, by_joint = joint_jacobian(geometry, angles)
@@ -110,16 +110,16 @@ class PosteriorDraws:
         return np.asarray(by_geometry), moved
 
     def joint_offsets(self, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
-        """Deviations (T, S, n, N) [rad] of the joint offsets by each of the T terms."""
+        """Compute deviations (T, S, n, N) [rad] of the joint offsets by each of the T terms."""
         joints = np.zeros((len(terms), len(self.geometry), *context.q.shape))
-        moved = np.zeros((*joints.shape[1:3], 3))  # what terms shift otherwise is not asked for
+        moved = np.zeros((*joints.shape[1:3], 3))  # shifts of the SMR are not needed
         for own, term, drawn in zip(joints, terms, self.terms, strict=True):
             _add(own, moved, _columns(term, context), drawn)
         return joints
 
 
 def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
-    """The columns of a term in the order of its parameters."""
+    """Return the columns of a term in the order of its parameters."""
     of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
     by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
     return [by_name[name] for name in term.names]
@@ -140,7 +140,7 @@ def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Ar
 
 
 def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
-    """Draws for JSON, rounded."""
+    """Convert draws to a JSON object, rounded."""
     return {
         "columns": list(posterior.columns),
         "geometry": _rounded(posterior.geometry),
@@ -152,7 +152,7 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
 
 
 def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
-    """Read what ``posterior_to_json`` wrote."""
+    """Parse an object from ``posterior_to_json``."""
     geometry = np.array(content["geometry"], dtype=np.float64)
     terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
     noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None

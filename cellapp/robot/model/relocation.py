@@ -1,4 +1,4 @@
-"""A calibrated cell whose tracker was moved: the same arms in the frame of the tracker's new station.
+"""Express a calibrated cell in the tracker frame of a new station, after the tracker was moved.
 
 Geometry, effects and networks of the arms stay; their bases and the direction of gravity are expressed in the new
 tracker frame. The uncertainty of the new station is the same for all arms: it is added to the draws of each arm's base.
@@ -19,10 +19,10 @@ _BASE = tuple(range(len(BASE_NAMES)))
 
 
 def relocated(model: CellModel, T_new_old: Array, twists: Array | None = None) -> CellModel:
-    """The cell with its tracker frame moved: ``T_new_old`` (4, 4) maps coordinates in the old frame into the new one.
+    """Return the cell in the new tracker frame; ``T_new_old`` (4, 4) maps coordinates of the old frame into the new.
 
-    ``twists`` (S, 6) are draws of the error of ``T_new_old``: shift of the point at the new origin [m], then rotation
-    [rad], both in the new frame, for each draw of the arms' posteriors. Arms without draws stay without.
+    ``twists`` (S, 6) are draws of the error of ``T_new_old``, one per draw of the arms' posteriors: shift of the point
+    at the new origin [m], then rotation [rad], both in the new frame. Arms without draws get none.
     """
     station = T_new_old if model.T_M_M0 is None else T_new_old @ model.T_M_M0
     arms = {name: _relocated_arm(arm, T_new_old, twists) for name, arm in model.arms.items()}
@@ -45,9 +45,9 @@ def _relocated_arm(arm: ArmModel, T: Array, twists: Array | None) -> ArmModel:
 
 
 def _relocated_covariance(arm: ArmModel, base_map: Array, added: Array | None) -> Array | None:
-    """Covariance of the identified parameters; None where the base was not identified completely.
+    """Transform the covariance of the identified parameters; None if the base was not identified completely.
 
-    What the station adds is uncorrelated here: only the draws hold its correlation with the arm's own parameters.
+    The station's part is added as uncorrelated; only the draws keep its correlation with the arm's own parameters.
     """
     if arm.covariance is None or not set(BASE_NAMES) <= set(arm.identified):
         return None
@@ -72,7 +72,7 @@ def _relocated_draws(posterior: PosteriorDraws, base_map: Array, added: Array | 
 
 
 def _adjoint(T: Array) -> Array:
-    """Maps a twist (v, w) of a frame's points, v at its origin, into another frame, v at that one's origin (6, 6)."""
+    """Return the matrix (6, 6) that maps a twist (v, w) into another frame; v is the velocity at the frame's origin."""
     rotation, (x, y, z) = T[:3, :3], T[:3, 3].tolist()
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     whole = np.zeros((6, 6))

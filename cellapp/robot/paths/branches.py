@@ -1,4 +1,4 @@
-"""Branches of the inverse along a path: from every solution at its beginning, followed sample by sample."""
+"""Follow the branches of the inverse kinematics along a path, from each solution at its start, sample by sample."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from cellapp.robot.paths.cartesian import CartesianPath
 
 _COARSE_M = 0.01
 _COARSE_TURN_RAD = 0.05
-"""Spacing of the samples along which a branch is followed: neighbours are near enough that Newton stays on it."""
+"""Spacing of the samples along which a branch is followed: close enough that Newton stays on it."""
 _LARGEST_STEP_RAD = 0.35
-"""A joint that turns by more from one of these samples to the next left its branch, or passes a singularity."""
+"""Largest step of a joint between samples: a larger one means another branch or a singularity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +28,11 @@ class Branch:
     s : array, shape (m,)
         Arc lengths [m].
     q : array, shape (m, N)
-        Joint positions [rad] of the chain; beyond ``failed_m`` they mean nothing.
+        Joint positions [rad] of the chain; invalid beyond ``failed_m``.
     failure : str
         Why it cannot be followed to the end; empty if it can.
     failed_m : float
-        Where, as arc length [m].
+        Arc length at which it fails [m]; infinite if it does not.
     """
 
     s: Array
@@ -42,10 +42,10 @@ class Branch:
 
 
 def follow_branches(geometry: Geometry, path: CartesianPath, limits: Array, near: Array, seed: int) -> list[Branch]:
-    """Every branch of ``geometry`` along a path: first those that reach its end, the nearest to ``near`` (N,) first.
+    """Follow all branches of ``geometry`` along a path; those that reach its end come first, nearest to ``near`` (N,).
 
-    Then those that fail, the farthest first. ``limits`` (N, 2) [rad] hold on the whole path; ``seed`` is that of
-    ``all_branches``. Empty if the beginning is out of reach.
+    Then come those that fail, the latest failure first. ``limits`` (N, 2) [rad] hold on the whole path; ``seed`` is
+    that of ``all_branches``. The list is empty if the start is out of reach.
     """
     s = _samples(path)
     positions, rotations = path.poses(s)
@@ -72,7 +72,7 @@ def follow_branches(geometry: Geometry, path: CartesianPath, limits: Array, near
 
 
 def _samples(path: CartesianPath) -> Array:
-    """Arc lengths (m,) [m] from the beginning to the end, at every stop, and close enough in between."""
+    """Choose arc lengths (m,) [m] of samples from start to end, with every stop, and dense enough in between."""
     found = [np.zeros(1)]
     for begin, end in zip(path.stops, path.stops[1:], strict=False):
         trial = np.linspace(begin, end, max(9, int(np.ceil((end - begin) / _COARSE_M)) + 1))
@@ -84,14 +84,14 @@ def _samples(path: CartesianPath) -> Array:
 
 
 def _solutions(geometry: Geometry, position: Array, rotation: Array, limits: Array, near: Array, seed: int) -> Array:
-    """Different solutions (b, N) [rad] within the limits at one pose."""
+    """Find distinct solutions (b, N) [rad] within the limits at one pose."""
     (found,) = all_branches(geometry, position[None], rotation[None], limits, near, seed)
     q, _ = turned_into(found[np.isfinite(found[:, 0])], limits, np.zeros(len(limits)))
     return np.asarray(q[np.all((q >= limits[:, 0]) & (q <= limits[:, 1]), axis=1)])
 
 
 def _why_not(before: Array, here: Array, reached: bool, limits: Array) -> str:
-    """Why a branch cannot be followed from one sample to the next; empty if it can."""
+    """Say why a branch cannot be followed from one sample to the next; empty if it can."""
     if not reached:
         return "out of reach"
     step = np.abs(here - before)

@@ -1,4 +1,4 @@
-"""The wanted path in space: positions and rotations by arc length, where it must be stopped, distances from it."""
+"""Desired path in space: positions and rotations by arc length, places where it stops, distances from it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CORNER_RAD = 1e-3
 _TURN_CORNER_RAD_M = 0.02
 """Change of the rotation per length that counts as a corner: 2 mrad/s at 100 mm/s."""
 _VERTEX_M = 2e-4
-"""Spacing of the points from which distances are measured; on an arc of 50 mm the chord is wrong by 0.1 um."""
+"""Spacing of the vertices from which distances are computed; on an arc of 50 mm the chord is wrong by 0.1 um."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Course:
     ----------
     piece : Piece
     before, after : int
-        The segments (from one given pose to the next) that it belongs to; two where it rounds their corner.
+        Indices of the segments (from one given pose to the next) that it belongs to; different if it rounds a corner.
     sigma : tuple of two float
-        Arc lengths along the path without rounded corners at its ends [m]; rotations follow them.
+        Arc lengths of its ends along the path without rounded corners [m]; rotations are interpolated by them.
     """
 
     piece: Piece
@@ -100,7 +100,7 @@ class CartesianPath:
         return np.array([*stops, self.length])
 
     def distances(self, points: Array) -> Array:
-        """Distance (n,) [m] of each of ``points`` (n, 3) from the nearest point of the path, whenever it is there."""
+        """Compute the distance (n,) [m] of ``points`` (n, 3) from the nearest point of the path, regardless of time."""
         vertices, tree = self._vertices
         _, nearest = tree.query(points)
         gaps = []
@@ -136,12 +136,12 @@ class CartesianPath:
         return np.asarray((first * Rotation.from_rotvec(share[:, None] * between)).as_matrix())
 
     def _of_segment(self, number: int, sigma: Array) -> Rotation:
-        """Rotations of one segment, extended beyond its ends at its constant rate."""
+        """Compute rotations of one segment, extended beyond its ends at its constant rate."""
         start = Rotation.from_matrix(self.rotations[number])
         return start * Rotation.from_rotvec(np.multiply.outer(sigma - self.corners[number], self._turn_rate(number)))
 
     def _turn_rate(self, number: int) -> Array:
-        """Rotation vector per length of a segment in the rotating frame, (3,) [rad/m]."""
+        """Compute the rotation vector per length of a segment in the rotating frame, (3,) [rad/m]."""
         start, end = Rotation.from_matrix(self.rotations[number : number + 2])
         return np.asarray((start.inv() * end).as_rotvec() / (self.corners[number + 1] - self.corners[number]))
 
@@ -156,14 +156,14 @@ class CartesianPath:
 def cartesian_path(
     positions: Array, rotations: Array, vias: Sequence[Array | None], blends: Sequence[float], speeds: Array
 ) -> CartesianPath:
-    """The path through given poses.
+    """Build the path through given poses.
 
     Parameters
     ----------
     positions, rotations : arrays, shapes (k + 1, 3), (k + 1, 3, 3)
         Points [m] and flange rotations in M.
     vias : sequence of k arrays, shape (3,), or None
-        The point on the way to each pose but the first; None for a straight line.
+        Intermediate point of the arc to each pose but the first; None for a straight line.
     blends : sequence of k + 1 float
         Distance from each pose over which its corner is rounded [m]; those of the first and last pose are 0.
     speeds : array, shape (k,)

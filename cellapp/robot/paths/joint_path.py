@@ -1,7 +1,7 @@
-"""The joint path: controller readings at which the model's SMR follows the wanted path.
+"""Compute the joint path: controller readings at which the model's SMR follows the desired path.
 
-Effects that depend on the side from which a joint comes (backlash) follow the sign of its motion. Where a joint turns
-round, its command crosses the play within a short way, while the joint behind the play rests.
+Effects that depend on the direction of approach (backlash) follow the sign of a joint's motion. At a reversal, the
+joint's command crosses the backlash within a short distance, while the link behind it rests.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from cellapp.robot.paths.branches import Branch
 from cellapp.robot.paths.cartesian import CartesianPath
 
 _FIRST_KNOTS_M = 2e-3
-"""Spacing of the first knots: as far as the tool goes at 250 mm/s in one cycle of a slow controller."""
+"""Initial spacing of knots: the distance of the tool at 250 mm/s in one cycle of a slow controller."""
 _SHARE = 0.02
-"""Share of the tolerance that interpolating between knots may take."""
+"""Share of the tolerance that interpolation between knots may use."""
 _ROUNDS = 10
-"""Refinements; each halves the spacing where it is too wide."""
+"""Most refinements; each halves the spacing where it is too wide."""
 _INVERSE_ROUNDS = 12
 _SAME_M = 1e-9
-"""Distance of the model from the path at which inverting it ends."""
+"""Distance of the model's SMR from the path at which the inversion ends."""
 _MOVED_RAD = 2e-5
-"""A joint that turns back by less has not turned round: some resolutions of an encoder."""
+"""Least backward motion that counts as a reversal: some resolutions of an encoder."""
 _NO_PLAY_RAD = 1e-8
-"""A side of approach that changes a joint by less does not matter."""
+"""Backlash below this is neglected."""
 
 Conditions = Callable[[Array], MeasurementConditions]
-"""Conditions of n samples from their approach signs (n, N)."""
+"""Function that returns the conditions of n samples from their approach signs (n, N)."""
 
 
 class PathError(Exception):
-    """The path cannot be followed; the message is the reason, ``at_m`` the place as arc length [m]."""
+    """A path that cannot be followed; the message is the reason, ``at_m`` the arc length of the place [m]."""
 
     def __init__(self, reason: str, at_m: float) -> None:
         super().__init__(reason)
@@ -49,20 +49,20 @@ class PathError(Exception):
 
 @dataclass(frozen=True)
 class Reversal:
-    """A joint turns round.
+    """A reversal of a joint's motion.
 
     Attributes
     ----------
     joint : int
-        From 1.
+        Number of the joint, from 1.
     at_m : float
         Arc length [m].
     jump_rad : float
-        What its command crosses there [rad].
+        Backlash that the joint's command crosses there [rad].
     jump_m : float
-        As displacement of the SMR [m]: what a command without it would be off.
+        The same as displacement of the SMR [m]: the error of a command without it.
     window_m : float
-        Way in which it is crossed [m]; 0 at a stop of the path.
+        Distance along the path in which it is crossed [m]; 0 at a stop of the path.
     """
 
     joint: int
@@ -74,9 +74,9 @@ class Reversal:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The joint path between two stops: knots ``s`` (m,) [m], controller readings ``q`` (m, N) [rad], smooth between.
+    """Joint path between two stops: knots ``s`` (m,) [m] with controller readings ``q`` (m, N) [rad], splines between.
 
-    ``signs`` (N,) are the approach signs at its beginning.
+    ``signs`` and ``end_signs`` (N,) are the approach signs at its start and end.
     """
 
     s: Array
@@ -101,7 +101,7 @@ class JointPath:
     deviation_m : float
         Largest distance of the model's SMR from the wanted path between knots [m].
     deviation_at_m : float
-        Where, as arc length [m].
+        Arc length of that place [m].
     """
 
     stretches: tuple[Stretch, ...]
@@ -115,7 +115,7 @@ class JointPath:
 
     @property
     def reversals(self) -> tuple[Reversal, ...]:
-        """All places at which joints turn round."""
+        """All reversals of joints."""
         return tuple(reversal for stretch in self.stretches for reversal in stretch.reversals)
 
 
@@ -127,19 +127,19 @@ def joint_path(
     tolerance_m: float,
     cross_s: float,
 ) -> JointPath:
-    """The joint path of ``arm`` on one branch of its inverse.
+    """Compute the joint path of ``arm`` on one branch of its inverse kinematics.
 
     Parameters
     ----------
     tolerance_m : float
-        How far the SMR may be from the path [m]; interpolation takes a small share.
+        Largest distance of the SMR from the path [m]; interpolation uses a small share of it.
     cross_s : float
-        Seconds per root of radian of play: a play p is crossed in ``cross_s * sqrt(p)`` at the wanted speed.
+        Seconds per root of radian of backlash: backlash p is crossed in ``cross_s * sqrt(p)`` at the desired speed.
 
     Raises
     ------
     PathError
-        If the model does not reach a place, or no refinement brings the path within the tolerance.
+        If the model cannot reach a place, or refinement does not bring the path within the tolerance.
     """
     guess = CubicSpline(branch.s, branch.q)
     stretches, worst = [], (0.0, 0.0)
@@ -156,7 +156,7 @@ def joint_path(
 
 @dataclass(frozen=True, eq=False)
 class _Solver:
-    """Inverts the model at arc lengths of one stretch."""
+    """Inversion of the model at arc lengths of one stretch."""
 
     arm: ArmModel
     path: CartesianPath
@@ -166,11 +166,11 @@ class _Solver:
     end: float
 
     def poses(self, s: Array) -> tuple[Array, Array]:
-        """Poses of this stretch, whose end belongs to the next one elsewhere."""
+        """Return poses of this stretch; at its end, those of this stretch and not of the next one."""
         return self.path.poses(np.clip(s, self.begin, np.nextafter(self.end, self.begin)))
 
     def readings(self, s: Array, approach: Array) -> Array:
-        """Controller readings (n, N) [rad] at which the model has the SMR on the path. Raises ``PathError``."""
+        """Find controller readings (n, N) [rad] that put the model's SMR on the path; raise ``PathError`` if none."""
         position, rotation = self.poses(s)
         arm, conditions = self.arm, self.conditions(approach)
         aim, true = position, self.guess(s)
@@ -192,14 +192,14 @@ class _Solver:
         raise PathError("the calibrated model does not converge there", float(s[int(np.argmax(far))]))
 
     def deviation(self, s: Array, q: Array, approach: Array) -> Array:
-        """Distance (n,) [m] of the model's SMR at readings ``q`` from the path's points at ``s``."""
+        """Compute the distance (n,) [m] of the model's SMR at readings ``q`` from the path's points at ``s``."""
         return np.asarray(
             np.linalg.norm(self.arm.predict(q, conditions=self.conditions(approach)) - self.poses(s)[0], axis=1)
         )
 
 
 def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stretch, tuple[float, float]]:
-    """One stretch, and its largest deviation [m] and where that is [m]."""
+    """Compute one stretch; also its largest deviation [m] and the arc length of that [m]."""
     count = max(8, int(np.ceil((solver.end - solver.begin) / _FIRST_KNOTS_M)))
     s = np.linspace(solver.begin, solver.end, count + 1)
     joints = solver.guess(s[:1]).shape[1]
@@ -222,7 +222,7 @@ def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stret
 
 
 def _turns(s: Array, q: Array) -> list[tuple[float, list[float]]]:
-    """For each joint the sign of its first motion, and the arc lengths at which it turns round."""
+    """Find for each joint the sign of its first motion and the arc lengths of its reversals."""
     found = []
     for values in q.T:
         sign, extreme, turns = 0.0, 0, []
@@ -243,7 +243,7 @@ def _turns(s: Array, q: Array) -> list[tuple[float, list[float]]]:
 def _crossings(
     solver: _Solver, s: Array, q: Array, turns: list[tuple[float, list[float]]], cross_s: float
 ) -> list[Reversal]:
-    """The places at which a joint's command crosses a play."""
+    """Find the reversals at which a joint's command crosses backlash."""
     found = []
     for j, (_, places) in enumerate(turns):
         for at in places:
@@ -257,7 +257,7 @@ def _crossings(
 
 
 def _play(arm: ArmModel, q: Array, conditions: Conditions, j: int) -> tuple[float, float]:
-    """What the side of approach changes of joint ``j`` at ``q`` (1, N) [rad]; distance of the SMR from its axis [m]."""
+    """Return the backlash [rad] of joint ``j`` at ``q`` (1, N) [rad], and the SMR's distance from its axis [m]."""
     signs = np.zeros((2, q.shape[1]))
     signs[:, j] = 1.0, -1.0
     true = arm.true_joints(np.repeat(q, 2, axis=0), conditions=conditions(signs))
@@ -268,7 +268,7 @@ def _play(arm: ArmModel, q: Array, conditions: Conditions, j: int) -> tuple[floa
 
 
 def _approach(s: Array, turns: list[tuple[float, list[float]]], crossings: list[Reversal]) -> Array:
-    """Approach signs (n, N) along a stretch; a play is crossed smoothly, elsewhere they are -1 or +1."""
+    """Compute approach signs (n, N) along a stretch: smooth where backlash is crossed, elsewhere -1 or +1."""
     windows = {(crossing.joint - 1, crossing.at_m): crossing.window_m for crossing in crossings}
     signs = np.empty((len(s), len(turns)))
     for j, (first, places) in enumerate(turns):
@@ -282,7 +282,7 @@ def _approach(s: Array, turns: list[tuple[float, list[float]]], crossings: list[
 
 
 def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Conditions) -> list[Stretch]:
-    """The stretches, each with the joints that turn round at the stop before it."""
+    """Add to each stretch the reversals of joints at the stop before it."""
     found = stretches[:1]
     for before, after in pairwise(stretches):
         turned = np.flatnonzero(before.end_signs != after.signs)

@@ -1,7 +1,7 @@
-"""How joints follow a stream of positions: late as a whole, which is no error of the path, and beside it.
+"""Measure how joints follow streamed positions: a common delay, which is no path error, and deviations from the path.
 
-A controller's filter cuts bends: with the variance ``V`` of its impulse response, joints are at ``q(t - delay) +
-V q'' / 2``. The filter is not known; what it did is, from the encoders. A rehearsed path is corrected by that.
+A controller's filter cuts corners: with the variance ``V`` of its impulse response, joints are at ``q(t - delay) +
+V q'' / 2``. The filter is unknown, but the encoders show its result. A rehearsed path is corrected by that.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.paths.timing import Rates, Trajectory
 
 _LONGEST_S = 0.5
-"""No controller is later with a stream of positions."""
+"""Largest delay that is searched: no controller is later with streamed positions."""
 _SMOOTHED_S = 0.03
-"""Standard deviation of the smoothing of what the encoders showed: their steps must not be sent back to the arm."""
+"""Standard deviation of the smoothing of encoder readings: their steps must not be sent back to the arm."""
 _TAPERED_S = 0.15
-"""Correction fades in and out: at both ends the joints lag along the path only, and the arm rests there."""
+"""Time in which the correction fades in and out: at both ends the joints lag only along the path, and the arm rests."""
 _FEWEST = 10
 
 
 @dataclass(frozen=True)
 class Lag:
-    """Delay of the joints [s], the way of the tool in it at the path's fastest, and the most it leaves the path [m]."""
+    """Delay of the joints [s], distance of the tool in that time at top speed [m], largest path deviation [m]."""
 
     delay_s: float
     late_m: float
@@ -36,7 +36,7 @@ class Lag:
 
 
 def lag(arm: ArmModel, sent: Trajectory, time_s: Array, q: Array) -> Lag | None:
-    """The lag of joints that were at ``q`` (m, N) [rad] at times (m,) [s] since ``sent`` began; None for too few."""
+    """Measure the lag of joints at ``q`` (m, N) [rad], times (m,) [s] since ``sent`` began; None if too few."""
     if len(time_s) < _FEWEST:
         return None
     delay_s = _delay_s(sent, time_s, q)
@@ -52,9 +52,9 @@ def lag(arm: ArmModel, sent: Trajectory, time_s: Array, q: Array) -> Lag | None:
 
 
 def rehearsed(sent: Trajectory, time_s: Array, q: Array, rates: Rates) -> Trajectory | None:
-    """The positions to send so that the joints go where ``sent`` has them, after they were seen to follow it.
+    """Correct ``sent`` by the deviations seen when it was followed, so that the joints then follow it better.
 
-    None where that would exceed the limits of the joints, or there are too few times (m,) to judge by.
+    None if that would exceed the limits of the joints, or there are too few times (m,).
     """
     if len(time_s) < _FEWEST:
         return None
@@ -73,7 +73,7 @@ def rehearsed(sent: Trajectory, time_s: Array, q: Array, rates: Rates) -> Trajec
 
 
 def _delay_s(sent: Trajectory, time_s: Array, q: Array) -> float:
-    """The delay that brings what was reached closest to what was sent."""
+    """Find the delay [s] with which the reached positions fit those sent best."""
 
     def missed(delay_s: float) -> float:
         return float(np.mean((q - _at(sent, time_s - delay_s)) ** 2))
@@ -82,5 +82,5 @@ def _delay_s(sent: Trajectory, time_s: Array, q: Array) -> float:
 
 
 def _at(sent: Trajectory, time_s: Array) -> Array:
-    """Positions (n, N) [rad] that were to be reached at times (n,)."""
+    """Interpolate the positions (n, N) [rad] that were sent for times (n,)."""
     return rows_at(time_s, sent.time_s, sent.q)

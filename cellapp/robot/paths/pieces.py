@@ -1,4 +1,4 @@
-"""Pieces of a Cartesian path, each run through by its arc length: lines, arcs, and curves that round a corner."""
+"""Pieces of a Cartesian path, parametrised by arc length: lines, arcs, and curves that round a corner."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly
 from cellapp.robot.kinematics.transforms import Array
 
 _BLEND_SAMPLES = 2049
-"""Samples of a rounded corner: interpolation between them is wrong by about 1e-6 of the blend."""
+"""Number of samples of a rounded corner: the interpolation error is about 1e-6 of the blend."""
 
 
 class Piece(Protocol):
@@ -29,7 +29,7 @@ class Piece(Protocol):
         """Unit tangents (n, 3)."""
 
     def along(self, x: Array) -> Array:
-        """Share (n,) of the piece's course, 0 to 1, by which rotations are interpolated."""
+        """Fraction (n,) of the piece, 0 to 1, by which rotations are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Arc:
 
     @classmethod
     def through(cls, start: Array, via: Array, end: Array) -> Arc:
-        """The arc from ``start`` through ``via`` to ``end`` (3,) [m], which are not on one line."""
+        """Build the arc from ``start`` through ``via`` to ``end`` (3,) [m], which must not be on one line."""
         a, b = via - start, end - start
         normal = np.cross(a, b)
         square = normal @ normal
@@ -143,10 +143,10 @@ class Blend:
 
     @classmethod
     def between(cls, before: Piece, after: Piece, reach: float) -> Blend:
-        """The curve from ``reach`` [m] before the end of a piece to as much after the beginning of the next."""
+        """Build the curve from ``reach`` [m] before the end of a piece to as much after the start of the next."""
         here, there = np.array([before.length - reach]), np.array([reach])
         start, end = before.positions(here)[0], after.positions(there)[0]
-        # two fifths of the reach: the parameter then runs at the ends as fast as along the pieces
+        # two fifths of the reach: the rate of the parameter at the ends is then that along the pieces
         out, into = 0.4 * reach * before.tangents(here)[0], 0.4 * reach * after.tangents(there)[0]
         return cls(np.array([start, start + out, start + 2.0 * out, end - 2.0 * into, end - into, end]))
 

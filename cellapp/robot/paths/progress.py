@@ -1,8 +1,8 @@
-"""How a moving SMR followed a path in time: its delay, its speed, and how far it is from where it should be then.
+"""Evaluate how a moving SMR followed a path in time: its delay, its speed, and its distance from the desired position.
 
-A point at time t is compared with the place of the path that was to be reached at ``t - d``; the delay d, that of the
-controller and of the stamps, is the one with the least squares of what is left along the path. Neighbouring points are
-alike: uncertainties count them by their first autocorrelation.
+A point at time t is compared with the path's position for time ``t - d``. The delay d of controller and timestamps is
+the one with the least sum of squared deviations. Neighbouring points are correlated: uncertainties use their effective
+number, from the first autocorrelation.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
 
 _DELAYS_S = (-0.1, 0.5)
-"""Delays that are tried: no controller is later with a stream of positions, no stamp earlier."""
+"""Range of delays that are tried: no controller is later with streamed positions, no timestamp earlier."""
 _STEP_S = 0.02
 _FEWEST = 20
 _WINDOW_S = 0.2
-"""Time over which a speed is taken, and time at either end of a stretch at the wanted speed that is left out."""
+"""Time over which a speed is averaged, and time that is left out at both ends of a stretch at the desired speed."""
 _AT_SPEED = 0.99
 _CLOCKS = 50e-6
-"""Relative standard uncertainty of a speed by clocks that run apart."""
+"""Relative standard uncertainty of a speed by different clock rates."""
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Speeds [m/s] where the path has its wanted speed: that, the mean, its standard uncertainty, and the range from
-    the slowest to the fastest stretch of 0.2 s; ``time_s`` is the time at that speed."""
+    """Speeds [m/s] where the path has its desired speed: desired, mean, standard uncertainty of the mean, and range
+    from the slowest to the fastest 0.2 s; ``time_s`` is the time at that speed."""
 
     wanted: float
     mean: float
@@ -43,8 +43,8 @@ class Speed:
 
 @dataclass(frozen=True)
 class Followed:
-    """Delay with its standard error [s]; rms and largest distance from where the path wants the SMR at the delayed time
-    [m]; the speed where the wanted one is reached, or None."""
+    """Delay with its standard error [s]; rms and largest distance from the path's position at the delayed time [m];
+    the speed, None if the desired one is never reached."""
 
     delay_s: float
     delay_error_s: float
@@ -54,7 +54,7 @@ class Followed:
 
 
 def followed(path: CartesianPath, sent: Trajectory, time_s: Array, p_M: Array) -> Followed | None:
-    """How points ``p_M`` (n, 3) [m] at times (n,) [s] since ``sent`` began followed; None for too few, or at rest."""
+    """Evaluate points ``p_M`` (n, 3) [m] at times (n,) [s] since ``sent`` began; None if too few, or if at rest."""
     if len(time_s) < _FEWEST or sent.s[-1] <= 0.0:
         return None
 
@@ -79,12 +79,12 @@ def followed(path: CartesianPath, sent: Trajectory, time_s: Array, p_M: Array) -
 
 
 def _beside(path: CartesianPath, sent: Trajectory, when: Array, p_M: Array) -> Array:
-    """Points less the places that were to be reached ``when`` (n,) [s], (n, 3) [m]."""
+    """Compute deviations (n, 3) [m] of points from the path's positions at times ``when`` (n,) [s]."""
     return np.asarray(p_M - path.positions(np.interp(when, sent.time_s, sent.s)))
 
 
 def _motion(path: CartesianPath, sent: Trajectory, when: Array) -> tuple[Array, Array]:
-    """Wanted speeds (n,) [m/s] and directions (n, 3), zero at rest."""
+    """Compute desired speeds (n,) [m/s] and directions (n, 3), zero at rest."""
     half = sent.period_s
     before, after = (np.interp(when + sign * half, sent.time_s, sent.s) for sign in (-1.0, 1.0))
     moved = path.positions(after) - path.positions(before)
@@ -94,7 +94,7 @@ def _motion(path: CartesianPath, sent: Trajectory, when: Array) -> tuple[Array, 
 
 
 def _speed(path: CartesianPath, sent: Trajectory, when: Array, s: Array) -> Speed | None:
-    """The speed over all stretches at the first wanted speed, from arc lengths ``s`` (n,) [m] that were reached."""
+    """Evaluate the speed in all stretches at the first desired speed, from reached arc lengths ``s`` (n,) [m]."""
     wanted = float(path.speeds[0])
     full = np.diff(sent.s, prepend=sent.s[0]) / sent.period_s > _AT_SPEED * wanted
     same = path.wanted_speed(sent.s) == wanted
@@ -126,7 +126,7 @@ def _speed(path: CartesianPath, sent: Trajectory, when: Array, s: Array) -> Spee
 
 
 def _runs(inside: NDArray[np.bool_], time_s: Array) -> list[tuple[float, float]]:
-    """Begin and end [s] of stretches without what is left out at their ends."""
+    """Return start and end times [s] of the runs of ``inside``, shortened at both ends by ``_WINDOW_S``."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
     ends = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     spans = [(float(time_s[first]) + _WINDOW_S, float(time_s[last - 1]) - _WINDOW_S) for first, last in ends]
@@ -134,7 +134,7 @@ def _runs(inside: NDArray[np.bool_], time_s: Array) -> list[tuple[float, float]]
 
 
 def _alike(values: Array) -> float:
-    """How many neighbouring values are worth one independent one, by their first autocorrelation."""
+    """Return how many correlated values count as one independent value, from their first autocorrelation."""
     values = values - values.mean()
     square = float(values @ values)
     rho = float(values[1:] @ values[:-1]) / square if square > 0.0 else 0.0

@@ -22,7 +22,7 @@ class Sweep:
     Attributes
     ----------
     center : array, shape (N,)
-        Where it begins and ends [rad].
+        Positions at its start and end [rad].
     sine, cosine : array, shape (K, N)
         Coefficients a and b [rad].
     period_s : float
@@ -48,11 +48,11 @@ class Sweep:
         return np.linspace(0.0, self.period_s, int(np.ceil(self.period_s / step_s)) + 1)
 
     def scaled(self, factor: float) -> Sweep:
-        """The same motion, ``factor`` times as wide."""
+        """Return the motion with its amplitude scaled by ``factor``."""
         return replace(self, sine=self.sine * factor, cosine=self.cosine * factor)
 
     def slowed(self, speed: Array, acceleration: Array, jerk: Array) -> Sweep:
-        """The same motion, so slow that no joint exceeds these limits (N,) [rad/s, rad/s^2, rad/s^3]."""
+        """Return the motion slowed so that no joint exceeds these limits (N,) [rad/s, rad/s^2, rad/s^3]."""
         time_s, slower = self.times(self.period_s / 400.0), 1.0
         for order, limit in enumerate((speed, acceleration, jerk), start=1):
             excess = float((np.abs(self.at(time_s, order)).max(axis=0) / limit).max())

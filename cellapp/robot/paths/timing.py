@@ -1,4 +1,4 @@
-"""Timing of a joint path: the wanted speed where the limits allow it, ramps at stops, samples at the controller's rate.
+"""Time a joint path: desired speed if the limits allow it, ramps at stops, samples at the controller's rate.
 
 With the speed ``v(s)`` along the path, joint speeds are ``q' v`` and joint accelerations ``q' a + q'' v^2``, where a
 prime is the derivative by arc length. Both terms get half of the acceleration limit each, so that the largest ``v^2``
@@ -18,12 +18,12 @@ from cellapp.robot.paths.joint_path import JointPath, PathError, Stretch
 
 _GRID_M = 5e-4
 _LEAST_GRID = 64
-"""Samples of the speed along a stretch."""
+"""Fewest samples of the speed along a stretch."""
 _SLOWEST_SHARE = 0.02
-"""A path on which a joint limit leaves less than this share of the wanted speed passes too near a singularity."""
+"""Least share of the desired speed: if a joint limit allows less, the path passes too near a singularity."""
 _ROUNDS = 4
 _SHARE = 0.97
-"""Of the limits: the differences of samples may exceed the derivatives that were limited by a little."""
+"""Share of the limits that is used: differences of samples may slightly exceed the limited derivatives."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Trajectory:
         Arc lengths [m].
     period_s : float
     slowed : str
-        Where and why the wanted speed is not kept, apart from ramps at stops; empty if it is kept.
+        Where and why the desired speed is not reached, apart from ramps at stops; empty if it is.
     at_speed : float
-        Share of the path's length at the wanted speed.
+        Share of the path's length at the desired speed.
     """
 
     q: Array
@@ -91,12 +91,12 @@ class _Profile:
 
 
 def timed(path: CartesianPath, joints: JointPath, rates: Rates, period_s: float) -> Trajectory:
-    """Sample a joint path in time, at the wanted speed where the limits allow it.
+    """Sample a joint path in time, at the desired speed if the limits allow it.
 
     Raises
     ------
     PathError
-        If a joint limit would leave almost nothing of the wanted speed: near a singularity.
+        If a joint limit allows almost no speed (near a singularity), or samples cannot be kept within the limits.
     """
     share = 1.0
     for _ in range(_ROUNDS):
@@ -116,7 +116,7 @@ def timed(path: CartesianPath, joints: JointPath, rates: Rates, period_s: float)
 
 
 def _profile(path: CartesianPath, stretch: Stretch, rates: Rates, share: float) -> _Profile:
-    """The speed along one stretch, from rest to rest; ``share`` scales time where samples exceed a limit."""
+    """Compute the speed along one stretch, from rest to rest; ``share`` scales it if samples exceed a limit."""
     begin, end = float(stretch.s[0]), float(stretch.s[-1])
     count = max(_LEAST_GRID, int(np.ceil((end - begin) / _GRID_M)))
     s = np.linspace(begin, end, count + 1)
@@ -153,7 +153,7 @@ def _profile(path: CartesianPath, stretch: Stretch, rates: Rates, share: float) 
 
 
 def _curvature(path: CartesianPath, s: Array) -> Array:
-    """Curvature (n,) of the path [1/m], from points a little apart."""
+    """Compute the curvature (n,) of the path [1/m] by finite differences."""
     h = 1e-4
     inner = np.clip(s, s[0] + h, s[-1] - h)
     before, here, after = path.positions(inner - h), path.positions(inner), path.positions(inner + h)
@@ -166,7 +166,7 @@ def _sampled(joints: JointPath, profiles: list[_Profile], rates: Rates, period_s
     for stretch, profile in zip(joints.stretches, profiles, strict=True):
         at = _arc_lengths(profile, period_s)
         rows = stretch.spline(at)
-        if q:  # joints that turn round at the stop cross their play there
+        if q:  # joints that reverse at the stop cross their backlash there
             rows = np.concatenate([_crossed(q[-1][-1], rows[0], rates, period_s), rows])
             at = np.concatenate([np.full(len(rows) - len(at), at[0]), at])
         q.append(rows)
@@ -176,7 +176,7 @@ def _sampled(joints: JointPath, profiles: list[_Profile], rates: Rates, period_s
 
 
 def _arc_lengths(profile: _Profile, period_s: float) -> Array:
-    """Arc lengths [m] each ``period_s``, the last one at the end of the stretch."""
+    """Return arc lengths [m] every ``period_s``; the last one is the end of the stretch."""
     t = np.append(np.arange(0.0, profile.t[-1], period_s), profile.t[-1])
     if len(t) > 2 and t[-1] - t[-2] < period_s:  # the end comes between two samples: stretch time by less than one
         t = np.linspace(0.0, profile.t[-1], len(t))
@@ -187,7 +187,7 @@ def _arc_lengths(profile: _Profile, period_s: float) -> Array:
 
 
 def _crossed(start: Array, goal: Array, rates: Rates, period_s: float) -> Array:
-    """Samples (k, N) from ``start`` to ``goal`` (N,) [rad], both left out but the start, at rest at both ends."""
+    """Sample a motion from rest at ``start`` to rest at ``goal`` (N,) [rad]: (k, N), without both ends."""
     way = np.abs(goal - start)
     if way.max() < 1e-9:
         return np.empty((0, len(start)))
@@ -199,7 +199,7 @@ def _crossed(start: Array, goal: Array, rates: Rates, period_s: float) -> Array:
 
 
 def _slowed(profiles: list[_Profile]) -> tuple[str, float]:
-    """Where a limit slows the path most, in words, and the share of its length at the wanted speed."""
+    """Say where a limit slows the path most; also return the share of its length at the desired speed."""
     kept, total, worst, words = 0.0, 0.0, 1.0, ""
     for profile in profiles:
         step = np.diff(profile.s, append=profile.s[-1])

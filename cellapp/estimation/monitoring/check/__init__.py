@@ -1,4 +1,4 @@
-"""The mathematics of the ten-minute check: what a calibration expects, which stops tell most, a sequential test."""
+"""Mathematics of the ten-minute check: predictions of a calibration, choice of stops, a sequential test."""
 
 from cellapp.estimation.monitoring.check.belief import check_belief
 from cellapp.estimation.monitoring.check.model import (

@@ -18,15 +18,15 @@ from cellapp.robot.kinematics.transforms import Array
 
 GROWTH = "growth of all links, as by temperature"
 _FEWEST_LENGTHS = 2
-"""Lengths from which growth of all of them is another change than that of one."""
+"""Fewest lengths with which growth of all of them differs from the change of one."""
 _TWIST_WORDS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """One number that may change, and the size of its change that has to be detected.
+    """One quantity that may change, and the size of the change that has to be detected.
 
-    ``places`` are those among the arm's parameters, or among the six components of the tracker's twist, each of which
+    ``places`` are indices of the arm's parameters, or of the six components of the tracker's twist, each of which
     changes by its share; ``step`` is the size in ``unit``.
     """
 
@@ -39,13 +39,13 @@ class Direction:
     shares: tuple[float, ...] = (1.0,)
 
     def row_of(self, rows: Array) -> Array:
-        """Motion by one step, of the motions (p, ...) by a unit of every parameter."""
+        """Compute the motion by one step from the motions (p, ...) by a unit of each parameter."""
         return np.asarray(self.step * np.tensordot(np.array(self.shares), rows[list(self.places)], axes=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Numbers that change together, as indices into the list of directions: what a change is named by."""
+    """A nameable change: directions that change together, as indices into the list of directions."""
 
     arm: str
     kind: ChangeKind
@@ -54,9 +54,9 @@ class Alternative:
 
 
 def directions_of(belief: CheckBelief) -> list[Direction]:
-    """All directions of change of a cell: the tracker's twist, then those of every arm, parameter by parameter.
+    """List all directions of change of a cell: the tracker's twist, then those of every arm, parameter by parameter.
 
-    The tracker turns about the middle of the calibration's points.
+    The tracker rotates about the centre of the calibration's points.
     """
     found = [
         Direction(
@@ -71,9 +71,10 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
 
 
 def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> list[Alternative]:
-    """What may have changed, simple causes of many points first: tracker, bases, SMRs, then parameters and effects.
+    """List what may have changed, causes that affect most points first: tracker, bases, SMRs, parameters, effects.
 
-    One parameter each; the numbers of an effect at one place together. A tracker that was set up anew is none.
+    Each parameter is an alternative; so are all values of an effect at one place together. A tracker that was set up
+    anew is not an alternative.
     """
     places: dict[tuple[str, ChangeKind, str], list[int]] = {}
     for k, one in enumerate(directions):
@@ -87,7 +88,7 @@ def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> lis
 
 
 def centre_of(belief: CheckBelief) -> Array:
-    """Middle (3,) of the points of the calibration [m]."""
+    """Return the centre (3,) of the points of the calibration [m]."""
     return np.asarray(np.concatenate([arm.positions.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
 
 
@@ -104,12 +105,12 @@ def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
 
 
 def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
-    """Values of laws, each by what moves the SMR by 0.05 mm rms over the readings of the calibration.
+    """List values of laws; a step moves the SMR by 0.05 mm rms over the readings of the calibration.
 
-    Where orientation is measured, by what moves and turns it as much together, 0.05 mm as 50 µrad.
+    If orientation is measured, motion and rotation count together, with 50 µrad equal to 0.05 mm.
 
-    Left out are values of free functions, which are many and small by their priors, and values whose step is beyond
-    what is physically possible: a joint without load shows no stiffness.
+    Values of free functions are left out (many, and small by their priors), and values whose step is physically
+    impossible: a joint without load shows no stiffness.
     """
     columns = term_columns(arm.model, arm.measured)
     every = design(arm.model, arm.measured, arm.columns)
@@ -126,7 +127,7 @@ def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
 
 
 def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
-    """Growth of all lengths of the links in proportion, as by a warmer or colder arm, of motions ``rows`` (p, d)."""
+    """Build the direction of proportional growth of all link lengths (temperature) from motions ``rows`` (p, d)."""
     nominal, names = arm.model.nominal.vector(), parameter_names(arm.model.geometry.joints)
     places = [
         place

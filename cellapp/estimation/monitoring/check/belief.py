@@ -1,4 +1,4 @@
-"""What a stored calibration expects of every arm."""
+"""Derive from a stored calibration what a check expects of every arm, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.relocation import relocated
 
 _FEWEST_HELD_OUT = 20
-"""Readings that were not learned from, from which their scatter is judged."""
+"""Fewest held-out readings with which their scatter is estimated."""
 
 
 def check_belief(
@@ -39,7 +39,7 @@ def check_belief(
     station_free: bool = False,
     T_new_old: Array | None = None,
 ) -> CheckBelief:
-    """What a calibration says of a cell.
+    """Build the belief of a check from a calibration.
 
     Parameters
     ----------
@@ -49,11 +49,11 @@ def check_belief(
     readings : mapping
         Arm -> the readings that it was calibrated from, of all splits.
     turned : collection of str
-        Arms of which the check measures orientation too; it counts where that of the calibration was measured.
+        Arms of which the check measures orientation too; used if the calibration measured it.
     station_free : bool
-        The tracker was set up anew since, so that its pose is unknown.
+        Whether the tracker was set up anew since, so that its pose is unknown.
     T_new_old : array, shape (4, 4), optional
-        About where it stands then: maps coordinates in its earlier frame into the present one.
+        Its approximate new station: maps coordinates in its earlier frame into the present one.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def check_belief(
 
 
 def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]:
-    """Terms of value zero for effects that the model lacks, at every joint where the readings can show them."""
+    """Return terms of value zero for effects of wear that the model lacks, at joints where readings can show them."""
     context = model.context(measured.readings.q, conditions=measured.conditions)
     present = {(term.slug, name) for term in model.effects if not is_smooth(term) for name in term.names}
     found = []
@@ -93,19 +93,19 @@ def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]
 
 
 def network_shift(model: ArmModel, q: Array) -> Array:
-    """What the network of a model adds to its positions (n, 3) [m] at ``q`` (n, N) [rad]; zero without one."""
+    """Compute the network's correction (n, 3) [m] in the tracker frame at ``q`` (n, N) [rad]; zero without one."""
     if model.network is None:
         return np.zeros((len(q), 3))
     return np.asarray(model.network.correct(q) @ model.geometry.T_M_B()[:3, :3].T)
 
 
 def _without_network(model: ArmModel, readings: Readings) -> Readings:
-    """The readings less what the network explains of them: geometry and effects beside it are then judged."""
+    """Subtract the network's correction from readings, so that geometry and effects alone are judged."""
     return readings if model.network is None else replace(readings, p_M=readings.p_M - network_shift(model, readings.q))
 
 
 def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBelief:
-    """What the calibration ``stored`` says of its arm, with the posterior that its readings give."""
+    """Build the belief of one arm from its calibration ``stored`` and the posterior from its readings."""
     watched = watched_terms(found.model, measured)
     model = replace(found.model, effects=(*found.model.effects, *watched))
     added = sum(len(term.names) for term in watched)
@@ -132,7 +132,7 @@ def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBel
 
 
 def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
-    """Covariance (n, 3, 3) [m^2, rad^2] of predictions at the readings of the calibration."""
+    """Compute the covariance (n, 3, 3) [m^2, rad^2] of predictions at the readings of the calibration."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
     covariance = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
     if stored.network is None:
@@ -146,9 +146,9 @@ def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
 def _held_out_excess(
     stored: ArmModel, found: Posterior, measured: Measured, promised: Array, kind: NDArray[np.bool_]
 ) -> float:
-    """Variance [m^2, rad^2] by which a coordinate of held-out readings of a ``kind`` (n,) scatters beyond ``promised``.
+    """Estimate the excess variance [m^2, rad^2] of a coordinate of held-out readings beyond ``promised``.
 
-    What a model leaves of the arm is small at the readings that it was chosen by, and not at others.
+    ``kind`` (n,) masks positions or orientations. Residuals of readings that the model was fitted to are too small.
     """
     rows = measured.readings.in_split("validate")
     rows = rows[kind[rows]]
@@ -162,7 +162,7 @@ def _held_out_excess(
 
 
 def _day_m(model: ArmModel, measured: Measured) -> float:
-    """Rms motion [m] of the SMR over the calibration's readings by effects of its day, as drift of the base."""
+    """Compute the rms motion [m] of the SMR over the calibration's readings by effects of that day, such as drift."""
     terms = tuple(term for term in model.effects if not EFFECTS[term.slug].arm_bound)
     if not terms:
         return 0.0
@@ -173,16 +173,16 @@ def _day_m(model: ArmModel, measured: Measured) -> float:
 
 
 def measured_vectors(arm: ArmBelief, readings: Readings, conditions: MeasurementConditions) -> Measured:
-    """Measured positions of an arm, then the orientations that its belief can judge."""
+    """Collect measured positions of an arm, then the orientations that its belief can predict."""
     if arm.model.geometry.probe is None:
         readings = replace(readings, quaternion_M=None)
     return Measured.of(readings, conditions)
 
 
 def noise_covariance(arm: ArmBelief, measured: Measured) -> Array:
-    """Covariance (n, 3, 3) [m^2, rad^2] of measured vectors: as stated, and the arm's scatter beyond it.
+    """Compute the covariance (n, 3, 3) [m^2, rad^2] of measured vectors: stated uncertainty plus the arm's scatter.
 
-    A kind of readings that states none is taken to be as uncertain as those of the calibration.
+    Positions or orientations without a stated uncertainty get that of the calibration.
     """
     whole: Array = np.empty((len(measured), 3, 3))
     points = measured.points
@@ -199,7 +199,7 @@ def noise_covariance(arm: ArmBelief, measured: Measured) -> Array:
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
-    """The belief in the frame of a tracker that was set up anew."""
+    """Return the belief in the frame of a tracker that was set up anew."""
     names = ParameterSet("", arm.model.geometry.joints, arm.columns).names
     terms = tuple(f"{k}" for k in range(len(arm.covariance) - len(names)))
     model = replace(arm.model, posterior=None, identified=(*names, *terms), covariance=arm.covariance)

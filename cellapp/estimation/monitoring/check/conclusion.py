@@ -1,4 +1,4 @@
-"""The verdict of a check with its evidence, in the records of its result."""
+"""Derive the verdict of a check with its evidence, in the records of its result."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _VERDICTS: Mapping[str, CheckVerdict] = {
 
 
 _MOST_NEEDED = 1e4
-"""Above the non-centrality of any test that is used: a hundred standard errors."""
+"""Upper bound of the search for a non-centrality: a hundred standard errors, above any that is needed."""
 
 
 def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
-    """What the last test of the stops shows of every direction, where p-values up to ``critical`` are significant."""
+    """Compute the power of the last test for every direction, with p-values up to ``critical`` significant."""
     rank = {k: len(one.members) for one in design.alternatives for k in one.members}
     needed = {r: _needed(critical, r, design.miss) for r in {1, *rank.values()}}
     information = moments.information[-1].tolist()
@@ -42,7 +42,7 @@ def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
 
 
 def _needed(critical: float, rank: int, miss: float) -> float:
-    """Non-centrality at which a test of ``rank`` numbers misses a change with the chance ``miss``."""
+    """Find the non-centrality at which a test of ``rank`` parameters misses a change with probability ``miss``."""
     limit = float(scipy.special.chdtri(rank, critical))
 
     def surplus(size: float) -> float:
@@ -52,7 +52,7 @@ def _needed(critical: float, rank: int, miss: float) -> float:
 
 
 def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
-    """The conclusion from all stops, and the state of the test, which says whether something changed."""
+    """Draw the conclusion from all stops and the state of the test, which says whether something changed."""
     here, station = with_station(design, stops)
     moments = Moments.of(here)
     test = MinPValueTest.of(moments, design.alternatives)
@@ -84,9 +84,9 @@ def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclu
 def judgement(
     design: Design, stops: StopRows, state: SequentialState
 ) -> tuple[CheckVerdict, Explanation, tuple[Power, ...], int | None]:
-    """Verdict, what explains the stops, visible changes that they may miss, and a single point that stands out.
+    """Return the verdict, its explanation, visible changes that may be missed, and the index of a stray point or None.
 
-    The stops are as the belief expects them, but for changes.
+    The stops are relative to the belief, with a new station already fitted.
     """
     nothing = Explanation((), 1.0, np.eye(4))
     if not state.changed:
@@ -100,7 +100,7 @@ def judgement(
 
 
 def stray_point(stops: StopRows) -> int | None:
-    """The point without which the others show no change; None if there is none, or more."""
+    """Find the point without which the others show no change; None if no single point does that."""
     moments, factor = Moments.of(stops), stops.factor
     white, degrees = moments.white, int(moments.degrees[-1]) - 3
     own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
@@ -113,7 +113,7 @@ def stray_point(stops: StopRows) -> int | None:
 
 
 def _weak(design: Design, moments: Moments) -> tuple[Power, ...]:
-    """Visible changes that the last test finds with less than the asked power, and that the stops do not rule out."""
+    """Return visible changes for which the last test has too little power and that the stops do not rule out."""
     critical = MinPValueTest.of(moments, design.alternatives).critical(design.last_alarm)
     ruled_out = 0.5 * moments.information[-1] - np.abs(moments.moment[-1]) >= -math.log(design.miss)
     found = zip(powers(design, moments, critical), design.directions, ruled_out, strict=True)
@@ -143,7 +143,10 @@ def _change(design: Design, cause: Cause) -> FoundChange:
 
 
 def moved_m(design: Design, cause: Cause, arm: str | None) -> float:
-    """Rms motion [m] of the SMR by a change over the calibration's readings: of one arm, or of those that it moves."""
+    """Compute the rms motion [m] of the SMR by a change over the calibration's readings of ``arm``.
+
+    If ``arm`` is None, of all arms that the change moves.
+    """
     one, belief = cause.alternative, design.belief
     names = [arm] if arm is not None else (list(belief.arms) if one.kind == "tracker" else [one.arm])
     squares, count = 0.0, 0
@@ -158,7 +161,10 @@ def moved_m(design: Design, cause: Cause, arm: str | None) -> float:
 
 
 def _turned_mrad(design: Design, cause: Cause) -> float | None:
-    """Rms turn [mrad] of the probe by a change over the calibration's readings; None where it is not of one arm."""
+    """Compute the rms rotation [mrad] of the probe by a change over the calibration's readings.
+
+    None if the change is not of one arm, or no orientation was measured.
+    """
     one = cause.alternative
     arm = design.belief.arms.get(one.arm)
     if arm is None or arm.measured.turned is None:
@@ -170,7 +176,7 @@ def _turned_mrad(design: Design, cause: Cause) -> float | None:
 
 
 def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained: bool) -> dict[str, CheckedArm]:
-    """Every arm at its stops; the accuracy that is left is not known while its errors are not explained."""
+    """Summarise every arm at its stops; the remaining accuracy is unknown if the errors are not explained."""
     variance = np.sum(stops.factor**2, axis=1).reshape(-1, 3).sum(axis=1)
     found = {}
     for place, (name, arm) in enumerate(design.belief.arms.items()):

@@ -1,13 +1,14 @@
-"""The linear model of some stops of a cell about its calibration.
+"""Linear model of some stops of a cell about its calibration.
 
-With y the measured less the expected coordinates of all arms, in the order of the stops:
+Let y be the measured minus the expected coordinates of all arms, in the order of the stops:
 
     y = V b + e,    e ~ N(0, K),    K = X S X^T + R (+ T P T^T)
 
-S is the posterior covariance of all parameters of the calibration, which all stops share; R that of tracker and
-repeatability, stop by stop; V the rows of changes, b their sizes in steps of what has to be detected. T are the six
-motions of a tracker that was set up anew, P their wide prior. With K = L L^T, the first rows of L^-1 y belong to the
-first stops alone: moments and information after each stop are cumulative sums of one factor.
+S is the posterior covariance of all parameters of the calibration, common to all stops; R the covariance of tracker and
+repeatability, independent between stops. V are the effects of changes on y, b their sizes in units of the smallest
+change to be detected. T are the six motions of a tracker that was set up anew, P their wide prior covariance. With
+K = L L^T, the first rows of L^-1 y depend on the first stops alone, so moments and information after each stop are
+cumulative sums from one factor.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 
 _STATION_M = 0.01
-"""Standard deviation of a tracker's motion about its fitted pose, where it was set up anew [m, and rad at 1 m]: far
-above the noise, so that points alone tell it, and near enough that the factor of K stays exact."""
+"""Prior standard deviation of a tracker's motion about its fitted pose if it was set up anew [m, and rad at 1 m]: far
+above the noise, so that the points determine it, yet small enough that the factor of K stays accurate."""
 _DEPENDENT = 1e-6
-"""Share of the greatest singular value below which a direction depends on the others."""
+"""Ratio to the largest singular value below which a direction depends on the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +46,19 @@ class StopRows:
     Attributes
     ----------
     measured, expected : array, shape (m, 3)
-        Positions [m], stop by stop, arm by arm; of an orientation that rotation vector, and zero.
+        Positions [m], stop by stop, arm by arm; for an orientation that rotation vector, and zero.
     stop_ends : array, shape (n,)
-        Coordinates up to each stop.
+        Number of coordinates up to and including each stop.
     arm_of : array, shape (m,)
-        Place of each point's arm among the belief's.
+        Index of each point's arm among those of the belief.
     rows : array, shape (C, d)
         Motion of the coordinates by one step of each direction [m].
     factor : array, shape (d, d)
         Lower Cholesky factor of K [m].
     free : int
-        How many of the first directions are unknown and fitted: the six of a tracker that was set up anew, or none.
+        Number of leading directions that are unknown and fitted: six for a tracker that was set up anew, else 0.
     turned : array, shape (m,), or None
-        Which points are orientations; None where none is.
+        Mask of points that are orientations; None if there are none.
     """
 
     measured: Array
@@ -71,16 +72,16 @@ class StopRows:
 
     @property
     def points(self) -> NDArray[np.bool_]:
-        """Which points (m,) are positions."""
+        """Mask (m,) of points that are positions."""
         return np.ones(len(self.measured), dtype=np.bool_) if self.turned is None else ~self.turned
 
     @property
     def left(self) -> Array:
-        """Measured less expected (m, 3) [m]."""
+        """Residuals (m, 3) [m]: measured minus expected."""
         return np.asarray(self.measured - self.expected)
 
     def first(self, count: int) -> StopRows:
-        """The first ``count`` stops alone."""
+        """Select the first ``count`` stops."""
         d = int(self.stop_ends[count - 1])
         return replace(
             self,
@@ -95,13 +96,13 @@ class StopRows:
 
 
 def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, MeasurementConditions]:
-    """Conditions of stops that are not of the calibration's run: its clock ended with it, so that time is now."""
+    """Return conditions of stops outside the calibration's run: without its clock, so that time means "now"."""
     found = conditions_of_arms(belief.models, readings)
     return {name: replace(own, time_s=None, order=None, record=None) for name, own in found.items()}
 
 
 def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Where the calibration expects the SMR of every arm at the configurations of ``readings``, (n, 3) [m]."""
+    """Predict the SMR of every arm at the configurations of ``readings`` by the calibration, (n, 3) [m]."""
     conditions = conditions_now(belief, readings)
     return {
         name: _computed(belief.arms[name], Measured(its, conditions[name], np.ones(len(its))))
@@ -110,13 +111,13 @@ def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str,
 
 
 def _computed(arm: ArmBelief, its: Measured) -> Array:
-    """What the calibration expects of vectors (n, 3): of an orientation the rotation from the measured to that."""
+    """Predict vectors (n, 3) by the calibration; orientations as rotation vectors from the measured to the expected."""
     shift = network_shift(arm.stored, its.readings.q) * its.points[:, None]
     return np.asarray(arm.model.predict(its.readings.q, conditions=its.conditions) + shift)
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
-    """The linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
+    """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
     conditions, order_of = conditions_now(belief, readings), _order_of_stops(readings)
     names = [name for name in belief.arms if name in readings]
     vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
@@ -163,7 +164,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
 
 
 def twists(p_M: Array, turned: NDArray[np.bool_]) -> Array:
-    """Motion (m, 3, 6) of positions (m, 3) by a small shift and turn of all, and of orientations, where ``turned``."""
+    """Compute the motion (m, 3, 6) of positions (m, 3), or orientations where ``turned``, by a common small twist."""
     columns = twist_columns(p_M)
     columns[turned] = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
     return columns
@@ -173,7 +174,7 @@ def twists(p_M: Array, turned: NDArray[np.bool_]) -> Array:
 class Moments:
     """Whitened stops: ``white`` (d,) is L^-1 y, ``directions`` (C, d) the rows V^T L^-T; see ``StopRows``.
 
-    ``fitted`` (r, d) are orthonormal directions in which nothing is left of the stops, because a fit took it.
+    ``fitted`` (r, d) are orthonormal directions in which the stops have no residual, because it was fitted.
     """
 
     white: Array
@@ -183,7 +184,7 @@ class Moments:
 
     @classmethod
     def of(cls, stops: StopRows) -> Moments:
-        """Whitened by the factor of K."""
+        """Whiten stops by the factor of K."""
         columns = np.column_stack([stops.left.ravel(), stops.rows.T])
         solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
@@ -206,12 +207,12 @@ class Moments:
 
     @property
     def degrees(self) -> NDArray[np.intp]:
-        """Degrees of freedom (n,) of chi-squared after each stop: the coordinates that no fit took."""
+        """Degrees of freedom (n,) of chi-squared after each stop: coordinates minus fitted directions."""
         return np.maximum(self.stop_ends - len(self.fitted), 0)
 
 
 def spanned(rows: Array) -> Array:
-    """Orthonormal rows of the same span; dependent ones are left out."""
+    """Compute orthonormal rows of the same span; drop dependent ones."""
     if not len(rows):
         return rows
     _, values, vectors = np.linalg.svd(rows, full_matrices=False)
@@ -219,9 +220,9 @@ def spanned(rows: Array) -> Array:
 
 
 def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
-    """Number of each stop -> its place in the order in which they were measured.
+    """Map the number of each stop to its rank in the order of measurement.
 
-    An arm that was not measured at some stops is behind the others in its rows: the greatest row of a stop counts.
+    An arm that was not measured at some stops has smaller row numbers than others: the largest row of a stop counts.
     """
     last: dict[int, int] = {}
     for its in readings.values():
@@ -231,14 +232,14 @@ def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
 
 
 def arm_centre(arm: ArmBelief) -> Array:
-    """Middle (3,) of the points of an arm's calibration [m]."""
+    """Return the centre (3,) of the points of an arm's calibration [m]."""
     return np.asarray(arm.positions.readings.p_M.mean(axis=0))
 
 
 def _day_sizes(arm: ArmBelief) -> Array:
-    """Standard deviations (6,) [m, rad] of a drift of the base that moves the SMR as far as that of the calibration.
+    """Compute standard deviations (6,) [m, rad] of a base drift that moves the SMR as far as on calibration day.
 
-    Half of the mean square is that of the shift, half that of the turn.
+    Shift and rotation contribute half of the mean square each.
     """
     p_M = arm.positions.readings.p_M - arm_centre(arm)
     by_turn = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))

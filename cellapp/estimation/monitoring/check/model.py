@@ -1,10 +1,10 @@
-"""The shapes of the check: what a calibration expects of a cell, changes, chosen stops, state of the test, conclusion.
+"""Data classes of the check: belief of a calibration, power of stops, state of the test, conclusion.
 
-A change is *visible* if it is one of a parameter by 0.05 mm or 50 µrad (of an effect: by what moves the SMR by 0.05 mm
-rms) that moves the SMR, root mean square over the readings of the calibration, by at least ``VISIBLE`` times the
-standard deviation of a measured coordinate, after the motion of the tracker that follows it best has been taken off:
-what a motion of the tracker makes as well is no change of an arm. The deviation is that of tracker and arm together.
-Where a probe measures orientation too, what a change turns it by counts beside, in its own standard deviations.
+A change is that of a parameter by 0.05 mm or 50 µrad, or of an effect such that the SMR moves by 0.05 mm rms. It is
+*visible* if it moves the SMR, rms over the readings of the calibration, by at least ``VISIBLE`` standard deviations of
+a measured coordinate (of tracker and arm together). The best-fitting motion of the tracker is subtracted first: what a
+motion of the tracker explains as well is no change of an arm. If a probe measures orientation too, its rotation by the
+change counts as well, in its own standard deviations.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ LENGTH_M = 5e-5
 TURN_RAD = 5e-5
 """Change of an angle that the check has to detect [rad]."""
 FALSE_ALARM, MISS = 0.01, 0.05
-"""Chances of finding a change where there is none, and of missing a visible one."""
+"""Probabilities of a false alarm and of missing a visible change."""
 VISIBLE = 1.0
 """Least motion of the SMR by a visible change, in standard deviations of a measured coordinate."""
 TRACKER = "tracker"
-"""Stands for the name of an arm where the tracker moved."""
+"""Name that takes the place of an arm's if the tracker moved."""
 
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
 
 @dataclass(frozen=True, eq=False)
 class ArmBelief:
-    """What a calibration says of one arm.
+    """Prediction of one arm by a calibration, with its uncertainty.
 
     Attributes
     ----------
     stored : ArmModel
         The calibration itself, which targets are compensated with.
     model : ArmModel
-        Mean of the posterior, near ``stored``, without a network. Its last terms are effects that are watched for
-        though the calibration has none: their values are zero.
+        Mean of the posterior, near ``stored``, without a network. Its last terms are watched effects that the
+        calibration does not have: their values are zero.
     columns : tuple of int, length K
         Geometric parameters, as indices into ``parameter_names``: base, D-H rows and tool.
     covariance : array, shape (p, p)
         Posterior covariance of the geometric parameters, then of the values of all terms; zero for watched ones.
     scatter_m : float
-        Standard deviation of a measured coordinate beyond the stated uncertainty of the tracker [m]; readings that were
-        not learned from show it.
+        Standard deviation of a measured coordinate beyond the stated uncertainty of the tracker [m], from held-out
+        readings.
     noise_m : float
         Standard deviation of a measured coordinate, of tracker and arm together [m].
     day_m : float
@@ -86,11 +86,11 @@ class ArmBelief:
 
 @dataclass(frozen=True, eq=False)
 class CheckBelief:
-    """What a calibration says of a cell.
+    """Predictions of a cell by a calibration.
 
-    ``arms`` maps names to beliefs, in the frame of the tracker where it is expected: where it stood, or about where it
-    was set up anew, which ``T_new_old`` (4, 4) says: it maps coordinates in its earlier frame into the present one.
-    ``station_free``: it was set up anew, so that its motion is no change.
+    ``arms`` maps names to beliefs, in the expected frame of the tracker: the earlier one, or the approximate one of a
+    new station. ``T_new_old`` (4, 4) maps the earlier frame into that; None if the tracker was not set up anew.
+    ``station_free`` is True if it was set up anew, so that its motion is no change.
     """
 
     arms: Mapping[str, ArmBelief]
@@ -135,14 +135,14 @@ class ChosenStops:
 
     @property
     def weakest(self) -> Power | None:
-        """The visible change that the stops show least; None where no change is visible."""
+        """The visible change that the stops show least; None if no change is visible."""
         visible = [one for one in self.power if one.visible]
         return min(visible, key=lambda one: one.noncentrality) if visible else None
 
 
 @dataclass(frozen=True)
 class SequentialState:
-    """Where the sequential test stands after some stops.
+    """State of the sequential test after some stops.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class SequentialState:
     log_valid : float
         Log of the least ratio of the likelihood of no change to that of a visible one; valid is sure at log(1 / miss).
     p_value : float
-        Chance of errors as large if nothing has changed, by chi-squared.
+        Probability of errors as large if nothing has changed, by chi-squared.
     """
 
     stops: int

@@ -1,9 +1,9 @@
-"""What changed: the alternative that explains the stops best, its rivals, and what the next one adds.
+"""Name what changed: the alternative that explains the stops best, its rivals, and further changes.
 
-Each alternative lowers chi-squared by what the least squares with its numbers explain; its gain is half of that less
-(r / 2) log d for r numbers and d coordinates (Schwarz, Ann. Stat. 6 (1978) 461). The best one is accepted, its numbers
-count as unknown from then on, and the next one is looked for while the rest is not explained. Tracker and bases may
-have moved by centimetres, see ``motions``.
+A least-squares fit of an alternative lowers chi-squared; its gain is half of that minus (r / 2) log d for r parameters
+and d coordinates (Schwarz, Ann. Stat. 6 (1978) 461). The best alternative is accepted and its parameters are unknown
+from then on; the next one is searched until the rest is explained. Tracker and bases may have moved by centimetres, see
+``motions``.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from cellapp.estimation.prior.changes import SURE
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_CHANGES = 4
-"""Changes that are named at most: more at once are a new arm, which twenty stops cannot describe."""
+"""Most changes that are named: more at once mean a new arm, which twenty stops cannot describe."""
 _ALIKE = 3.0
-"""Half the difference of chi-squared within which another change explains the stops about as well: a factor of 20."""
+"""Half difference of chi-squared within which another change explains the stops about as well: a factor of 20."""
 _INSEPARABLE = 0.05
-"""Share of its motion that a rival must leave of a change for more stops to tell them apart: a hundred times as many
-would be needed with a twentieth."""
+"""Least share of a change's motion that a rival must leave unexplained for more stops to distinguish them: with a
+twentieth, a hundred times as many stops would be needed."""
 _TIE = 0.01
-"""Difference of gains that is rounding: tracker and base of a cell of one arm."""
+"""Difference of gains that counts as rounding: tracker and base of a cell of one arm."""
 NOT_EXPLAINED = 1e-3
 """Probability of chi-squared below which named changes do not explain the stops: one false alarm in 1000."""
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What a check tests, and how surely, C directions.
+    """What a check tests (C directions), and with which error probabilities.
 
     Attributes
     ----------
@@ -47,12 +47,12 @@ class Design:
     directions, alternatives : tuple
     motions : mapping
         Arm -> motion (C, n, 3) [m] of the SMR at the calibration's readings by one step of each direction, then that of
-        its orientation [rad] where the check measures it.
+        its orientation [rad] if the check measures it.
     moved_m : array, shape (C,)
         Rms motion by one step beside a moved tracker [m], see ``visibility``.
     visible : array, shape (C,)
     false_alarm, miss : float
-        Chance of finding a change where there is none, and of calling a visible one valid.
+        Probabilities of a false alarm, and of calling a visible change valid.
     """
 
     belief: CheckBelief
@@ -66,21 +66,21 @@ class Design:
 
     @property
     def early_alarm(self) -> float:
-        """Chance of a false alarm by the looks after every stop."""
+        """Probability of a false alarm by the evaluations after every stop."""
         return SPENT_EARLY * self.false_alarm
 
     @property
     def last_alarm(self) -> float:
-        """Chance of a false alarm by the test after the last stop."""
+        """Probability of a false alarm by the test after the last stop."""
         return (1.0 - SPENT_EARLY) * self.false_alarm
 
     @property
     def early_miss(self) -> float:
-        """Chance of calling one visible change valid by the looks after every stop."""
+        """Probability of calling a visible change valid by the evaluations after every stop."""
         return SPENT_EARLY * self.miss
 
     def name_of(self, one: Alternative) -> str:
-        """A change for people, with its arm where the cell has several."""
+        """Return the name of a change for people, with its arm if the cell has several."""
         if one.kind == "tracker":
             return "tracker"
         if one.kind in ("base", "smr"):
@@ -90,10 +90,10 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """An accepted change: its sizes (r,) in steps with their covariance, its motion where it is rigid, its evidence.
+    """An accepted change: its sizes (r,) in steps with their covariance, its motion (None unless rigid), its evidence.
 
     ``least_p`` is the least p-value of the ``test`` in which it was found. ``rivals`` explain the stops about as well;
-    ``open_rivals`` are not excluded surely yet, though more stops can do it.
+    ``open_rivals`` are not yet excluded with certainty, but more stops can do it.
     """
 
     alternative: Alternative
@@ -107,13 +107,13 @@ class Cause:
 
     @property
     def p_value(self) -> float:
-        """Chance of as much evidence for any change, or more, while nothing has changed."""
+        """Probability of at least as much evidence for any change if nothing has changed."""
         return self.test.corrected(self.least_p)
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Causes, the most evident first, and the probability of chi-squared of what they leave.
+    """Causes, the most evident first, and the p-value of chi-squared of the residuals.
 
     ``station`` (4, 4) is the motion of a tracker that was set up anew, beyond that without any change.
     """
@@ -124,12 +124,12 @@ class Explanation:
 
     @property
     def holds(self) -> bool:
-        """Whether the causes explain the stops."""
+        """Whether there are causes and they explain the stops."""
         return bool(self.causes) and self.left_p_value >= NOT_EXPLAINED
 
 
 def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
-    """The stops in the frame where the calibration expects them, and the motion (4, 4) of a tracker set up anew."""
+    """Fit a tracker that was set up anew; return the stops in the expected frame, and the tracker's motion (4, 4)."""
     if not design.belief.station_free or np.sum(stops.points) < FEWEST_POINTS:
         return stops, np.eye(4)
     found = solve_motions(stops, centre_of(design.belief), tracker=True)
@@ -137,7 +137,7 @@ def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
 
 
 def explain(design: Design, stops: StopRows) -> Explanation:
-    """What changed, where it is known that something did."""
+    """Find what changed, given that something did."""
     causes: list[Cause] = []
     nuisance: list[int] = []
     station = np.eye(4)
@@ -162,7 +162,7 @@ def explain(design: Design, stops: StopRows) -> Explanation:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """An alternative fitted: its directions, the stops with all motions taken off, what chi-squared it leaves.
+    """A fitted alternative: its directions, the stops without the fitted motions, the remaining chi-squared.
 
     ``motion`` is that of a tracker or base that moved, ``station`` that of a tracker that was set up anew.
     """
@@ -182,7 +182,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Alternatives with their fits, the place of the best one, and its p-value in the test of all."""
+    """Alternatives with their fits, the index of the best one, and its p-value in the test of all."""
 
     alternatives: Sequence[Alternative]
     fits: Sequence[_Fit]
@@ -192,7 +192,7 @@ class _Found:
 
 
 def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Cause:
-    """The best alternative with its rivals; ``sizes`` and ``covariance`` are of all changes so far, its own last."""
+    """Build the cause of the best alternative; ``sizes`` and ``covariance`` are of all changes so far, its own last."""
     chosen, fit = found.alternatives[found.best], found.fits[found.best]
     own = slice(len(sizes) - len(fit.members), len(sizes))
     coordinates = fit.stops.rows.shape[1]
@@ -221,9 +221,9 @@ def _best(fits: Sequence[_Fit], coordinates: int) -> int:
 
 
 def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int], rest: Moments, basis: Array) -> _Fit:
-    """Least squares with the numbers of one alternative, beside those that are known to have changed.
+    """Fit the parameters of one alternative by least squares, together with those already known to have changed.
 
-    ``rest`` are the stops without what these explain, ``basis`` (r, d) the directions of the alternative there.
+    ``rest`` are the stops with the latter projected out, ``basis`` (r, d) the alternative's directions there.
     """
     members, belief = list(one.members), design.belief
     before = float(rest.white @ rest.white)
@@ -249,7 +249,7 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
 
 
 def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
-    """Whether the calibration's configurations can tell a change from a rival, beside a tracker set up anew."""
+    """Return whether the calibration's configurations distinguish a change from a rival, given an unknown station."""
     whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
     moved = sizes @ whole[list(cause.members)]
     free = [k for k, one in enumerate(design.directions) if one.kind == "tracker" and design.belief.station_free]

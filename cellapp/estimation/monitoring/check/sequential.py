@@ -1,4 +1,4 @@
-"""The sequential test: fed stop by stop, it ends when it is sure."""
+"""Sequential test: it takes stops one by one and ends as soon as it is sure."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array
 
 _FEWEST_STOPS = 6
-"""Stops from which a change is named: six numbers of a moved base, and as many that show whether they explain it."""
+"""Fewest stops to name a change: six parameters of a moved base, and as many data to show whether they explain it."""
 
 
 class SequentialTest:
-    """Feed it with stops while ``state.sure`` is false; then ask for the conclusion.
+    """Sequential test of a calibration: add stops until ``state.sure``, then ask for the conclusion.
 
-    The chance of finding a change where there is none is at most ``false_alarm`` over all stops, of calling a visible
-    change valid at most ``miss``.
+    The probability of a false alarm is at most ``false_alarm`` over all stops, that of calling a visible change valid
+    at most ``miss``.
     """
 
     def __init__(
         self, belief: CheckBelief, planned: int, *, false_alarm: float = FALSE_ALARM, miss: float = MISS
     ) -> None:
-        """``planned`` is the number of stops after which it ends in any case."""
+        """Prepare the test; it ends after ``planned`` stops at the latest."""
         self._design = design_of(belief, false_alarm, miss)
         self._planned = planned
         self._readings: dict[str, Readings] = {}
@@ -42,13 +42,13 @@ class SequentialTest:
 
     @property
     def state(self) -> SequentialState:
-        """After the stops so far."""
+        """State after the stops so far."""
         return self._standing
 
     def add(self, readings: Mapping[str, Readings]) -> SequentialState:
-        """Take one stop, or several: arm -> its readings (same ``configuration`` at the same stop) in the order of
-        measurement, with approach signs, steps, temperatures and covariance as collection logs them. An arm may be
-        missing where it was not measured.
+        """Add one or more stops: arm -> its readings (same ``configuration`` at the same stop) in the order of
+        measurement, with approach signs, steps, temperatures and covariance as logged by collection. An arm that was
+        not measured may be missing.
 
         Raises
         ------
@@ -71,12 +71,12 @@ class SequentialTest:
         return self._standing
 
     def conclusion(self) -> Conclusion:
-        """The verdict from all stops so far, with the change that explains them.
+        """Return the verdict from all stops so far, with the change that explains them.
 
         Raises
         ------
         InputError
-            Without any stop.
+            If there is no stop.
         """
         if self._stops is None:
             raise InputError("check: no stop was measured; there is nothing to conclude from")
@@ -84,7 +84,7 @@ class SequentialTest:
 
 
 def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
-    """What a check of a cell tests."""
+    """Define what a check of a cell tests: directions, alternatives, visibility."""
     directions = tuple(directions_of(belief))
     motions = calibration_motions(belief, directions)
     moved, visible = visibility(belief, directions, motions)
@@ -93,10 +93,10 @@ def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float
 
 
 def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
-    """Where the test stands after some stops."""
+    """Evaluate the test after some stops."""
     here, _ = with_station(design, stops)
     moments = Moments.of(here)
-    if stops.free and np.sum(stops.points) < FEWEST_POINTS:  # nothing tells yet where the tracker stands
+    if stops.free and np.sum(stops.points) < FEWEST_POINTS:  # too few points to locate the tracker
         return SequentialState(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
     seen = looks(moments, design.alternatives, design.visible)
     count = len(seen.log_evidence)
@@ -119,7 +119,7 @@ def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
 
 
 def decided_prefix(design: Design, stops: StopRows) -> tuple[StopRows, SequentialState]:
-    """Shortest prefix of ``stops`` at which the sequential test decides, and its state there; all are planned stops."""
+    """Find the shortest prefix of the planned ``stops`` at which the sequential test decides, and its state there."""
     planned = len(stops.stop_ends)
     first = 1
     if not design.belief.station_free:  # then the looks at fewer stops are those at all of them
@@ -133,12 +133,12 @@ def decided_prefix(design: Design, stops: StopRows) -> tuple[StopRows, Sequentia
 
 
 def _first(values: Array, chance: float) -> int:
-    """The first place where a logarithm is at least that of 1 / ``chance``; the number of values if there is none."""
+    """Return the first index with a logarithm of at least log(1 / ``chance``); the number of values if none."""
     reached = np.flatnonzero(values >= -math.log(chance))
     return int(reached[0]) if len(reached) else len(values)
 
 
 def _named(design: Design, stops: StopRows) -> bool:
-    """Whether the changes explain the stops, and more stops would not tell them from others that do as well."""
+    """Return whether the changes explain the stops and no rivals remain that more stops could exclude."""
     found = explain(design, stops)
     return found.holds and not any(cause.open_rivals for cause in found.causes)

@@ -1,9 +1,9 @@
-"""Which stops show every visible change.
+"""Choose stops that show every visible change.
 
-Stops are chosen one after another. Each direction k has the information I_k = b_k^T R^-1 b_k of one step, less what the
-motion of a tracker that was set up anew explains of it; I_k is the non-centrality of its test. A stop is worth by how
-much it lowers sum_k exp(-I_k / s), a smooth form of the least I_k: directions that are shown already weigh little. The
-uncertainty of the calibration is left out: it is a fifth of the noise where the calibration has twenty times the stops.
+Stops are chosen greedily. Each direction k has the information I_k = b_k^T R^-1 b_k of one step, minus the part that
+the motion of a tracker that was set up anew explains; I_k is the non-centrality of its test. The stop that lowers
+sum_k exp(-I_k / s) most is taken: a smooth form of the least I_k, in which well-shown directions weigh little. The
+uncertainty of the calibration is neglected: it is a fifth of the noise if the calibration has twenty times the stops.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ square of 4.0 (the corrected quantile) and 1.65 standard errors."""
 _SOFTNESS = 6.0
 """``s``: a direction with the needed information weighs 1/200 of one with none."""
 _KNOWN = 1e-6
-"""Information on a step of the tracker's motion beside the stops: keeps it solvable while one stop leaves it open."""
+"""Prior information on a step of the tracker's motion: keeps it solvable while one stop does not determine it."""
 _LEAST_INFORMATION = 1e-9
-"""Guards divisions by the information on a direction that the stops do not show at all."""
+"""Lower bound of the information in divisions, for directions that the stops do not show at all."""
 
 
 def choose_stops(
     belief: CheckBelief, candidates: Mapping[str, Array], count: int, *, start: Mapping[str, Array] | None = None
 ) -> ChosenStops:
-    """About ``count`` stops of all arms that show the least visible change as well as possible, in order.
+    """Choose ``count`` stops of all arms, in order, that show the weakest visible change as well as possible.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ def choose_stops(
         Arm -> configurations (n, N) [rad]; row k of all arms is one stop. They must be reachable and visible: the
         configurations of the calibration's own readings are.
     count : int
-        Stops to choose, at most n.
+        Number of stops; all n if there are no more.
     start : mapping, optional
-        Arm -> configuration (N,) before the first stop [rad]: tells from which side its joints approach it.
+        Arm -> configuration (N,) before the first stop [rad]: determines the approach signs of its joints.
     """
     directions = directions_of(belief)
     moved, visible = visibility(belief, directions, calibration_motions(belief, directions))
@@ -76,7 +76,7 @@ def choose_stops(
 
 
 def power_of(one: Direction, noncentrality: float, moved_m: float, visible: bool, needed: float) -> Power:
-    """How well stops show a change; ``needed`` is the non-centrality at which it is found."""
+    """Compute the power of stops to show a change; ``needed`` is the non-centrality at which it is found."""
     return Power(
         arm=one.arm,
         what=one.what,
@@ -92,7 +92,7 @@ def power_of(one: Direction, noncentrality: float, moved_m: float, visible: bool
 def _whitened(
     belief: CheckBelief, candidates: Mapping[str, Array], here: Mapping[str, Array], directions: Sequence[Direction]
 ) -> Array:
-    """Motions (C, d, n) of both arms at each candidate in units of the noise, approached from ``here``."""
+    """Compute motions (C, d, n) of all arms at each candidate in units of the noise, approached from ``here``."""
     readings = {name: _imagined(q, here.get(name)) for name, q in candidates.items()}
     conditions = conditions_now(belief, readings)
     found = []
@@ -108,7 +108,7 @@ def _whitened(
 
 
 def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementConditions) -> Measured:
-    """Imagined readings, with the orientation that the arm's model expects where a check measures it."""
+    """Convert simulated readings to vectors, with the predicted orientation if the check measures it."""
     if arm.measured.turned is not None:
         turns = arm.model.orientation(imagined.q, conditions)
         imagined = replace(imagined, quaternion_M=quaternions_of(turns))
@@ -116,12 +116,12 @@ def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementCond
 
 
 def _whitener(covariances: Array) -> Array:
-    """Whitening (3, 3) of a vector: by the mean of the covariances (n, 3, 3) of the calibration's readings."""
+    """Compute the whitening matrix (3, 3) from the mean covariance (n, 3, 3) of the calibration's readings."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(np.mean(covariances, axis=0))))
 
 
 def _imagined(q: Array, here: Array | None) -> Readings:
-    """Readings at configurations ``q`` (n, N) [rad], each approached from ``here`` (N,)."""
+    """Build hypothetical readings at configurations ``q`` (n, N) [rad], each approached from ``here`` (N,)."""
     step = np.zeros_like(q) if here is None else q - here
     return Readings(
         configuration=np.arange(len(q)),
@@ -134,18 +134,18 @@ def _imagined(q: Array, here: Array | None) -> Readings:
 
 
 def _added(G: Array, white: Array) -> Array:
-    """Information (C, n) of each direction after each of n stops with motions ``white`` (C, d, n)."""
+    """Compute the information (C, n) of each direction if one of n stops with motions ``white`` (C, d, n) is added."""
     return np.asarray(np.diag(G)[:, None] + np.einsum("kdn,kdn->kn", white, white))
 
 
 def _projected(G: Array, tracker: Sequence[int]) -> Array:
-    """Information (C,) of each direction beside an unknown tracker, of the information G (C, C) of all together."""
+    """Compute the information (C,) of each direction with an unknown tracker, from the joint information G (C, C)."""
     own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
     return np.asarray(np.diag(G) - np.einsum("tk,tk->k", G[tracker], np.linalg.solve(own, G[tracker])))
 
 
 def _beside_station(G: Array, white: Array, tracker: Sequence[int]) -> Array:
-    """``_projected`` (C, n) after each of n stops with motions ``white`` (C, d, n)."""
+    """Compute ``_projected`` (C, n) if one of n stops with motions ``white`` (C, d, n) is added."""
     rows = white[tracker]
     own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
     own = own + np.einsum("idn,jdn->nij", rows, rows)

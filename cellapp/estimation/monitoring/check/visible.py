@@ -1,4 +1,4 @@
-"""Which changes are visible: how far one step of each direction moves the SMR over the calibration's readings."""
+"""Decide which changes are visible, from the SMR's motion by one step at the calibration's readings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cellapp.robot.model import ArmModel
 
 
 def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
-    """Motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
+    """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     model, kept = _without_free_functions(arm.model, len(arm.columns))
     X = np.zeros((len(arm.covariance), len(measured), 3))
@@ -35,28 +35,28 @@ def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequ
 
 
 def _without_free_functions(model: ArmModel, geometric: int) -> tuple[ArmModel, NDArray[np.bool_]]:
-    """The model with its laws alone, and which of its parameters these are.
+    """Return the model without free functions, and the mask of the parameters that are kept.
 
-    Free functions have hundreds of values, none of which is a direction of its own; they turn the joints by some 0.1
-    mrad, which changes no motion by a thousandth.
+    Free functions have hundreds of values, none of which is a direction; they turn the joints by some 0.1 mrad, which
+    changes no motion by a thousandth.
     """
     kept = np.concatenate([np.full(geometric, True), *(np.full(len(t.names), not is_smooth(t)) for t in model.effects)])
     return replace(model, effects=tuple(term for term in model.effects if not is_smooth(term))), kept
 
 
 def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) -> dict[str, Array]:
-    """Arm -> ``motions`` at the readings of the calibration."""
+    """Compute ``motions`` of each arm at the readings of the calibration."""
     return {name: motions(belief, name, arm.measured, directions) for name, arm in belief.arms.items()}
 
 
 def visibility(
     belief: CheckBelief, directions: Sequence[Direction], moved: Mapping[str, Array]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Rms motion (C,) [m] of the SMR by one step of each direction, and which are visible.
+    """Compute the rms motion (C,) [m] of the SMR by one step of each direction, and the mask of visible ones.
 
-    What turns a probe counts by the noise of an orientation, as what moves it by that of a point. The motion of the
-    tracker that follows it best is taken off, see ``check.model``; its own is taken as it is, and is no change where it
-    was set up anew. ``moved`` are the motions at the calibration's readings.
+    Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting
+    motion of the tracker is subtracted, see ``check.model``, except from the tracker's own directions; these are not
+    visible if it was set up anew. ``moved`` are the motions at the calibration's readings.
     """
     rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
     points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
@@ -72,6 +72,6 @@ def visibility(
 
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:
-    """Motions (C, 3 n) of an arm's vectors, turns as what moves a point by as many standard deviations [m]."""
+    """Return motions (C, 3 n) [m] of an arm's vectors; rotations are scaled to equal standard deviations of a point."""
     scale = np.where(arm.measured.points, 1.0, arm.noise_m / max(arm.noise_rad, 1e-12))
     return np.asarray((moved * scale[:, None]).reshape(len(moved), -1))
