@@ -234,8 +234,7 @@ def _expected(details: ErrorDetails, at: KeyPath, document: Document) -> str:
         return f"expected {words} {context[key]:g}{unit}, got {got}"
     match kind:
         case "literal_error":
-            known = re.findall(r"'([^']*)'", str(context["expected"]))
-            near = difflib.get_close_matches(str(value), known, n=1) if len(known) > 1 else []
+            near = difflib.get_close_matches(str(value), re.findall(r"'([^']*)'", str(context["expected"])), n=1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             return f"expected {_choices(str(context['expected']))}, got {got}{hint}"
         case "too_long":
