@@ -71,6 +71,7 @@ def test_lines_are_recorded_undone_and_gone_on_with(touch: Touch, tmp_path: Path
     assert said.exit_code == 0
     assert "recorded: 2 touches of 'front_0', agree to" in said.stdout
     assert "the touch of 'front_1' (configuration 2) was taken back" in said.stdout
+    assert "3 touches recorded" in said.stdout, "the one that was taken back does not count"
     assert "touched once, which says nothing yet: front_1" in said.stdout
     result = json.loads(touch("--point", "front_1", "--json", "-").stdout)
     assert result["recorded"] == [{"configuration": 3, "point": "front_1"}]

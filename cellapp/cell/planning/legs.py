@@ -81,12 +81,9 @@ class LegPlanner:
 
     def _look_ahead(self, stops: range) -> None:
         """Draw other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
-        refused = []
-        for stop in stops:
-            own, before = self._own(stop), self._planned_before(stop)
-            if not (self._last_is_free(stop, own) and self._way_is_free(stop, before, own)):
-                refused.append(stop)
-        self._others = self._other_steps([stop for stop in refused if self._arrangement.repeat_of[stop] < 0])
+        once = [stop for stop in stops if self._arrangement.repeat_of[stop] < 0]
+        refused = [stop for stop in once if not self._is_free(stop, self._planned_before(stop), self._own(stop))]
+        self._others = self._other_steps(refused)
         some = [(stop, others[0]) for stop, others in self._others.items() if others]
         self._ask((stop, self._planned_before(stop), steps) for stop, steps in some)
 
@@ -165,7 +162,11 @@ class LegPlanner:
     def _accepts(self, stop: int, steps: Steps) -> bool:
         """Return whether the gate accepts other steps at a stop that is reached by a straight motion."""
         self._ask([(stop, self._before[stop], steps)])
-        return self._last_is_free(stop, steps) and self._way_is_free(stop, self._before[stop], steps)
+        return self._is_free(stop, self._before[stop], steps)
+
+    def _is_free(self, stop: int, here: Configuration | None, steps: Steps) -> bool:
+        """Return whether the gate accepts both motions to a stop from where the arms are."""
+        return self._last_is_free(stop, steps) and self._way_is_free(stop, here, steps)
 
     def _last_is_free(self, stop: int, steps: Steps) -> bool:
         """Return whether the gate accepts the last motion, and that of the repeat from the other side."""

@@ -72,7 +72,6 @@ class FlangeHand:
                 raise InputError(f"{self.folder}: there is no touch on arm {self.other} to take back")
             last = touches.pop(own[-1])
             _write(run, touches, f"arm {self.arm}: a touch of '{last.socket}' on arm {self.other} was taken back")
-        del self.recorded[-1:]
         return f"the touch of '{last.socket}' on arm {self.other} was taken back"
 
     def points(self) -> tuple[TouchedPoint, ...]:

@@ -122,9 +122,7 @@ class _Hand:
 
     def undo(self) -> str:
         """Remove the last touch."""
-        said = _undone(self.folder, self.profile, self.arm)
-        del self.recorded[-1:]
-        return said
+        return _undone(self.folder, self.profile, self.arm)
 
 
 def _recorded(hand: _Recorder[_T], request: TouchRequest, work: Work) -> str:
@@ -159,6 +157,7 @@ def _by_lines(hand: _Recorder[_T], work: Work) -> str:
         try:
             if word == "undo":
                 work.say(hand.undo())
+                del hand.recorded[-1:]
                 continue
             last = point = socket_name(word)
             touch = hand.touch(point)
