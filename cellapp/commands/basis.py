@@ -10,7 +10,6 @@ from dataclasses import astuple, fields
 
 import numpy as np
 
-from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, flange_touches_of
 from cellapp.cell.run.measured_again import replaced_counts
@@ -59,7 +58,7 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
     """Return the basis of a stage that is stored now; ``stages`` maps each earlier stage that it uses to its digest."""
     readings, again = {name: run.readings(name) for name in run.arms()}, replaced_counts(run)
     return Basis(
-        profile=sha256_of(profile_to_json(run.profile)),
+        profile=sha256_of(run.profile_text),
         readings={
             name: ReadingsBasis(
                 n=len(arm) + len(arm.on_flange or ()), sha256=readings_digest(arm), again=again.get(name, 0)
@@ -87,7 +86,7 @@ def counted_basis(run: RunFile) -> Basis:
     on_flange = Counter(one.arm for one in flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT)))
     counts = {name: sum(splits.values()) + on_flange[name] for name, splits in run.split_counts().items()}
     return Basis(
-        profile=sha256_of(profile_to_json(run.profile)),
+        profile=sha256_of(run.profile_text),
         readings={name: ReadingsBasis(n=n, sha256="", again=again.get(name, 0)) for name, n in counts.items()},
         recordings=recordings_basis(run),
     )

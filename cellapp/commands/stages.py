@@ -17,7 +17,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
-from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.rows import StageRow
 from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
@@ -233,7 +232,7 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel
     if model.basis is None:
         return None
     return Basis(
-        profile=sha256_of(profile_to_json(run.profile)),
+        profile=sha256_of(run.profile_text),
         readings=model.basis.readings,
         recordings=model.basis.recordings,
         stages={model.name: model.digest},

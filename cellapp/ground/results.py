@@ -113,7 +113,7 @@ class Result(Record):
 
     @classmethod
     def from_json(cls, text: str, where: str) -> Self:
-        """Read what ``to_json`` wrote.
+        """Read what ``to_json`` wrote; keys that only an earlier version had are ignored.
 
         Raises
         ------
@@ -121,7 +121,7 @@ class Result(Record):
             If the text is not such a result; the message begins with ``where``.
         """
         try:
-            return cls.model_validate_json(text)
+            return cls.model_validate_json(text, extra="ignore")
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             key = ".".join(str(part) for part in first["loc"])

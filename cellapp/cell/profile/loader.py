@@ -28,6 +28,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
+from cellapp.ground.removed import without_removed_keys
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
@@ -207,10 +208,13 @@ def profile_to_json(profile: Profile) -> str:
 
 
 def profile_from_json(text: str) -> Profile:
-    """Return the profile that ``profile_to_json`` wrote. Raises ``InputError`` for any other text."""
+    """Return the profile that ``profile_to_json`` wrote, removed keys ignored. Raise ``InputError`` for other text."""
     try:
-        return Profile.model_validate_json(text)
-    except ValidationError as error:
+        content, _ = without_removed_keys(json.loads(text))
+        return Profile.model_validate_json(json.dumps(content))
+    except (ValueError, RecursionError) as error:
+        if not isinstance(error, ValidationError):
+            raise InputError(f"stored profile: text: not JSON ({error})") from None
         first = error.errors(include_url=False)[0]
         where = ".".join(str(key) for key in first["loc"])
         hint = "; if a plug-in has that kind, install it" if first["type"] == "union_tag_invalid" else ""

@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Profile
+from cellapp.ground.removed import removed_key
 from drivers.settings import OneOf, Section
 
 Key = str | int
@@ -193,7 +194,7 @@ def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath
     at, rest = _walk(details["loc"], document.places)
     kind = details["type"]
     if kind == "extra_forbidden":
-        return at, _unknown_key(details["loc"])
+        return at, _unknown_key(details["loc"], at)
     if kind == "missing":
         return at, _missing(details["loc"], at, rest, document)
     if kind in ("union_tag_not_found", "union_tag_invalid"):
@@ -295,7 +296,9 @@ def _tuple_length(location: Sequence[Key], least: int) -> int:
     return max((len(items) for items in fixed if ... not in items), default=least)
 
 
-def _unknown_key(location: Sequence[Key]) -> str:
+def _unknown_key(location: Sequence[Key], at: KeyPath) -> str:
+    if removed := removed_key(at):
+        return removed
     known = [name for hint in _types_at(location[:-1]) for name in _fields_of(hint)]
     near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
     if near:

@@ -242,6 +242,12 @@ class RunFile:
         with self.look() as connection:
             return select_plan(connection, list(self.profile.arms))
 
+    @property
+    def profile_text(self) -> str:
+        """The stored profile, as JSON."""
+        with self.look() as connection:
+            return read_meta(connection, "profile") or ""
+
     def planned_counts(self) -> dict[str, int]:
         """Return the number of planned stops of each arm, reserves included; empty without a plan."""
         with self.look() as connection:

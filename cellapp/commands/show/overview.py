@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.unseen_arms import unseen_arms
@@ -10,6 +12,8 @@ from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.show.result import HistoryResult, LogLine, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
 from cellapp.ground.counting import counted
+from cellapp.ground.removed import without_removed_keys
+from cellapp.ground.results import STAGE_NAMES
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -21,7 +25,7 @@ def run_overview(run: RunFile) -> OverviewResult:
         profile=run.profile.name,
         arms=arms,
         in_order=read_in_order(run),
-        stages=tuple(_state(stage, stages) for stage in stages.current.values()),
+        stages=tuple(_state(stage, stages) for stage in (*stages.current.values(), *_of_removed_steps(run))),
         in_force=None if stages.in_force is None else stages.in_force.name,
         stale="" if stages.in_force is None else stages.stale_model(),
         next_verb=verb,
@@ -30,6 +34,7 @@ def run_overview(run: RunFile) -> OverviewResult:
         not_seen_at_rest={
             name: UnseenArmState(since=arm.since, reason=arm.reason) for name, arm in unseen_arms(run).items()
         },
+        ignored_keys=tuple(without_removed_keys(json.loads(run.profile_text))[1]),
     )
 
 
@@ -45,7 +50,16 @@ def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> 
     return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
 
 
+def _of_removed_steps(run: RunFile) -> list[StoredStage]:
+    """Return the newest stage of each step that only an earlier version had."""
+    return list({stage.name: stage for stage in read_history(run) if stage.name not in STAGE_NAMES}.values())
+
+
 def _state(stage: StoredStage, stages: RunStages) -> StageState:
+    if stage.name not in STAGE_NAMES:
+        return StageState.like(
+            stage, rests_on=_rests_on(stage), out_of_date="an earlier version made it; this one has no such step"
+        )
     current = stages.current.get(stage.name)
     superseded = current is None or current.number != stage.number
     return StageState.like(

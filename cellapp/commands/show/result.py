@@ -17,11 +17,12 @@ class StageState(Record):
     """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
 
     ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
-    stage holds; ``superseded`` says that a later stage of the same name exists.
+    stage holds; ``superseded`` says that a later stage of the same name exists. A step of which only an earlier version
+    knew has its name.
     """
 
     number: int
-    name: StageName
+    name: str
     written: str
     program: str
     digest: str
@@ -42,7 +43,8 @@ class OverviewResult(Result, schema="cellapp-overview"):
 
     ``in_order`` maps arms to what an import derived from their order of measurement. ``complaints`` says what is out of
     date: stages, the page, the certificate. ``stale`` says why the model in force should not be used as it is; empty if
-    it may. ``not_seen_at_rest`` has the arms that must be treated as moving.
+    it may. ``not_seen_at_rest`` has the arms that must be treated as moving, ``ignored_keys`` those of
+    the stored profile that only an earlier version had.
     """
 
     run: str
@@ -56,6 +58,7 @@ class OverviewResult(Result, schema="cellapp-overview"):
     next_step: str
     complaints: tuple[str, ...] = ()
     not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+    ignored_keys: tuple[str, ...] = ()
 
 
 class RecordingsResult(Result, schema="cellapp-recordings"):

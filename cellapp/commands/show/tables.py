@@ -9,6 +9,7 @@ from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
+from cellapp.ground.removed import VERSION
 from cellapp.ground.times import second_of
 
 
@@ -42,6 +43,10 @@ def overview_sentences(state: OverviewResult) -> list[str]:
     sentences = [
         *(unseen_sentence(name, arm, state.run) for name, arm in state.not_seen_at_rest.items()),
         *order_sentences(state.in_order),
+        *(
+            f"the stored profile has {key}, which version {VERSION} ignores: it was removed"
+            for key in state.ignored_keys
+        ),
         *(f"OUT OF DATE: {one}" for one in state.complaints),
     ]
     if state.in_force is not None:

@@ -8,6 +8,8 @@ import typer
 from typer.core import TyperGroup
 
 from cellapp.commands.folders import FOLDERS, help_of, name_of
+from cellapp.ground.errors import InputError
+from cellapp.ground.removed import removed_command
 from cellapp.ground.version import __version__
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.request_commands import REQUESTS
@@ -16,8 +18,13 @@ HELP_OPTIONS = ["-h", "--help"]
 TRIALS = "Trials on simulated cells and measured series."
 
 
-class _InOrder(TyperGroup):
-    """A group that lists commands and subgroups together in the order of the work."""
+class InOrder(TyperGroup):
+    """A group that lists commands and subgroups in the order of the work, and answers for removed commands."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if removed := removed_command(" ".join([*ctx.command_path.split()[1:], cmd_name])):
+            raise InputError(removed)
+        return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
         work = [name_of(folder) for folder in FOLDERS]
@@ -33,7 +40,7 @@ def _print_version(wanted: bool) -> None:
 def top() -> Commands:
     """Create the program without its commands."""
     app = Commands(
-        cls=_InOrder,
+        cls=InOrder,
         help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
         no_args_is_help=False,
         pretty_exceptions_enable=False,

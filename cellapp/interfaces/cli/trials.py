@@ -14,13 +14,13 @@ from cellapp.ground.outputs import Writes
 from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.options import ProfilePath
-from cellapp.interfaces.cli.top import TRIALS
+from cellapp.interfaces.cli.top import TRIALS, InOrder
 from cellapp.interfaces.cli.trial_command import trial
 
 if TYPE_CHECKING:
     from cellapp.commands.trials.skeleton import Stated, Work
 
-trials_app = Commands(help=TRIALS, no_args_is_help=True)
+trials_app = Commands(cls=InOrder, help=TRIALS, no_args_is_help=True)
 SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
 DEFAULT_CELL = Path("profiles/twin.yaml")
 DrawnCells = Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")]

@@ -1,0 +1,75 @@
+"""What earlier versions had is answered by what to do instead; what they stored opens."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from contextlib import closing
+
+import pytest
+import yaml
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.show.overview import run_history, run_overview
+from cellapp.commands.show.tables import overview_sentences, overview_tables
+from cellapp.ground import removed
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.cli.app import app
+from tests.twin import PROFILES
+
+KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
+
+
+@pytest.fixture
+def some_removed(monkeypatch):
+    monkeypatch.setattr(removed, "COMMANDS", {"dance": "use 'cellapp run'", "trials dance": "use 'cellapp run'"})
+    monkeypatch.setattr(removed, "PROFILE_KEYS", KEYS)
+
+
+@pytest.mark.parametrize("command", ["dance", "trials dance"])
+def test_a_removed_command_says_what_to_do_instead(some_removed, command):
+    with pytest.raises(InputError, match=rf"^'cellapp {command}' was removed in [\d.]+: use 'cellapp run'$") as error:
+        app([*command.split(), "--option"], prog_name="cellapp", standalone_mode=False)
+    assert error.value.exit_code == 2
+
+
+def test_every_removed_command_says_something_else_that_is_there():
+    for name, instead in removed.COMMANDS.items():
+        assert instead.strip().rstrip(".") == instead, name
+
+
+def test_a_removed_key_of_a_users_profile_is_refused_by_name(some_removed, tmp_path):
+    content = yaml.safe_load((PROFILES / "twin.yaml").read_text("utf-8"))
+    content["magic"] = 1
+    for arm in content["arms"].values():
+        arm["type"] = str(PROFILES / arm["type"])
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump(content), "utf-8")
+    with pytest.raises(InputError, match=r"cell\.yaml:\d+: magic: was removed in [\d.]+: nothing takes its place"):
+        load_profile(path)
+
+
+def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed, tmp_path):
+    profile = load_profile(PROFILES / "twin.yaml")
+    with RunFile.create(tmp_path / "run", profile) as run:
+        path = run.path
+        run.append_stage("dance", None, "{}", None)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        ((text,),) = connection.execute("SELECT value FROM meta WHERE key = 'profile'")
+        content = json.loads(text)
+        content["magic"] = 1
+        content["arms"]["left"]["teleport"] = {"far": True}
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'profile'", (json.dumps(content),))
+    with RunFile.open(path.parent) as run:
+        assert run.profile == profile
+        state, history = run_overview(run), run_history(run)
+    assert set(state.ignored_keys) == {
+        "magic",
+        "arms.left.teleport",
+    }
+    assert [one.out_of_date for one in (*state.stages, *history.stages)] == [
+        "an earlier version made it; this one has no such step"
+    ] * 2
+    assert any("arms.left.teleport" in sentence for sentence in overview_sentences(state))
+    assert any("dance" in str(table) for table in overview_tables(state))
