@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
+from cellapp.estimation.discovery.joint_fit import JointFit, refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import corrected_p_value
@@ -168,13 +168,6 @@ class SearchResult:
     def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
         """Return this result with another fit of the final model."""
         return replace(self, data=data, fit=fit, reviews=reviews, posteriors=None)
-
-    def without_terms(self) -> SearchResult:
-        """Return this result with the geometry alone; all terms count as dropped."""
-        dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        # the geometry fit of the search may have used only some of the readings
-        bare = fit_terms(self.data, ())
-        return replace(self.with_fit(self.data, bare, ()), geometry_only=bare, dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:

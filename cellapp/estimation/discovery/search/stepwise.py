@@ -18,7 +18,7 @@ from functools import cache, partial
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.candidates import LawScore
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, reweighted
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, reweighted
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
@@ -173,12 +173,6 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
     if rest.data.points is None:
         rest = reviewed(problem, _with_library_effects(problem, rest))
     return problem, rest
-
-
-def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
-    """Fit the outcome of a search on some readings to all of them."""
-    here, fit = refit(data.at(found.fit.model), found.fit.terms)
-    return found.with_fit(here, fit, found.reviews)
 
 
 @dataclass
