@@ -11,12 +11,14 @@ import pytest
 
 from cellapp.commands.trials.league.series import draw_rows, load_entrant
 from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.gauss_newton import minimise
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
@@ -77,14 +79,13 @@ def test_a_start_far_from_the_solution_reaches_the_same_minimum():
 
 
 def test_no_step_of_the_fit_to_all_raises_its_objective(monkeypatch):
-    seen = []
+    seen: list[tuple[float, float, bool]] = []
 
     def watched(problem, start, **settings):
         found = minimise(problem, start, **settings)
         seen.append((problem.objective(start), problem.objective(found.point), found.converged))
         return found
 
-    minimise = all_readings.minimise
     monkeypatch.setattr(all_readings, "minimise", watched)
     result = searched()
     fit_to_all(result.search, result.data, result.search.threshold)
@@ -95,11 +96,12 @@ def test_no_step_of_the_fit_to_all_raises_its_objective(monkeypatch):
 
 def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said(monkeypatch):
     profile, name, model, readings, conditions = drawn()
+    found = searched().search
     monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
-    monkeypatch.setattr(discover, "search", lambda *_: searched().search)
+    monkeypatch.setattr(discover, "search", lambda *_: found)
     monkeypatch.setattr(all_readings, "_MOST_STEPS", 1)
     result = discover_arm(profile, name, model, readings, conditions=conditions).result
-    assert [one.effect for one in result.accepted] == [term.slug for term in searched().search.fit.terms]
+    assert [one.effect for one in result.accepted] == [term.slug for term in found.fit.terms]
     assert result.heldout_mm.after < 0.5 * result.heldout_mm.before
     assert f"the model rests on {SEARCHED} of {ROWS} readings" in result.sentence
     assert "no finding" in result.sentence
@@ -132,7 +134,7 @@ def test_only_terms_that_predict_worse_are_removed():
 def test_gross_errors_beyond_the_searched_rows_need_no_other_search(monkeypatch):
     profile, name, model, readings, conditions = drawn()
     monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
-    searches, search = [], discover.search
+    searches: list[int] = []
 
     def counted(data: ArmData, *rest):
         searches.append(len(data))
