@@ -25,3 +25,14 @@ class HardwareError(CellappError):
     """A device refused or faulted."""
 
     exit_code = 3
+
+
+class NotConverged(CellappError):
+    """A fit did not converge: an error of the program, which says nothing about the arm, the cell or the readings."""
+
+    exit_code = 1
+
+    @classmethod
+    def of(cls, fit: str, why: str, do: str = "please report it, with the run") -> NotConverged:
+        """Return the error of ``fit``, such as "fit of the tracker's station", with its reason and what to do."""
+        return cls(f"the {fit} did not converge: {why}; this is a failure of the program and no finding; {do}")

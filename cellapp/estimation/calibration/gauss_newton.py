@@ -9,12 +9,14 @@ and removed again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import Array
 
 Point = TypeVar("Point")
@@ -62,36 +64,82 @@ class Minimum(Generic[Point]):
     converged: bool
     message: str
 
+    def settled(self, fit: str) -> Minimum[Point]:
+        """Return this; raise ``NotConverged`` with the name of the ``fit`` if it did not converge."""
+        if not self.converged:
+            raise NotConverged.of(fit, self.message)
+        return self
+
 
 def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_iterations: int) -> Minimum[Point]:
-    """Iterate from ``start`` until the next step is at most ``tolerance``.
+    """Iterate from ``start`` until the next step, undamped, is at most ``tolerance``.
 
-    That last step is not taken, so that residuals, gradient and parameters of the result are consistent.
+    That last step is not taken, so that residuals, gradient and parameters of the result are consistent. No step raises
+    the objective, with the weights it was computed with, above rounding, and all steps together do not raise it: if
+    steps that are too small to be tested do so, the start is returned.
     """
-    point = problem.reweighted(start)
+    first = point = problem.reweighted(start)
     sizes: list[float] = []
-    damping, last = 0.0, None
+    damping, last, fallen, flat = _Damping(), None, 0.0, False
+
+    def ended(message: str, *, converged: bool) -> Minimum[Point]:
+        return Minimum(point if fallen >= 0.0 else first, tuple(sizes), converged, message)
+
     for _ in range(max_iterations):
-        step, scaled = problem.step(point, damping)
+        step, scaled = problem.step(point, damping.value)
         size = float(np.max(np.abs(scaled)))
         sizes.append(size)
         if size <= tolerance:
-            return Minimum(point, tuple(sizes), True, f"converged: the next step is below {tolerance:g}")
-        tried = [step] if last is None or damping > 0.0 else [*last.secant(step, scaled), step]
-        for taken in tried:
+            if damping.value > 0.0:  # a step that is short because it is damped is no sign of a minimum
+                size = float(np.max(np.abs(problem.step(point, 0.0)[1])))
+            if size <= tolerance:
+                return ended(f"converged: the next step is below {tolerance:g}", converged=True)
+            return ended(f"no step lowers the objective; the next would be {size:.1e} long", converged=False)
+        now = problem.objective(point)
+        for taken in [step] if last is None or damping.value > 0.0 else [*last.secant(step, scaled), step]:
             trial = problem.moved(point, taken)
-            worse = problem.objective(trial) > problem.objective(point) * (1.0 + _ROUNDING)
-            if not worse or size <= _NEGLIGIBLE_STEP:
+            rise = problem.objective(trial) - now
+            if rise <= _ROUNDING * now or (size <= _NEGLIGIBLE_STEP and math.isfinite(rise)):
                 break
         else:
-            last, damping = None, max(_FIRST_DAMPING, 10.0 * damping)
-            if damping > _MOST_DAMPING:
-                return Minimum(point, tuple(sizes), False, "not converged: no step improves the fit")
+            last = None
+            if not damping.after_failure():
+                return ended("no step lowers the objective", converged=False)
             continue
+        fallen, flat = fallen - rise, abs(rise) <= _ROUNDING * now and damping.value < _NO_DAMPING
         last = _Step(step, scaled, taken)
-        damping = 0.0 if damping < _NO_DAMPING else damping / 10.0
+        damping.after_success()
         point = problem.reweighted(trial)
-    return Minimum(point, tuple(sizes), False, f"not converged after {max_iterations} iterations")
+    if flat:
+        return ended("converged: steps change the objective by its rounding only", converged=True)
+    return ended(f"{max_iterations} steps were not enough; the last was {sizes[-1]:.1e} long", converged=False)
+
+
+@dataclass
+class _Damping:
+    """Damping of the next step; ``least`` is that below which it is dropped.
+
+    If undamped steps fail again and again, the direction that they follow is hardly determined: the damping then goes
+    down further before it is dropped, and starts from where it was good enough.
+    """
+
+    value: float = 0.0
+    least: float = _NO_DAMPING
+    _again: bool = False
+
+    def after_failure(self) -> bool:
+        """Raise the damping; return whether a descent direction may be left."""
+        if self.value > 0.0:
+            self.value *= 10.0
+        elif self._again:
+            self.value, self.least = self.least, 1e-3 * self.least
+        else:
+            self.value, self._again = _FIRST_DAMPING, True
+        return self.value <= _MOST_DAMPING
+
+    def after_success(self) -> None:
+        """Lower the damping, or drop it."""
+        self.value = 0.0 if self.value < self.least else self.value / 10.0
 
 
 @dataclass(frozen=True)
