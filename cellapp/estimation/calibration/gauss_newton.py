@@ -10,10 +10,13 @@ and removed again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+import scipy
 
 from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.ground.errors import NotConverged
@@ -113,6 +116,71 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
     if flat:
         return ended("converged: steps change the objective by its rounding only", converged=True)
     return ended(f"{max_iterations} steps were not enough; the last was {sizes[-1]:.1e} long", converged=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised(Generic[Point]):
+    """A state with its residuals r (d,), their derivatives A (d, k), and a factor L (d, d) of their covariance.
+
+    A step x leaves ``r - A x``. L is lower triangular; None for the identity.
+    """
+
+    state: Point
+    r: Array
+    A: Array
+    L: Array | None = None
+
+    @cached_property
+    def white(self) -> tuple[Array, Array]:
+        """``L^-1 r`` and ``L^-1 A``."""
+        if self.L is None:
+            return self.r, self.A
+        both = scipy.linalg.solve_triangular(self.L, np.column_stack([self.A, self.r]), lower=True)
+        return both[:, -1], both[:, :-1]
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares(Generic[Point]):
+    """Problem of few parameters for ``minimise``: least ``|L^-1 r|^2`` over states of any kind.
+
+    Attributes
+    ----------
+    linearised : callable
+        State -> residuals r (d,) and derivatives A (d, k), as in ``Linearised``.
+    after : callable
+        State and step (k,) [m, rad] -> state after the step.
+    factor : callable, optional
+        State -> factor L of the covariance of r there; it is that of the state from which a step starts.
+    """
+
+    linearised: Callable[[Point], tuple[Array, Array]]
+    after: Callable[[Point, Array], Point]
+    factor: Callable[[Point], Array] | None = None
+
+    def best(self, fit: str, start: Point, *, tolerance: float = 1e-10, max_iterations: int = 50) -> Minimum[Any]:
+        """Return the minimum, with a ``Linearised`` state; raise ``NotConverged`` with the name of the ``fit``."""
+        first = Linearised(start, *self.linearised(start))
+        return minimise(self, first, tolerance=tolerance, max_iterations=max_iterations).settled(fit)
+
+    def reweighted(self, point: Linearised[Point]) -> Linearised[Point]:
+        """Return the point with the covariance there."""
+        return point if self.factor is None else replace(point, L=self.factor(point.state))
+
+    def step(self, point: Linearised[Point], damping: float) -> tuple[Array, Array]:
+        """Compute the damped step; lengths and angles count alike."""
+        r, A = point.white
+        step = damped_step(A.T @ A, A.T @ r, damping)
+        return step, step
+
+    def moved(self, point: Linearised[Point], step: Array) -> Linearised[Point]:
+        """Return the point after a step, with the same covariance."""
+        state = self.after(point.state, step)
+        return Linearised(state, *self.linearised(state), point.L)
+
+    def objective(self, point: Linearised[Point]) -> float:
+        """Compute ``|L^-1 r|^2``."""
+        r, _ = point.white
+        return float(r @ r)
 
 
 @dataclass

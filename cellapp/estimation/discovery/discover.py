@@ -369,6 +369,8 @@ def _with_what_was_left_out(sentence: str, result: Searched) -> str:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
         )
+    if result.judged.not_fitted:
+        sentence = f"{sentence}; not judged, as no fit of it converged: {', '.join(result.judged.not_fitted)}"
     return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
 
 
