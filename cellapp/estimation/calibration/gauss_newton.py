@@ -149,13 +149,13 @@ class LeastSquares(Generic[Point]):
         State -> residuals r (d,) and derivatives A (d, k), as in ``Linearised``.
     after : callable
         State and step (k,) [m, rad] -> state after the step.
-    factor : callable, optional
-        State -> factor L of the covariance of r there; it is that of the state from which a step starts.
+    factor : array, shape (d, d), or callable, optional
+        Factor L of the covariance of r, or state -> L there; it is that of the state from which a step starts.
     """
 
     linearised: Callable[[Point], tuple[Array, Array]]
     after: Callable[[Point, Array], Point]
-    factor: Callable[[Point], Array] | None = None
+    factor: Callable[[Point], Array] | Array | None = None
 
     def best(self, fit: str, start: Point, *, tolerance: float = 1e-10, max_iterations: int = 50) -> Minimum[Any]:
         """Return the minimum, with a ``Linearised`` state; raise ``NotConverged`` with the name of the ``fit``."""
@@ -164,7 +164,7 @@ class LeastSquares(Generic[Point]):
 
     def reweighted(self, point: Linearised[Point]) -> Linearised[Point]:
         """Return the point with the covariance there."""
-        return point if self.factor is None else replace(point, L=self.factor(point.state))
+        return replace(point, L=self.factor(point.state) if callable(self.factor) else self.factor)
 
     def step(self, point: Linearised[Point], damping: float) -> tuple[Array, Array]:
         """Compute the damped step; lengths and angles count alike."""

@@ -172,16 +172,22 @@ class _Problem:
         rows_L, rows_R = [self.left.place[a] for a, _ in ends], [self.right.place[b] for _, b in ends]
         p_L, p_R, n = self.left.at_B[rows_L], self.right.at_B[rows_R], len(self.common)
         T = np.asarray(register(p_R[:n], p_L[:n])) if n >= 3 else start
-        _, A, _ = self._linearised(T, p_L, p_R, rows_L, rows_R)
         lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
-        sizes = np.linalg.svd(A / lever, compute_uv=False)
-        if len(A) < 6 or sizes[5] < UNSEEN * sizes[0]:
+
+        def seen(T: Array) -> bool:
+            _, A, _ = self._linearised(T, p_L, p_R, rows_L, rows_R)
+            sizes = np.linalg.svd(A / lever, compute_uv=False)
+            return len(A) >= 6 and bool(sizes[5] >= UNSEEN * sizes[0])
+
+        if not seen(T):
             return None
         best = LeastSquares(
             lambda T: self._linearised(T, p_L, p_R, rows_L, rows_R)[:2],
             after_twist,
             lambda T: np.linalg.cholesky(self._linearised(T, p_L, p_R, rows_L, rows_R)[2]),
         ).best("tie of the bases by touched points", T)
+        if not seen(best.point.state):
+            return None
         left, A = best.point.white
         excess = max(float(left @ left) / max(len(left) - 6, 1), 1.0)
         return best.point.state, np.asarray(excess * np.linalg.inv(A.T @ A), dtype=np.float64), len(best.steps)

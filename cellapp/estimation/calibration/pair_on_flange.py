@@ -240,7 +240,7 @@ def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) ->
 
     if not seen(guess):
         return None
-    problem = LeastSquares(rows.linearised, FlangeFit.after, None if L is None else lambda _: L)
+    problem = LeastSquares(rows.linearised, FlangeFit.after, L)
     best = problem.best("tie of the bases by sockets on a flange", guess)
     fit: FlangeFit = replace(best.point.state, steps=len(best.steps))
     return fit if seen(fit) else None
