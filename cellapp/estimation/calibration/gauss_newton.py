@@ -30,6 +30,8 @@ _NO_DAMPING = 1e-6
 """Damping below which it is dropped: it changes a step by less than a millionth."""
 _MOST_DAMPING = 1e8
 """Largest damping. Steps are then 1e-8 of a Gauss-Newton step: no descent direction is left."""
+_HALVINGS = 30
+"""Most halvings of a step: a billionth of it is then left."""
 _ROUNDING = 1e-9
 """Relative rise of the objective below which the fit is not worse: its sum rounds by as much."""
 _NEGLIGIBLE_STEP = 1e-7
@@ -116,6 +118,16 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
     if flat:
         return ended("converged: steps change the objective by its rounding only", converged=True)
     return ended(f"{max_iterations} steps were not enough; the last was {sizes[-1]:.1e} long", converged=False)
+
+
+def shortened(fit: str, step: Array, loss: Callable[[Array], float]) -> Array:
+    """Return a ``step`` (k,), halved until the ``loss`` after it is not above that at zero; else ``NotConverged``."""
+    most = loss(np.zeros(len(step))) * (1.0 + _ROUNDING)
+    for _ in range(_HALVINGS):
+        if loss(step) <= most:  # False at NaN
+            return step
+        step = 0.5 * step
+    raise NotConverged.of(fit, "no step lowers the objective")
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,8 +34,8 @@ LARGE_M = 5e-4
 _STEPS = 9
 """Gauss-Newton steps at most; two to four are usual."""
 _UNRESOLVED = 0.1, 1e-6
-"""Rise of chi-squared, and share of it, that no reading resolves. Along a motion that K leaves free, as that of a tracker
-that was set up anew, it is flat, and the second order of a step raises it by some thousandths."""
+"""Rise of chi-squared, and share of it, that no reading resolves. Along a motion that K leaves free, as that of a
+tracker that was set up anew, it is flat, and the second order of a step raises it by some thousandths."""
 _SMALL = 1e-4
 """Change in steps of what has to be detected that ends them: 5 nm."""
 
