@@ -184,7 +184,9 @@ class _Problem:
         best = LeastSquares(
             lambda T: self._linearised(T, p_L, p_R, rows_L, rows_R)[:2],
             after_twist,
-            lambda T: np.linalg.cholesky(self._linearised(T, p_L, p_R, rows_L, rows_R)[2]),
+            lambda T: np.asarray(
+                np.linalg.cholesky(self._linearised(T, p_L, p_R, rows_L, rows_R)[2]), dtype=np.float64
+            ),
         ).best("tie of the bases by touched points", T)
         if not seen(best.point.state):
             return None

@@ -293,9 +293,8 @@ def _fit(problem: _Problem, state: _State) -> StationFit:
     for _ in range(_REWEIGHTED):
         noise, drawn = _uncertainty(problem, state)
         L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
-        with_prior = (
-            L if problem.rough is None else scipy.linalg.block_diag(L, np.linalg.cholesky(problem.rough.covariance))
-        )
+        of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
+        with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
         least_squares = LeastSquares(partial(_with_prior, problem), lambda one, step: one.moved(step, kind), with_prior)
         best = least_squares.best(f"fit of the tracker's station{what}", state, tolerance=_SMALL_STEP).point
         state = best.state

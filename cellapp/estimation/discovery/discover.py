@@ -51,6 +51,7 @@ from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
+from cellapp.ground.errors import with_not_fitted
 from cellapp.ground.memory import give_back
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -369,8 +370,7 @@ def _with_what_was_left_out(sentence: str, result: Searched) -> str:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
         )
-    if result.judged.not_fitted:
-        sentence = f"{sentence}; not judged, as no fit of it converged: {', '.join(result.judged.not_fitted)}"
+    sentence = with_not_fitted(sentence, result.judged.not_fitted)
     return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
 
 

@@ -12,7 +12,7 @@ from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
-from cellapp.ground.errors import NotConverged
+from cellapp.ground.errors import tried
 from cellapp.ground.memory import give_back
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
@@ -20,7 +20,7 @@ from cellapp.robot.effects.contradiction import is_contradiction
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
-Tried = TypeVar("Tried")
+Found = TypeVar("Found")
 
 SCORE_MARGIN = 10.0
 """Difference of scores that counts as very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773: twice the
@@ -99,13 +99,9 @@ class SearchProblem:
     say: Callable[[str], None]
     not_fitted: list[str] = field(default_factory=list)
 
-    def tried(self, what: str, candidate: Callable[[], Tried | None]) -> Tried | None:
+    def tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
         """Return what a ``candidate`` leads to; None, and ``what`` is noted, if a fit of it does not converge."""
-        try:
-            return candidate()
-        except NotConverged:
-            self.not_fitted.append(what)
-            return None
+        return tried(what, candidate, self.not_fitted)
 
     def p_value(self, score: float) -> float:
         """Return the probability of a score at least this large without effects, corrected for the whole scan."""

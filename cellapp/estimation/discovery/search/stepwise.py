@@ -303,7 +303,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchS
         if after is None and step.slug not in state.slugs:
             problem = replace(problem, slugs=tuple(slug for slug in problem.slugs if slug != step.slug))
             continue
-        if step.slug in state.slugs and (after is None or best_state([after, state]) is state):
+        if after is None or (step.slug in state.slugs and best_state([after, state]) is state):
             refining = False  # the refinement was better only in the linear scan
             continue
         state.give_up_scan()
