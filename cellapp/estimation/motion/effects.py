@@ -332,18 +332,26 @@ class _Search:
         return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
 
     def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Repeat the fit with updated shapes of ``steps`` until these settle."""
+        """Repeat the fit with updated shapes of ``steps`` until these settle.
+
+        Shapes that the recordings hardly determine may not: the round with the least held-out error counts then, and
+        what was not settled is noted.
+        """
+        best = state, steps
         for _ in range(_SHAPED_ROUNDS):
             before = [step.terms for step in steps]
             after = [reshaped(terms, values_of(state, terms)[0].tolist()) for terms in before]
             if all(settled(new, old) for new, old in zip(after, before)):
-                break
+                return state, steps
             steps = [replace(step, terms=terms) for step, terms in zip(steps, after)]
             renamed = {old: new for step, terms in zip(steps, before) for old, new in zip(terms, step.terms)}
             terms = tuple(renamed.get(term, term) for term in state.problem.layout.terms)
             self.told("shapes of laws")
             state = self._state(state.problem.with_shapes(terms), started(state, terms))
-        return state, steps
+            best = min(best, (state, steps), key=lambda one: one[0].heldout_mm)
+        shaped = dict.fromkeys(step.law.value for step in steps if any(term.shape for term in step.terms))
+        self.not_fitted.append(f"exact shape of {', '.join(shaped)}")
+        return best
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
