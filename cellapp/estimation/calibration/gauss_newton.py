@@ -10,7 +10,7 @@ and removed again after steps that succeed. Source: Marquardt, J. SIAM 11 (1963)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
@@ -34,6 +34,10 @@ _HALVINGS = 30
 """Most halvings of a step: a billionth of it is then left."""
 _ROUNDING = 1e-9
 """Relative rise of the objective below which the fit is not worse: its sum rounds by as much."""
+_NO_GAIN = 1e-5
+"""Share of the objective that the next step must promise: chance changes a chi-squared by a hundredth of itself."""
+_SMALLEST = 1e-300
+"""Guards a division by an objective of zero."""
 _NEGLIGIBLE_STEP = 1e-7
 """Size below which steps are not tested, 0.1 um (0.1 urad): the objective does not resolve them."""
 _SLOW = 0.1
@@ -49,6 +53,10 @@ class Problem(Protocol[Point]):
 
     def step(self, point: Point, damping: float) -> tuple[Array, Array]:
         """Compute the damped Gauss-Newton step (k,), and the same in metres (radians) at the scale of the arm (k,)."""
+        ...
+
+    def promise(self, point: Point, step: Array) -> float:
+        """Compute by how much a Gauss-Newton step would lower the objective if the residuals were linear."""
         ...
 
     def moved(self, point: Point, step: Array) -> Point:
@@ -81,43 +89,48 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
 
     That last step is not taken, so that residuals, gradient and parameters of the result are consistent. No step raises
     the objective, with the weights it was computed with, above rounding, and all steps together do not raise it: if
-    steps that are too small to be tested do so, the start is returned.
+    steps that are too small to be tested do so, the start is returned. Where steps fail or are used up, the iteration
+    has converged nevertheless if the next one promises nothing: it follows a direction that is not determined.
     """
     first = point = problem.reweighted(start)
     sizes: list[float] = []
-    damping, last, fallen, flat = _Damping(), None, 0.0, False
+    damping, last, fallen = _Damping(), None, 0.0
 
-    def ended(message: str, *, converged: bool) -> Minimum[Point]:
+    def ended(message: str, *, converged: bool = False) -> Minimum[Point]:
+        if not converged:
+            step, scaled = problem.step(point, 0.0)
+            share = problem.promise(point, step) / max(problem.objective(point), _SMALLEST)
+            converged = share <= _NO_GAIN
+            message += f"; the next step, {np.max(np.abs(scaled)):.1e} long, promises {share:.1e} of the objective"
+            message = f"converged: {message}" if converged else message
         return Minimum(point if fallen >= 0.0 else first, tuple(sizes), converged, message)
 
     for _ in range(max_iterations):
         step, scaled = problem.step(point, damping.value)
-        size = float(np.max(np.abs(scaled)))
+        size, shorter = float(np.max(np.abs(scaled))), False
+        if size <= tolerance and damping.value > 0.0:  # short by damping alone? Then go a part of the way undamped
+            step, scaled = problem.step(point, 0.0)
+            size, shorter = float(np.max(np.abs(scaled))), True
         sizes.append(size)
         if size <= tolerance:
-            if damping.value > 0.0:  # a step that is short because it is damped is no sign of a minimum
-                size = float(np.max(np.abs(problem.step(point, 0.0)[1])))
-            if size <= tolerance:
-                return ended(f"converged: the next step is below {tolerance:g}", converged=True)
-            return ended(f"no step lowers the objective; the next would be {size:.1e} long", converged=False)
+            return ended(f"converged: the next step is below {tolerance:g}", converged=True)
         now = problem.objective(point)
-        for taken in [step] if last is None or damping.value > 0.0 else [*last.secant(step, scaled), step]:
+        secants = () if damping.value > 0.0 else _secants(last, step, scaled)
+        for taken in _parts(step, size, tolerance) if shorter else (*secants, step):
             trial = problem.moved(point, taken)
             rise = problem.objective(trial) - now
             if rise <= _ROUNDING * now or (size <= _NEGLIGIBLE_STEP and math.isfinite(rise)):
                 break
         else:
             last = None
-            if not damping.after_failure():
-                return ended("no step lowers the objective", converged=False)
+            if shorter or not damping.after_failure():
+                return ended("no step lowers the objective")
             continue
-        fallen, flat = fallen - rise, abs(rise) <= _ROUNDING * now and damping.value < _NO_DAMPING
-        last = _Step(step, scaled, taken)
+        fallen -= rise
+        last = None if shorter else _Step(step, scaled, taken)
         damping.after_success()
         point = problem.reweighted(trial)
-    if flat:
-        return ended("converged: steps change the objective by its rounding only", converged=True)
-    return ended(f"{max_iterations} steps were not enough; the last was {sizes[-1]:.1e} long", converged=False)
+    return ended(f"{max_iterations} steps were not enough")
 
 
 def shortened(fit: str, step: Array, loss: Callable[[Array], float]) -> Array:
@@ -184,6 +197,11 @@ class LeastSquares(Generic[Point]):
         step = damped_step(A.T @ A, A.T @ r, damping)
         return step, step
 
+    def promise(self, point: Linearised[Point], step: Array) -> float:
+        """Compute by how much a Gauss-Newton step would lower the objective if the residuals were linear."""
+        r, A = point.white
+        return float(step @ A.T @ r)
+
     def moved(self, point: Linearised[Point], step: Array) -> Linearised[Point]:
         """Return the point after a step, with the same covariance."""
         state = self.after(point.state, step)
@@ -230,13 +248,23 @@ class _Step:
     scaled: Array
     taken: Array
 
-    def secant(self, step: Array, scaled: Array) -> tuple[Array, ...]:
-        """Predict the next step (k,) if steps change linearly along the one taken; empty if they shrink fast anyway."""
-        change = scaled - self.scaled
-        if np.linalg.norm(scaled) < _SLOW * np.linalg.norm(self.scaled) or not change.any():
-            return ()
-        share = float(scaled @ change) / float(change @ change)
-        return (step - share * (self.taken + step - self.step),)
+
+def _secants(last: _Step | None, step: Array, scaled: Array) -> tuple[Array, ...]:
+    """Predict the next step (k,) if steps change linearly along the ``last``; empty if they shrink fast anyway."""
+    if last is None:
+        return ()
+    change = scaled - last.scaled
+    if np.linalg.norm(scaled) < _SLOW * np.linalg.norm(last.scaled) or not change.any():
+        return ()
+    share = float(scaled @ change) / float(change @ change)
+    return (step - share * (last.taken + step - last.step),)
+
+
+def _parts(step: Array, size: float, tolerance: float) -> Iterator[Array]:
+    """Halve an undamped step (k,), as long as it is longer than the tolerance."""
+    while size > tolerance:
+        step, size = 0.5 * step, 0.5 * size
+        yield step
 
 
 def damped_step(A: Array, b: Array, damping: float) -> Array:

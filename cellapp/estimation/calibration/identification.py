@@ -384,8 +384,14 @@ class _Problem:
         freedom = self._degrees_of_freedom(point, by_priors)
         return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
+    def _right(self, point: Estimate) -> Array:
+        return np.asarray(point.normal.b / point.variance + point.precision * (self.mean - point.values))
+
+    def promise(self, point: Estimate, step: Array) -> float:
+        return float(step @ self._right(point))
+
     def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
-        b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
+        b = self._right(point)
         unit = point.normal.unit
         if point.eliminated is not None and damping == 0.0:
             step = point.eliminated.solve(unit * b, point.geometric_priors(len(self.parameters.columns)))

@@ -38,8 +38,11 @@ def test_the_end_is_never_above_the_start_and_says_whether_it_converged(start: l
 
 
 def test_a_fit_that_did_not_converge_is_an_error_of_the_program_with_its_name() -> None:
-    with pytest.raises(NotConverged, match=r"fit of a valley did not converge: 2 steps .* last .* no finding") as error:
-        LeastSquares(valley, np.add).best("fit of a valley", np.array([-1.2, 1.0]), max_iterations=2)
+    problem = LeastSquares(valley, np.add)
+    with pytest.raises(
+        NotConverged, match=r"fit of a valley did not converge: 2 steps .* promises .* no finding"
+    ) as error:
+        problem.best("fit of a valley", np.array([-1.2, 1.0]), max_iterations=2)
     assert not isinstance(error.value, InputError | CheckFailed)
     assert error.value.exit_code == 1
 

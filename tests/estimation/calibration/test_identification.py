@@ -256,7 +256,7 @@ def test_failure_to_converge_is_reported():
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     found = identify(start, q, p_M, max_iterations=1)
     assert not found.converged
-    assert found.message == "1 steps were not enough; the last was 8.8e-04 long"
+    assert found.message.startswith("1 steps were not enough; the next step, ")
 
 
 def test_observability_falls_when_a_joint_hardly_moves():
