@@ -96,13 +96,11 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
     sizes: list[float] = []
     damping, last, fallen = _Damping(), None, 0.0
 
-    def ended(message: str, *, converged: bool = False) -> Minimum[Point]:
-        if not converged:
-            step, scaled = problem.step(point, 0.0)
-            share = problem.promise(point, step) / max(problem.objective(point), _SMALLEST)
-            converged = share <= _NO_GAIN
-            message += f"; the next step, {np.max(np.abs(scaled)):.1e} long, promises {share:.1e} of the objective"
-            message = f"converged: {message}" if converged else message
+    def ended(why: str = "") -> Minimum[Point]:
+        converged, message = (
+            (True, f"the next step is below {tolerance:g}") if not why else _promise(problem, point, why)
+        )
+        message = f"converged: {message}" if converged else message
         return Minimum(point if fallen >= 0.0 else first, tuple(sizes), converged, message)
 
     for _ in range(max_iterations):
@@ -113,7 +111,7 @@ def minimise(problem: Problem[Point], start: Point, *, tolerance: float, max_ite
             size, shorter = float(np.max(np.abs(scaled))), True
         sizes.append(size)
         if size <= tolerance:
-            return ended(f"converged: the next step is below {tolerance:g}", converged=True)
+            return ended()
         now = problem.objective(point)
         secants = () if damping.value > 0.0 else _secants(last, step, scaled)
         for taken in _parts(step, size, tolerance) if shorter else (*secants, step):
@@ -211,6 +209,14 @@ class LeastSquares(Generic[Point]):
         """Compute ``|L^-1 r|^2``."""
         r, _ = point.white
         return float(r @ r)
+
+
+def _promise(problem: Problem[Point], point: Point, why: str) -> tuple[bool, str]:
+    """Return whether the next undamped step promises too little to count, and say so behind ``why`` steps ended."""
+    step, scaled = problem.step(point, 0.0)
+    share = problem.promise(point, step) / max(problem.objective(point), _SMALLEST)
+    next_step = f"the next step, {np.max(np.abs(scaled)):.1e} long, promises {share:.1e} of the objective"
+    return share <= _NO_GAIN, f"{why}; {next_step}"
 
 
 @dataclass
