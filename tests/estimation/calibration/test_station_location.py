@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration import station_location
 from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.station_location import (
@@ -325,7 +324,7 @@ def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
 def test_a_station_that_did_not_converge_is_an_error_and_a_cause_left_out(monkeypatch):
     model, rng = certain_cell(), np.random.default_rng(0)
     points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
-    monkeypatch.setattr(station_location.LeastSquares, "best", partialmethod(LeastSquares.best, max_iterations=1))
+    monkeypatch.setattr(LeastSquares, "best", partialmethod(LeastSquares.best, max_iterations=1))
     far = near(MOVED, rng, 0.3, 1.0)
     with pytest.raises(NotConverged, match="the fit of the tracker's station did not converge: 1 steps"):
         fit_station(model, points, far, excess_m=EXCESS)
