@@ -36,7 +36,7 @@ from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_t
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
@@ -220,8 +220,11 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
     evaluated = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
-    calibration = _with_torques(evaluated, fitted.readings)
-    return calibration, _arm_notes(name, calibration, fitted)
+    try:
+        calibration, failed = _with_torques(evaluated, fitted.readings), []
+    except NotConverged as error:  # the geometry does not depend on them
+        calibration, failed = evaluated, [f"arm '{name}': {error}; its torques were not used"]
+    return calibration, [*_arm_notes(name, calibration, fitted), *failed]
 
 
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
@@ -315,9 +318,7 @@ def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
-    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
-    if arm.left_out:
-        notes.append(left_out_note(name, arm))
+    notes = [left_out_note(name, arm)] if arm.left_out else []
     notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
     if in_sockets(readings):
         gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))

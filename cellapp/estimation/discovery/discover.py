@@ -51,7 +51,7 @@ from cellapp.estimation.discovery.verdict import verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import NotConverged
+from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.memory import give_back
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -384,6 +384,7 @@ def _with_what_was_left_out(sentence: str, result: Searched) -> str:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
         )
+    sentence = with_not_fitted(sentence, result.judged.not_fitted)
     return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
 
 
