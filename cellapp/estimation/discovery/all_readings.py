@@ -209,6 +209,9 @@ class _AllReadings:
         step = solver.solve(point.normal.moment - self.start.precision * point.values)
         return step, solver.in_standard_errors(step)
 
+    def promise(self, point: _Point, step: Array) -> float:
+        return float(step @ (point.normal.moment - self.start.precision * point.values))
+
     def moved(self, point: _Point, step: Array) -> _Point:
         return self._at(point.values + step)
 
