@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import excess_of
 from cellapp.estimation.calibration.identification import Identification, identify
-from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
@@ -41,6 +40,8 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Step of a fit [m at arm's length] up to which the effects' columns are kept. They change relatively by about as much:
 an effect of 0.3 mm by 0.3 µm."""
+_LEAST_STEPS = 200
+"""Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
 _DRAW_SEED = 0xD4A7
 """Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
@@ -248,9 +249,9 @@ def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = No
     return _linearised(data, terms, *_identify(data, terms, near))
 
 
-def fitted_model(data: ArmData, terms: ModelTerms, near: Identification) -> ArmModel:
+def fitted_model(data: ArmData, terms: ModelTerms) -> ArmModel:
     """Return only the model of ``fit_terms``, without linearising."""
-    found, _ = _identify(data, terms, near)
+    found, _ = _identify(data, terms)
     return _fitted_model(data, found, terms, _layout(data, found, terms))
 
 
@@ -382,7 +383,7 @@ def _identify(
         robust=settings.robust,
         effects=effects if data.points is None else data.points.after(effects),
         tolerance=max(settings.tolerance, TOLERANCE),
-        max_iterations=settings.max_iterations,
+        max_iterations=max(settings.max_iterations, _LEAST_STEPS),
     ).settled("fit of geometry and effects")
     return _reordered(found, np.argsort(order)), columns
 
@@ -400,21 +401,6 @@ def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], st
         shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
         prior_sd=None if sd is None else sd[order],
         start=start[order],
-    )
-
-
-def identification_without(fit: JointFit, term: int) -> Identification:
-    """Predict the fit without one term, as a start: its values set to zero, the others conditioned on that."""
-    found, own = fit.identification, fit.layout.parameters(term)
-    values = np.concatenate([found.values[: fit.layout.geometric], found.effect_values])
-    of_term = solve_psd(found.covariance[own, own], values[own])
-    values = values - found.covariance[:, own] @ of_term
-    columns = list(found.estimated.columns)
-    vector = found.geometry.vector()
-    vector[columns] = values[: len(columns)]
-    kept = np.delete(np.arange(len(values)), own)
-    return replace(
-        found, geometry=found.geometry.with_vector(vector), effect_values=values[kept][fit.layout.geometric :]
     )
 
 
