@@ -77,15 +77,14 @@ def pose_characteristics(
     base_M: Array,
     rng: np.random.Generator,
     speed: float = 0.0,
-    load_kg: float | None = None,
 ) -> tuple[PoseCharacteristics, ...]:
     """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
-    ``speed`` and ``load_kg`` are as in ``Place``.
+    ``speed`` is as in ``Place``.
     """
     found = []
     for pose in POSES:
-        visits = measured.at(arm.place("pose", pose, speed=speed, load_kg=load_kg))
+        visits = measured.at(arm.place("pose", pose, speed=speed))
         cycles = _cycles(arm, pose, visits)
         if cycles is not None:
             own = _pose(pose, cycles, base_M, rng)

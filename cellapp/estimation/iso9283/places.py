@@ -13,9 +13,8 @@ from cellapp.robot.kinematics.transforms import Array
 class Place:
     """Key of what is measured at a visit; the positions of one place are evaluated together over all cycles.
 
-    ``poses`` are those of ``arms`` in turn. ``approach`` is the direction of a multi-directional test or of a force.
-    ``speed`` is the share of the profile's speed if the test is repeated at another speed, else 0. ``load_kg`` is the
-    load if it is repeated with another load. ``force_n`` is the force on the flange in a static compliance test.
+    ``poses`` are those of ``arms`` in turn. ``approach`` is the direction of a multi-directional test.
+    ``speed`` is the share of the profile's speed if the test is repeated at another speed, else 0.
     """
 
     test: IsoTest
@@ -24,14 +23,10 @@ class Place:
     poses: tuple[str, ...]
     approach: str = ""
     speed: float = 0.0
-    load_kg: float | None = None
-    force_n: float | None = None
 
     def __str__(self) -> str:
         where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
         where += f", {self.speed:.0%} of the speed" if self.speed else ""
-        where += "" if self.load_kg is None else f", with {self.load_kg:g} kg"
-        where += "" if self.force_n is None else f", {self.force_n:g} N"
         return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
 
 
@@ -60,8 +55,6 @@ class ArmProgramme:
     q: Mapping[tuple[str, str], Array]
     rotation_M: Mapping[str, Array] = field(default_factory=dict)
 
-    def place(
-        self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0, load_kg: float | None = None
-    ) -> Place:
+    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> Place:
         """Return the place of a pose of this arm alone."""
-        return Place(test, self.commands, (self.name,), (pose,), approach, speed, load_kg)
+        return Place(test, self.commands, (self.name,), (pose,), approach, speed)

@@ -9,34 +9,20 @@ import numpy as np
 
 from cellapp.cell.driving.following import run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
-from cellapp.cell.driving.iso9283.instrument import mpe_factor
-from cellapp.cell.driving.iso9283.paths import (
-    corners_of,
-    path_specs,
-    places_along,
-    weaving_axes,
-    weaving_spec,
-    weaving_turns,
-)
+from cellapp.cell.driving.iso9283.paths import path_specs, places_along
 from cellapp.cell.driving.motion import MotionRefused
 from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
-from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
-from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TrackerError, stream_of
-
-_CLOSE = 2000
-"""Number of points of the commanded zigzag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +56,6 @@ class PathTests:
                 reason = self._drive(spec, plan, kind)
                 if reason:
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
-        if not self.series:
-            self._weave(name, commands, arm.path_period_s)
 
     @property
     def _interval_s(self) -> float:
@@ -86,48 +70,6 @@ class PathTests:
             return f"the driver of arm {name} cannot follow a stream of joint positions"
         return ""
 
-    def _weave(self, name: str, commands: tuple[IsoCommands, ...], period_s: float) -> None:
-        """Drive a line with weaving over all cycles with each kind of commands; record why not."""
-        cube = self.findings.cubes[name]
-        spec = weaving_spec(name, cube, self.speed_share)
-        plan = plan_path(self.profile, self.model, spec, period_s)
-        for kind in commands:
-            chosen = _chosen(plan, kind)
-            if isinstance(chosen, str):
-                self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
-                continue
-            trajectory, path = chosen
-            arm = self.model.arms[name]
-            base_M = (arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3]
-            along, across = weaving_axes(cube)
-            runs = WeavingRuns(
-                arm=name,
-                commands=kind,
-                speed=spec.speed,
-                commanded_M=path.positions(np.linspace(0.0, path.length, _CLOSE)),
-                along_M=base_M @ along,
-                across_M=base_M @ across,
-                turns=weaving_turns(cube),
-                tracker=self._tracker_at(path),
-                wanted=self.cycles,
-                slowed=trajectory.slowed,
-            )
-            self.findings.weaving.append(runs)
-            self._repeat(runs, name, trajectory, path)
-
-    def _tracker_at(self, path: CartesianPath) -> Array:
-        """Return the covariance (3, 3) [m^2] of a point at the beginning of a path."""
-        start_M = path.positions(np.zeros(1))
-        return np.asarray(mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, start_M)[0])
-
-    def _repeat(self, runs: PathRuns | WeavingRuns, name: str, trajectory: Trajectory, path: CartesianPath) -> None:
-        """Drive a path once per cycle; record why fewer were driven."""
-        try:
-            for _ in range(self.cycles):
-                runs.tracks.append(self._run(name, trajectory, path))
-        except (MotionRefused, TrackerError) as error:
-            runs.problems.append(str(error))
-
     def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
         """Drive one path over all cycles; return why not, empty if it was driven."""
         chosen = _chosen(plan, kind)
@@ -135,6 +77,7 @@ class PathTests:
             return chosen
         trajectory, path = chosen
         s, commanded, tangents = places_along(path)
+        tracker = tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0]
         programme = self.findings.programmes.get((spec.arm, kind))
         runs = PathRuns(
             arm=spec.arm,
@@ -146,15 +89,18 @@ class PathTests:
             tangents_M=tangents,
             s=s,
             tracks=[],
-            tracker=self._tracker_at(path),
+            tracker=self.profile.tolerances.covariance_factor * tracker,
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
             wanted=self.cycles,
-            corners=corners_of(spec, _poses_M(self.model, spec, kind)),
             slowed=trajectory.slowed,
             series=self.series,
         )
         self.findings.paths.append(runs)
-        self._repeat(runs, spec.arm, trajectory, path)
+        try:
+            for _ in range(self.cycles):
+                runs.tracks.append(self._run(spec.arm, trajectory, path))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
         return ""
 
     def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
@@ -181,11 +127,3 @@ def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPat
     if plan.unseen_m is not None:
         return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
     return trajectory, path
-
-
-def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:
-    """Return the poses of a path in M (k, 3) [m], relative to the base that the commands assume, without arc points."""
-    targets = spec.targets()
-    goals = goals_of_arm(model, targets, spec.arm)
-    rows = [k for k, target in enumerate(targets) if target.name.startswith("pose")]
-    return np.asarray((goals.nominal_position_M if kind == "nominal" else goals.position_M)[rows])

@@ -18,8 +18,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 def wanted_cycles(test: IsoTest, cycles: int) -> int:
     """Return the number of cycles of a test if ``cycles`` were requested: some take no more than the standard's."""
-    short = ("drift", "path", "stabilisation", "compliance")
-    return min(cycles, NORM_CYCLES[test]) if test in short else cycles
+    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +38,12 @@ def legs() -> list[tuple[str, str]]:
     return [(position, before) for before, position in dict.fromkeys(found)]
 
 
-def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0, load_kg: float | None = None) -> Iterator[Visit]:
-    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` and ``load_kg`` as in ``Place``."""
+def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0) -> Iterator[Visit]:
+    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``Place``."""
     yield _passing(arm, "P1", "P2")
     for cycle in range(cycles):
         for position in CYCLE:
-            place = arm.place("pose", position, speed=speed, load_kg=load_kg)
+            place = arm.place("pose", position, speed=speed)
             yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
