@@ -8,6 +8,7 @@ from typing import Any
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
 COMMANDS: Mapping[str, str] = {
+    "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
     "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
 }

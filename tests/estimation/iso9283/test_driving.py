@@ -35,6 +35,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import apply
+from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
@@ -336,6 +337,40 @@ def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: 
     assert 2 <= len(findings.measured.visits) <= 5
     assert not any(plant_of(cells[0]).moving(name) for name in task.profile.arms)
     assert any("of 2 cycles" in words for words in missing_words(findings, task.tests))
+
+
+EVENTS: dict[str, tuple[Callable[[SimulatedArm, SimulatedTracker], None], str]] = {
+    "beam": (lambda arm, tracker: tracker.covered.add("left"), "the beam broke .* its SMR is not found again"),
+    "protective stop": (lambda arm, tracker: arm.protective_stop(), "protective stop"),
+    "emergency stop": (lambda arm, tracker: arm.emergency_stop(), "emergency stop"),
+    "lost link": (lambda arm, tracker: arm.cut_link(), "link is cut"),
+}
+
+
+@pytest.mark.parametrize("event", EVENTS, ids=EVENTS)
+def test_an_event_in_mid_path_stops_all_arms(event: str, cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> None:
+    only_paths(monkeypatch, "line")
+    happen, words = EVENTS[event]
+    start, brake, braked = SimulatedArm.start_path, SimulatedArm.brake, list[str]()
+
+    def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
+        plant = plant_of(cells[0])
+        plant.schedule.at(plant.clock_s + 1.0, lambda: happen(arm, tracker_of(cells[0])))
+        start(arm, q, period_s)
+
+    def noted(arm: SimulatedArm) -> None:
+        braked.append(arm.name)
+        brake(arm)
+
+    monkeypatch.setattr(SimulatedArm, "start_path", started)
+    monkeypatch.setattr(SimulatedArm, "brake", noted)
+    task = task_of(cell_of(small_twin()), "path", arms=("left",))
+    with pytest.raises(HardwareError, match=words):
+        drive_tests(task, IsoFindings())
+    assert set(braked) == {"left", "right"}
+    plant = plant_of(cells[0])
+    plant.advance(1.0)  # after a lost link it is not watched until it rests
+    assert not any(plant.moving(name) for name in ("left", "right"))
 
 
 @pytest.mark.fast

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.driving.following import run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.paths import path_specs, places_along
 from cellapp.cell.driving.motion import MotionRefused
 from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
 from cellapp.cell.targets.path_file import PathSpec
-from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
@@ -106,13 +106,20 @@ class PathTests:
     def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
         def begin() -> None:
             self.hold()
-            for q in (run_up(trajectory.q), trajectory.q[0]):
+            for q in (_run_up(trajectory.q), trajectory.q[0]):
                 self.paths.mover.go_home_unless_clear(name, q)
                 self.paths.mover.move({name: q})
 
         found = self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
-        assert found.track is not None
         return PathTrack(found.track.time_s, found.track.p_M, found.lost_beams)
+
+
+def _run_up(q: Array) -> Array:
+    """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
+    moved = np.abs(q - q[0]) > 1e-5
+    first = np.argmax(moved, axis=0)
+    ahead = q[first, np.arange(q.shape[1])] - q[0]
+    return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
 
 
 def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:
