@@ -28,3 +28,8 @@ NORM_DRIFT_MIN = 480.0
 """Duration of the standard's drift test [min]: 8 h, or until drift slows down (7.6)."""
 NORM_SPEEDS = (1.0, 0.5, 0.1)
 """Shares of the rated speed: characteristics are required at the first, and may be given at the others, too."""
+
+
+def wanted_cycles(test: IsoTest, cycles: int) -> int:
+    """Return the number of cycles of a test if ``cycles`` were requested: some take no more than the standard's."""
+    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from cellapp.estimation.iso9283.evaluate import Measurements
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measurements, Place
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.norm import IsoCommands
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 
 HEADER = (

@@ -23,7 +23,7 @@ from cellapp.cell.driving.iso9283.findings import (
     missing_words,
     pair_results,
 )
-from cellapp.cell.driving.iso9283.paths import path_specs
+from cellapp.cell.driving.iso9283.path_tests import path_specs
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
 from cellapp.cell.targets.path_file import PathSpec

@@ -10,7 +10,9 @@ import numpy as np
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.estimation.iso9283.evaluate import (
+    ArmProgramme,
     Measurements,
+    Place,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
@@ -19,7 +21,6 @@ from cellapp.estimation.iso9283.evaluate import (
 )
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     BaseAlignment,

@@ -15,11 +15,11 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.iso9283.alignment import align_points, alignment_configurations, published_cell
 from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
-from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
     Visit,
+    arm_programme,
     directional_visits,
     distance_visits,
     drift_visits,
@@ -27,7 +27,6 @@ from cellapp.cell.driving.iso9283.programme import (
     paired_visits,
     pose_pairs,
     pose_visits,
-    wanted_cycles,
 )
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
@@ -38,9 +37,8 @@ from cellapp.cell.driving.tracked_path import PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.estimation.iso9283.cube import POSES
-from cellapp.estimation.iso9283.evaluate import Measured
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measured
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest, wanted_cycles
 from cellapp.estimation.nests import NestShape
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
