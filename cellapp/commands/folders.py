@@ -11,7 +11,6 @@ STORING = (
     "locate",
     "compensate",
     "push",
-    "follow",
     "iso9283",
     "check",
     "certificate",

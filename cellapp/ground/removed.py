@@ -7,7 +7,11 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
+    "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
+    "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
+}
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""

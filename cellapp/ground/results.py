@@ -37,7 +37,6 @@ StageName = Literal[
     "push",
     "verify",
     "path",
-    "follow",
     "iso9283",
     "check",
     "certificate",
@@ -53,8 +52,7 @@ PUSH: StageName = "push"
 """Targets that were pushed without measuring them; it does not replace a verification."""
 VERIFY: StageName = "verify"
 PATH: StageName = "path"
-"""Paths that were planned, or driven without measuring them; it does not replace a measured one."""
-FOLLOW: StageName = "follow"
+"""Compensated paths."""
 ISO9283: StageName = "iso9283"
 CHECK: StageName = "check"
 """A few stops that show whether the calibration still holds; it measures the cell and changes no model."""

@@ -103,8 +103,6 @@ class Mechanism:
         Further SMRs in the flange frame, name -> (3,).
     probe : array, shape (3, 3), or None
         Rotation of a 6-D probe in the flange frame.
-    pull : array, shape (3,), or None
-        Force on the origin of the flange, in B [N]; None: nobody pulls.
     """
 
     directions: Array
@@ -118,7 +116,6 @@ class Mechanism:
     smr: Array
     smr_normal: Array
     capsules: Capsules
-    pull: Array | None = None
     nests: Mapping[str, Array] = field(default_factory=dict)
     probe: Array | None = None
 
@@ -241,42 +238,23 @@ class Posture:
 
     @cached_property
     def torques(self) -> Array:
-        """Torque of gravity, pull and inertia about each axis, (n, N) [Nm]; positive if it would increase the angle."""
+        """Torque of gravity and inertia about each axis, (n, N) [Nm]; positive if it would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
         arms -= self.masses_beyond[..., None] * points
-        torques = _torques(directions, arms, self.gravity) + self._pull_torques
+        torques = _torques(directions, arms, self.gravity)
         return torques if self.inertia is None else torques + self.inertia
 
     @cached_property
     def load_torques(self) -> Array:
-        """Part of ``torques`` caused by load and pull, (n, N) [Nm]."""
+        """Part of ``torques`` caused by the load, (n, N) [Nm]."""
         directions, points = self.axes
-        weight = _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
-        return weight + self._pull_torques
-
-    @cached_property
-    def pull(self) -> Array:
-        """Force on the flange, (3,) [N]."""
-        return np.zeros(3) if self.mechanism.pull is None else self.mechanism.pull
-
-    def pull_moment(self, about: Array) -> Array:
-        """Return the moment of the pull about points (..., n, 3) or (3,), with shape (..., n, 3) [Nm]."""
-        flange = transform_points(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
-        moment: Array = np.cross(flange - about, self.pull)
-        return moment
-
-    @cached_property
-    def _pull_torques(self) -> Array:
-        if self.mechanism.pull is None:
-            return np.zeros_like(self.q)
-        directions, points = self.axes
-        return np.asarray(np.einsum("jnk,jnk->nj", directions, self.pull_moment(points)))
+        return _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
 
     @cached_property
     def base_moment(self) -> Array:
-        """Moment of gravity on all bodies, and of the pull, about the origin of B, (n, 3) [Nm]."""
-        return np.cross(self.first_moments.sum(axis=0), self.gravity) + self.pull_moment(np.zeros(3))
+        """Moment of gravity on all bodies about the origin of B, (n, 3) [Nm]."""
+        return np.cross(self.first_moments.sum(axis=0), self.gravity)
 
     @cached_property
     def flange(self) -> Array:

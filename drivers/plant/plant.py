@@ -307,13 +307,6 @@ class Plant:
         center = np.array(center, dtype=float)
         self.change_mechanism(name, lambda one: replace(one, payload_mass=float(mass), payload_center=center))
 
-    def set_pull(self, name: str, force: Array | None) -> None:
-        """Pull at an arm's flange from now on with ``force`` (3,) [N] in its base frame; None ends the pull."""
-        arm = self._arm(name)
-        arm.resting = None
-        pull = None if force is None else np.array(force, dtype=float)
-        arm.mechanism = replace(arm.mechanism, pull=pull)
-
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion to ``q`` (N,) now; the arm must be at rest."""
         arm = self._arm(name)

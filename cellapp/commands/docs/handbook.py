@@ -33,7 +33,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "use what was calibrated": {
         "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
-        "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
+        "paths": "lines and arcs that the true SMR follows: the file, the joint path, the program",
         "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
         "exports": "calibrated arms for other programs, and what their files cannot hold",
         "check": "whether a calibration still holds, what moved or changed; calibrating again with few stops",

@@ -21,6 +21,7 @@ from typer.core import TyperGroup
 from cellapp.commands.record import PASSPHRASE_VARIABLE, Asked, Verb, View, Work
 from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
+from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking, typed_line
@@ -33,9 +34,11 @@ if TYPE_CHECKING:
 
 
 class _FirstByDefault(TyperGroup):
-    """A group whose first command word may be omitted."""
+    """A group whose first command word may be omitted; it answers for removed words."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and (removed := removed_command(" ".join([*ctx.command_path.split()[1:], args[0]]))):
+            raise InputError(removed)
         if args and args[0] not in self.commands and args[0] != "--help":
             args = [next(iter(self.commands)), *args]
         return super().parse_args(ctx, args)

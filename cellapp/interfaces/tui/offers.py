@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
-from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
 from cellapp.commands.replay.request import VERB as REPLAY
@@ -208,45 +207,6 @@ def _ask_touch(screen: DayScreen, values: Mapping[str, object], text: str) -> No
     choices = {"arm": () if profile is None else tuple(profile.arms)}
     proposed = {name: values[name] for name in ("arm", "point") if values.get(name)}
     app.push_screen(VerbQuestion(TOUCH, text, RECORD, given, proposed=proposed, choices=choices), begin)
-
-
-def offer_paths(screen: DayScreen) -> None:
-    """Plan paths of lines and arcs for the open run; drive and measure them if the person asks for it."""
-    from cellapp.commands.compensate.target_list import stale_model
-
-    app, profile = screen.cell_app, screen.workspace.profile
-    calibrated = screen.calibrated_run()
-    if calibrated is None or profile is None:
-        return
-    folder, results, _ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            app.start_job(work.verb_job(FOLLOW, request))
-
-    of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
-    text = f"Without a mark nothing moves; with one {arms_words(app.workspace)}, and real arms ask again."
-    if stale := stale_model(results):
-        text += f"\nThe model is not up to date: {stale}."
-    dialog = VerbQuestion(
-        FOLLOW,
-        text,
-        BEGIN,
-        {"folder": folder, "out_of_date": bool(stale)},
-        proposed={"path": of_profile if of_profile.is_file() else None},
-        choices={"arm": tuple(profile.arms)},
-    )
-    app.push_screen(dialog, begin)
-
-
-def show_paths(app: Host, result: object) -> None:
-    """Show the tables of planned or followed paths; other results are shown by their screens."""
-    from cellapp.cell.targets.path_records import PathResult
-    from cellapp.commands.follow.view import path_sentences, path_tables
-    from cellapp.commands.view.table import markdown
-
-    if isinstance(result, PathResult):
-        app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
 
 
 def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:

@@ -35,7 +35,6 @@ READ = {
         "--run",
         "--from",
         "--keep",
-        "--with-run",
         "--check",
         "--prior",
         "--answers",

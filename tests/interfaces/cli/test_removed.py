@@ -23,11 +23,15 @@ KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
 
 @pytest.fixture
 def some_removed(monkeypatch):
-    monkeypatch.setattr(removed, "COMMANDS", {"dance": "use 'cellapp run'", "trials dance": "use 'cellapp run'"})
+    monkeypatch.setattr(
+        removed,
+        "COMMANDS",
+        {"dance": "use 'cellapp run'", "trials dance": "use 'cellapp run'", "iso9283 dance": "use 'cellapp run'"},
+    )
     monkeypatch.setattr(removed, "PROFILE_KEYS", KEYS)
 
 
-@pytest.mark.parametrize("command", ["dance", "trials dance"])
+@pytest.mark.parametrize("command", ["dance", "trials dance", "iso9283 dance"])
 def test_a_removed_command_says_what_to_do_instead(some_removed, command):
     with pytest.raises(InputError, match=rf"^'cellapp {command}' was removed in [\d.]+: use 'cellapp run'$") as error:
         app([*command.split(), "--option"], prog_name="cellapp", standalone_mode=False)

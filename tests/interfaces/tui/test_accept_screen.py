@@ -286,8 +286,6 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             "speed": ("above 0 % and up to 100 %", ("101", "0", "nan")),
             "drift-minutes": ("above 0 and up to 960, got 0", ("0",)),
             "also-speeds": ("expected shares", ("0", "50, 101")),
-            "also-loads": ("expected loads", ("-1",)),
-            "forces": ("at least one force", ("", ",")),
         }
         for name, (says, texts) in wrong.items():
             right = app.screen.query_one(f"#{name}", Input).value
@@ -296,7 +294,7 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
                 await pilot.press("b")
                 await shows(pilot, says)
             fill(app, **{name: right})
-        fill(app, cycles="4", speed="50", forces="20, 40", **{"also-speeds": "50, 10"})
+        fill(app, cycles="4", speed="50", **{"also-speeds": "50, 10"})
         app.screen.query_one("#arms-left", Checkbox).value = True
         await pilot.press("b")
         await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
@@ -307,7 +305,6 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             cycles=4,
             speed=50.0,
             also_speeds=(50.0, 10.0),
-            forces=(20.0, 40.0),
             arms=("left",),
             commands=("calibrated",),
         )
