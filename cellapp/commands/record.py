@@ -151,10 +151,6 @@ def _no_run_page(run: RunFile) -> Path:
     raise InputError(f"{run.path}: no page can be written from here")
 
 
-def _no_result_page(result: Result, path: Path) -> Path:
-    raise InputError(f"{path}: this interface writes no page")
-
-
 def _no_certificate_page(result: Result) -> str:
     raise InputError("this interface draws no page of a certificate")
 
@@ -171,8 +167,6 @@ class Work:
     ----------
     listener, control
         The listener takes the progress; the control asks for pause and stop.
-    result_page : callable
-        (result, file) -> write the HTML page of the result to the file and return its path.
     certificate_page : callable
         Result of a certificate -> its page as HTML.
     screens : callable
@@ -201,7 +195,6 @@ class Work:
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
     verbs: Sequence[Verb] = ()
-    result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)

@@ -7,7 +7,10 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
+    "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
+}
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""

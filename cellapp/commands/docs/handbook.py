@@ -39,7 +39,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "check": "whether a calibration still holds, what moved or changed; calibrating again with few stops",
         "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
         "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
-        "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
         "python": "using cellapp from Python: runs, models, data frames, mistakes",
     },
     "for developers": {
@@ -47,7 +46,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
         "extend": "arms, drivers, effects and exports of your own, as plug-ins",
         "emulator": "the emulated cell: real protocols, faults at will",
-        "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
+        "scale": "trials on all cores or a Dask cluster, results that survive",
         "house": "how the code is laid out, how to add to it, tests",
         "decisions": "decisions that shaped the house, with what was measured",
     },

@@ -25,7 +25,7 @@ from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking, typed_line
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
-from cellapp.interfaces.page import draw_certificate, write_page, write_result_page
+from cellapp.interfaces.page import draw_certificate, write_page
 
 if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
@@ -110,7 +110,6 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.outputs,
         verbs=VERBS,
         write_page=write_page,
-        result_page=partial(write_result_page, outputs=job.outputs),
         certificate_page=draw_certificate,
         screens=partial(_screens, job.outputs),
         announce=announce,

@@ -62,8 +62,7 @@ KEYS: Mapping[str, Key] = {
     "forecast": Key("j", "j", "foresee what a plan gives"),
     "freeze": Key("z", "z", "let later designs leave the marked stops"),
     "drift": Key("d", "d", "accept a drift of the references"),
-    "compare": Key("equals_sign", "=", "compare the marked runs"),
-    "fleet": Key("F", "F", "the history of each arm over the runs of the list"),
+    "compare": Key("equals_sign", "=", "compare the two marked runs"),
     "debug": Key("D", "D", "show all lines of the log"),
     "info": Key("I", "I", "show lines of the log from info upwards"),
     "warning": Key("W", "W", "show warnings and errors of the log"),
@@ -98,7 +97,6 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "report": ("accept", "go"),
     "export": ("calibrate", "export"),
     "compare": ("runs", "compare"),
-    "fleet": ("runs", "fleet"),
     "replay": ("runs", "look"),
     "runs": ("runs", "again"),
 }

@@ -161,7 +161,6 @@ def test_every_command_has_its_outputs() -> None:
         "--plan",
         "--out",
         "--geometry",
-        "--page",
         "--markdown",
         "--store",
         "--joints",
@@ -213,7 +212,6 @@ WRITERS = [
     (("schema", "cellapp-check"), "--json", b"{"),
     (("runs", "."), "--json", b"{"),
     (("docs", "backlash"), "--json", b"{"),
-    (("fleet", "R"), "--page", b"<!DOCTYPE"),
 ]
 
 
