@@ -20,8 +20,8 @@ STORING = (
 
 FOLDERS = (
     *("run", "demo", "doctor", "init", "plan", "power", "rehearse", "collect", "replay", "import_", "touch"),
-    *(*STORING, "sign_key"),
-    *("check_certificate", "report", "show", "export", "correct", "at_rest", "runs", "compare"),
+    *STORING,
+    *("report", "show", "export", "correct", "at_rest", "runs", "compare"),
     *("schema", "docs", "emulate", "tracker_bridge"),
 )
 

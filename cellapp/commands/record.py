@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -32,10 +32,6 @@ if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
     from cellapp.ground.results import Result
-
-
-PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
-"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +60,6 @@ class Asked:
         Value -> its name in a dialog, for a field with several values.
     writes : Writes or None
         How the file or folder that the path names is written.
-    secret : str
-        Empty, or "new" or "known" for what is typed unseen, a new one twice. It has no option: see ``Work.secret``.
     needed : bool
         Whether the command line requires it although the request has a default.
     typed : type or None
@@ -83,7 +77,6 @@ class Asked:
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     writes: Writes | None = None
-    secret: Literal["", "new", "known"] = ""
     needed: bool = False
     typed: Any = None
 
@@ -186,8 +179,6 @@ class Work:
         Write the page of a run into its folder; return its path.
     line : callable
         Question -> one line of input from a person or a program; None at its end, or if nobody can be asked.
-    secret : callable
-        (question, whether to ask twice) -> what a person typed unseen; None if nobody can be asked.
     """
 
     listener: Listener
@@ -202,7 +193,6 @@ class Work:
     write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
     line: Callable[[str], str | None] = field(default=lambda question: None)
-    secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ VERSION = "0.1.0"
 """The version in which everything below was removed."""
 COMMANDS: Mapping[str, str] = {
     "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
+    "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
+    "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate' writes",
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
 }
 """Name of a removed command, as it is typed -> what to do instead."""

@@ -39,7 +39,6 @@ from tests.twin import PROFILES, make_small, small_twin, write_profile
 LONGEST_S = 300.0
 COLUMNS = "110"
 """Width of the terminal in which the chapters' commands print."""
-PASSPHRASE = "correct horse"
 RUN = "logs/my-run"
 PLACEHOLDERS: Mapping[str, str] = {
     "DIR": RUN,
