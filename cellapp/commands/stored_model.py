@@ -75,7 +75,7 @@ def export_model(run: RunFile, stages: RunStages) -> None:
     model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)
 
 
-def calibrated_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]:
+def comparable_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]:
     """Return the arms of the model in force that have a covariance; none if this version cannot read the model."""
     calibrated = stages.current.get(CALIBRATE)
     if calibrated is None or stages.in_force is None:

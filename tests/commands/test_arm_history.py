@@ -18,7 +18,7 @@ from cellapp.commands.runs.arm_history import arm_history
 from cellapp.commands.runs.result import ArmHistory
 from cellapp.commands.runs.view import history_sentences, history_table
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import calibrated_arms
+from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -167,7 +167,7 @@ def test_a_change_of_a_parameter_that_others_take_over_is_found_in_these(worn: P
 def calibrated(folder: Path) -> CalibratedArm:
     """The left arm of a run."""
     with RunFile.open(folder) as run:
-        return calibrated_arms(run, read_stages(run))["left"]
+        return comparable_arms(run, read_stages(run))["left"]
 
 
 def test_the_command_says_and_writes(worn: Path, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from cellapp.commands.compare.result import (
 from cellapp.commands.record import Work
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import calibrated_arms
+from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
 from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
@@ -60,7 +60,7 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
     stages = read_stages(a), read_stages(b)
     first, second = read_results(a, stages[0]), read_results(b, stages[1])
-    models = calibrated_arms(a, stages[0]), calibrated_arms(b, stages[1])
+    models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
     common = [name for name in a.profile.arms if name in b.profile.arms]
     others = dict(_other_serials(a, b, common))
     notes = [*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)]

@@ -12,7 +12,7 @@ from cellapp.commands.basis import counted_basis
 from cellapp.commands.runs.history import list_runs
 from cellapp.commands.runs.result import ArmFigures, ArmHistory, ArmRun, MovedParameter, RunSummary
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import calibrated_arms
+from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
 from cellapp.ground.errors import CellappError, InputError
 
@@ -87,7 +87,7 @@ def _arms(run: RunSummary) -> Iterator[_Found]:
     with RunFile.peek(Path(run.run)) as opened:
         stages = read_stages(opened, counted_basis)
         stale = stages.stale_arms()
-        arms = {} if stale else calibrated_arms(opened, stages)
+        arms = {} if stale else comparable_arms(opened, stages)
         missing = stale or ("not calibrated" if stages.in_force is None else "its model has no covariance")
         for name, identity in arm_identities(opened).items():
             yield _Found(run, name, identity, arms.get(name), "" if name in arms else missing)
