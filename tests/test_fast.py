@@ -16,7 +16,6 @@ FOLDERS = sorted({path.parent for path in TESTS.rglob("test_*.py")})
 TESTED_ELSEWHERE = {
     "interfaces/page": ("calibrate", "collect", "discover", "report", "view"),
     "interfaces/cli": ("at_rest", "demo", "run", "schema"),
-    "commands": ("check_certificate", "sign_key"),
     "cell/targets": ("compensate", "push"),
     "cell/run": ("import_",),
     "cell/programs": ("correct",),

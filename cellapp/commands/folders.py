@@ -19,9 +19,9 @@ STORING = (
 
 FOLDERS = (
     *("run", "demo", "doctor", "init", "plan", "power", "rehearse", "collect", "replay", "import_", "touch"),
-    *(*STORING, "sign_key"),
-    *("check_certificate", "report", "show", "export", "correct", "at_rest", "runs", "compare", "fleet"),
-    *("recalibrate", "schema", "docs", "emulate", "tracker_bridge"),
+    *STORING,
+    *("report", "show", "export", "correct", "at_rest", "runs", "compare"),
+    *("schema", "docs", "emulate", "tracker_bridge"),
 )
 
 

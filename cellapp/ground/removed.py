@@ -11,6 +11,10 @@ COMMANDS: Mapping[str, str] = {
     "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
     "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
+    "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
+    "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
+    "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate' writes",
+    "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
 }
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
