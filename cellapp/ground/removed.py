@@ -1,4 +1,4 @@
-"""What earlier versions had and this one has not: commands and keys of profiles, each with what to do instead."""
+"""What earlier versions had and this one has not: commands, keys of profiles, readings; what to do instead."""
 
 from __future__ import annotations
 
@@ -7,16 +7,28 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
+}
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
+READINGS: Mapping[str, tuple[str, str]] = {
+    "point": ("a ball in sockets", "measure the arm with a tracker"),
+}
+"""Column that only readings of a removed kind have -> what they are of, and what to do instead."""
 
 
 def removed_command(name: str) -> str:
     """Return the sentence about a removed command; empty if no earlier version had it."""
     instead = COMMANDS.get(name)
     return f"'cellapp {name}' was removed in {VERSION}: {instead}" if instead else ""
+
+
+def removed_readings(column: str) -> str:
+    """Return what to say of readings of a removed kind, which have this column."""
+    what, instead = READINGS[column]
+    return f"readings of {what} were removed in {VERSION}: {instead}"
 
 
 def removed_key(path: Sequence[str | int]) -> str:

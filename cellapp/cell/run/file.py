@@ -34,8 +34,6 @@ from cellapp.cell.run.collection_rows import (
     select_references,
     select_sessions,
 )
-from cellapp.cell.run.distances import with_distances
-from cellapp.cell.run.flange_touches import with_flange_touches
 from cellapp.cell.run.nests import one_a_stop
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
@@ -45,6 +43,7 @@ from cellapp.cell.run.readings_table import (
     insert_readings,
     mean_temperatures,
     select_readings,
+    select_removed_kinds,
     select_stops_done,
     stop_rows,
     update_splits,
@@ -302,17 +301,28 @@ class RunFile:
 
         Rows of several nests are merged into one reading, with the orientation that follows from them. Rows of several
         tracker stations are transformed into the frame of the first one.
+
+        Raises
+        ------
+        InputError
+            If they are of a kind that was removed.
         """
+        if reason := self.removed_kinds().get(arm):
+            raise InputError(
+                f"{self.path}: arm '{arm}': {reason}; 'cellapp show' and 'cellapp export' still open this run"
+            )
         return one_a_stop(self.profile, arm, self._in_one_frame(self.rows(arm)))
 
     def rows(self, arm: str) -> Readings:
         """Return all rows of one arm as measured or imported, one per nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
-            found = with_distances(
-                connection, select_readings(connection, arm, len(self.profile.arms[arm].type.joints))
-            )
-            return with_flange_touches(connection, arm, found)
+            return select_readings(connection, arm, len(self.profile.arms[arm].type.joints))
+
+    def removed_kinds(self) -> dict[str, str]:
+        """Return each arm whose readings are of a removed kind, which nothing is estimated from, with what to say."""
+        with self.look() as connection:
+            return select_removed_kinds(connection)
 
     def _in_one_frame(self, readings: Readings) -> Readings:
         if readings.station is None:

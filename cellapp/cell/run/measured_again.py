@@ -66,12 +66,6 @@ def replace_stop(
                 insert_outcome(connection, outcome)
 
 
-def withdraw_reading(run: RunFile, stop: int, arm: str) -> None:
-    """Withdraw the reading of an arm at a stop: it no longer counts, but is kept as a replaced one."""
-    with run.change() as connection:
-        _set_aside(connection, arm, stop)
-
-
 def earlier_readings(run: RunFile, arm: str) -> Earlier:
     """Return the replaced readings of an arm; none in a file of an older schema."""
     with run.look() as connection:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import reading_columns, schema_version
-from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
+from cellapp.estimation.readings.columns import COLUMNS, OF_SOCKETS, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
+from cellapp.ground.removed import removed_readings
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -79,6 +80,14 @@ def select_readings(
     return readings_from_columns(values, _extras_from_cells(extras))
 
 
+def select_removed_kinds(connection: sqlite3.Connection) -> dict[str, str]:
+    """Return each arm whose readings are of a removed kind, with what to say of them."""
+    if schema_version(connection) < 7:
+        return {}
+    arms = connection.execute(f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL").fetchall()
+    return {arm: removed_readings(OF_SOCKETS) for (arm,) in arms}
+
+
 def select_stops_done(connection: sqlite3.Connection) -> set[int]:
     """Return the numbers of the stored configurations."""
     return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
@@ -96,17 +105,12 @@ def check_readings(arm: str, joints: int, readings: Readings) -> None:
         raise ValueError(f"{readings.joints} joint positions for the {joints} joints of arm {arm}")
     for column in COLUMNS:
         values = getattr(readings, column.name)
-        if column.required and not np.all(np.isfinite(values)) and not _named_instead(column, readings):
+        if column.required and not np.all(np.isfinite(values)):
             raise ValueError(f"{column.name} of arm {arm} is not finite")
         if column.name == "split":
             check_splits(values or ())
         elif column.allowed and values is not None and not np.all(np.isin(values, column.allowed)):
             raise ValueError(f"{column.name} of arm {arm} is not {column.expected}")
-
-
-def _named_instead(column: Column, readings: Readings) -> bool:
-    """Return whether all readings name points in place of this quantity."""
-    return column.name == MEASURED_POINT and all(readings.point or (None,)) and bool(np.isnan(readings.p_M).all())
 
 
 def check_splits(words: Sequence[str | None]) -> None:

@@ -29,12 +29,7 @@ _DETAILED_COLUMNS = (
     *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
     number_column("n", "d"),
 )
-_TRANSFORMS = {
-    "distances": "distances alone",
-    "tracker": "the tracker frame",
-    "touches": "common sockets",
-    "flange": "sockets on a flange",
-}
+_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
 _PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
@@ -68,21 +63,8 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, torques, nests and sockets, and the priors."""
-    measured = (*motion_tables(result), *torque_tables(result), *nest_tables(result))
-    return [*measured, *gauge_tables(result), *prior_tables(result)]
-
-
-def gauge_tables(result: CalibrateResult) -> list[Table]:
-    """Show errors of known distances between held-out points in sockets, for each arm that has some."""
-    columns = (Column("stage"), number_column("mean", MM), number_column("max", MM), number_column("n", "d"))
-    tables = []
-    for name, arm in result.arms.items():
-        known = {stage: arm.validate_[stage].gauge_mm for stage in STAGES if stage in arm.validate_}
-        rows = tuple((stage, one.mean, one.max, one.n) for stage, one in known.items() if one is not None)
-        if rows:
-            tables.append(Table(f"Arm {name}: errors of known distances, held out [mm]", columns, rows))
-    return tables
+    """Show results from recordings of motion, torques and nests, and the priors."""
+    return [*motion_tables(result), *torque_tables(result), *nest_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:

@@ -26,9 +26,7 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         in_order=request.in_order,
         recordings=(request.joints, request.points),
         arm=request.arm,
-        distances=request.distances,
         reference_nests=request.reference_nests,
-        on_flange=request.on_flange,
     )
 
 
@@ -40,15 +38,12 @@ def import_new_run(
     in_order: bool = False,
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
-    distances: Path | None = None,
     reference_nests: Path | None = None,
-    on_flange: Path | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
     ``recordings`` are files of joints and of points, pair by pair, and ``arm`` their arm if they do not state one.
-    ``distances`` is a file of known distances between points in sockets, ``reference_nests`` of nests that tie tracker
-    stations together, ``on_flange`` of touches of sockets on the other arm's flange.
+    ``reference_nests`` is a file of nests that tie tracker stations together.
 
     Raises
     ------
@@ -61,15 +56,7 @@ def import_new_run(
         fills.append(fill)
     if csv is not None:
         fills.append(
-            readings_from_csv(
-                profile,
-                csv,
-                in_order=in_order,
-                distances=distances,
-                recorded=recorded,
-                reference_nests=reference_nests,
-                on_flange=on_flange,
-            )
+            readings_from_csv(profile, csv, in_order=in_order, recorded=recorded, reference_nests=reference_nests)
         )
     elif missing := [name for name in profile.arms if name not in recorded]:
         raise InputError(

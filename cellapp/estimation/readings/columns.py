@@ -307,8 +307,8 @@ _DEGREES_C = _within(-273.15, 1e3, "degC")
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """Number of the stop; with the arm it is the key of a reading."""
 
-MEASURED_POINT = "p_M"
-"""Quantity that a reading of a ball in a socket lacks: it names the point instead."""
+OF_SOCKETS = "point"
+"""Column of readings of a ball in sockets, which earlier versions stored: kept for export, refused by an import."""
 
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,

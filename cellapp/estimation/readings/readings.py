@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
-from cellapp.estimation.readings.flange_touches import FlangeTouches
 
 FIRST_SAMPLE = 1_000_000_000
 """Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
@@ -56,7 +55,7 @@ class Reading:
     station : str or None
         Name of the tracker station, in whose frame the measurement is; None for the only one.
     point : str or None
-        Name of the fixed but unknown point that the ball's centre rests in; ``p_M`` is then NaN.
+        Name of the socket that a ball rested in; only earlier versions stored such readings.
     split : str or None
         identify, train or validate; None if not assigned.
     extras : dict
@@ -108,16 +107,6 @@ class Reading:
         return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
 
 
-@dataclass(frozen=True)
-class Distance:
-    """A known distance between two points [m], with its standard uncertainty [m]."""
-
-    point_a: str
-    point_b: str
-    distance_m: float
-    sigma_m: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Readings:
     """The n readings of one arm with N joints.
@@ -163,11 +152,8 @@ class Readings:
     station : tuple of n (str or None), or None
         Names of the tracker stations, in whose frames the measurements are.
     point : tuple of n str, or None
-        Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
-    distances : tuple of Distance
-        Known distances between such points.
-    on_flange : FlangeTouches or None
-        Touches of sockets on the other arm's flange, beside the n readings.
+        Names of the sockets that a ball rested in, in place of ``p_M``, which is NaN; only earlier versions stored such
+        readings, and nothing is estimated from them.
     turning_covariance_M : array, shape (n, 3, 3), or None
         Covariance of a rotation about the axes of M [rad^2], for an orientation from several nests; it takes precedence
         over ``sigma_rad``. Not a column: it is computed from the rows of the nests.
@@ -201,8 +187,6 @@ class Readings:
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
-    distances: tuple[Distance, ...] = ()
-    on_flange: FlangeTouches | None = None
     turning_covariance_M: _Floats | None = None
     other_q: _Floats | None = None
     split: tuple[str | None, ...] | None = None

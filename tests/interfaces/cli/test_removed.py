@@ -10,13 +10,15 @@ import pytest
 import yaml
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile
+from cellapp.cell.run import RunFile, import_csv
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.export.run import export_run
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.tables import overview_sentences, overview_tables
 from cellapp.ground import removed
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
-from tests.twin import PROFILES
+from tests.twin import PROFILES, small_twin
 
 KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
 
@@ -73,3 +75,24 @@ def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed
     ] * 2
     assert any("arms.left.teleport" in sentence for sentence in overview_sentences(state))
     assert any("dance" in str(table) for table in overview_tables(state))
+
+
+def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_why_not(tmp_path):
+    with RunFile.create(tmp_path / "run", small_twin()) as run:
+        path = run.path
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executemany(
+            "INSERT INTO reading (arm, configuration, q, approach, p_m, point) VALUES ('left', ?, ?, ?, ?, 'cup')",
+            [(stop, json.dumps([0.1 * stop] * 6), "[0, 0, 0, 0, 0, 0]", "[null, null, null]") for stop in range(3)],
+        )
+    with RunFile.open(path.parent, write=True) as run:
+        state = run_overview(run)
+        assert (state.arms["left"].measured, state.next_step) == (3, "")
+        assert "readings of a ball in sockets were removed" in state.complaints[0]
+        exported = export_run(run, tmp_path / "out.csv", None)
+        assert exported.readings == {"left": 3}
+        assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(",,,,cup")
+        with pytest.raises(InputError, match=r"arm 'left': readings of a ball in sockets.*'cellapp show'"):
+            calibrate_run(run)
+    with pytest.raises(InputError, match=r"out\.csv:1: point: readings of a ball in sockets were removed"):
+        import_csv(small_twin(), tmp_path / "out.csv", tmp_path / "again")
