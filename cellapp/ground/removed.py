@@ -11,10 +11,14 @@ COMMANDS: Mapping[str, str] = {
     "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
 }
 """Name of a removed command, as it is typed -> what to do instead."""
-PROFILE_KEYS: Mapping[str, str] = {}
+PROFILE_KEYS: Mapping[str, str] = {
+    f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
+    for key in ("name", "nests", "distances")
+}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 READINGS: Mapping[str, tuple[str, str]] = {
     "point": ("a ball in sockets", "measure the arm with a tracker"),
+    "smr": ("several SMRs at a stop", "export them as CSV, then 'cellapp import' makes one position and rotation"),
 }
 """Column that only readings of a removed kind have -> what they are of, and what to do instead."""
 

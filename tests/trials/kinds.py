@@ -32,8 +32,9 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Readings, joined
+from cellapp.estimation.readings.several_smrs import one_pose_a_stop
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Nest, Smr
+from cellapp.ground.profile.smr import Smr
 from cellapp.robot.model import ArmModel, CellModel
 from tests.twin import small_twin
 
@@ -45,14 +46,14 @@ EFFECTS: dict[str, Any] = {
     "encoder_eccentricity": {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase": [0.3]},
 }
 OFFSET = (0.045, 0.020, 0.060)
-NESTS = {"B": {"offset": (-0.055, 0.020, 0.060)}, "C": {"offset": (-0.005, 0.110, 0.060)}}
 PROBE: dict[str, Any] = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
-KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
+KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "6-D probe": {"probe": PROBE}}
 """What the tracker measures, and the keys of the SMR for it."""
 FURTHER_M = 0.2
-MADE_NESTS_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
-"""Where SMRs that are made from measured poses stand in the probe's frame [m]."""
-NEST_NOISE_M = 1.5e-5
+PLACES_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
+"""Where three SMRs stand in the probe's frame [m]."""
+MADE_NOISE_M = 1.5e-5
+"""Of the two SMRs that are made from a measured pose, in each coordinate."""
 _RANGE_RAD = 2.2
 _TRUE = 300
 
@@ -122,22 +123,29 @@ class Bench:
         )
 
     def measured(self, profile: Profile) -> Readings:
-        """What the tracker measures: the SMR, further nests, the orientation of a probe."""
-        plant, q, smr = build_plant(profile), self.q(self.stops, 1), profile.arms["left"].smr
+        """What the tracker measures: the SMR, and the orientation of a probe."""
+        plant, q, probe = build_plant(profile), self.q(self.stops, 1), profile.arms["left"].smr.probe
         rng, at_rest = np.random.default_rng([self.seed, 2]), np.zeros_like(q)
-        parts = []
-        for name in smr.names:
-            nest = "" if name == smr.name else name
-            exact = plant.smr_positions("left", q, approach=at_rest, nest=nest)
-            points, covariance = plant.measure_positions(exact, rng)
-            more: dict[str, Any] = {"smr": (name,) * len(q)} if smr.nests else {}
-            if smr.probe is not None:
-                turns = Rotation.from_matrix(plant.probe_rotations("left", q, approach=at_rest))
-                noise = Rotation.from_rotvec(smr.probe.sigma * rng.standard_normal((len(q), 3)))
-                more["quaternion_M"] = np.roll((noise * turns).as_quat(), 1, axis=1)
-                more["sigma_rad"] = np.full(len(q), smr.probe.sigma)
-            parts.append(rows(q, p_M=points, covariance_M=covariance, **more))
-        return joined(parts)
+        points, covariance = plant.measure_positions(plant.smr_positions("left", q, approach=at_rest), rng)
+        more: dict[str, Any] = {}
+        if probe is not None:
+            turns = Rotation.from_matrix(plant.probe_rotations("left", q, approach=at_rest))
+            noise = Rotation.from_rotvec(probe.sigma * rng.standard_normal((len(q), 3)))
+            more["quaternion_M"] = np.roll((noise * turns).as_quat(), 1, axis=1)
+            more["sigma_rad"] = np.full(len(q), probe.sigma)
+        return rows(q, p_M=points, covariance_M=covariance, **more)
+
+    def of_three_smrs(self) -> Readings:
+        """What an import makes of three SMRs on the flange, which the tracker measures one after another."""
+        plant, q = build_plant(self.profile(probe=PROBE)), self.q(self.stops, 1)
+        rng, at_rest = np.random.default_rng([self.seed, 2]), np.zeros_like(q)
+        p_M, R_M_S = (f("left", q, approach=at_rest) for f in (plant.smr_positions, plant.probe_rotations))
+        found = [plant.measure_positions(p_M + R_M_S @ np.array(place), rng) for place in PLACES_S]
+        parts = [
+            rows(q, p_M=points, covariance_M=covariance, smr=(name,) * len(q))
+            for name, (points, covariance) in zip("ABC", found, strict=True)
+        ]
+        return one_pose_a_stop(joined(parts))[0]
 
 
 def rows(q: Array, **quantities: Any) -> Readings:
@@ -179,12 +187,12 @@ def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, E
     for kind, smr in KINDS.items():
         profile = bench.profile(**smr)
         yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
+    yield "three SMRs", truth.errors(calibrated(bench.profile(), bench.of_three_smrs(), discover=discover))
 
 
 def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tuple[str, Errors]]:
     """The same of readings with orientation of a real arm: positions alone, and both; a quarter is the truth."""
     assert measured.quaternion_M is not None
-    (name,) = profile.arms
     measured = replace(measured, split=None)
     drawn = np.random.default_rng(profile.seed).permutation(len(measured))
     held_out = measured.take(np.sort(drawn[: len(measured) // 4]))
@@ -192,27 +200,23 @@ def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tu
     assert held_out.quaternion_M is not None
     turns = Rotation.from_quat(np.roll(held_out.quaternion_M, -1, axis=1)).as_matrix()
     truth = Truth(held_out.q, held_out.p_M, turns)
-    nests = profile.arms[name].smr.model_copy(
-        update={"name": "A", "nests": {nest: Nest(offset="unknown") for nest in "BC"}}
-    )
-    of_nests = profile.model_copy(update={"arms": {name: profile.arms[name].model_copy(update={"smr": nests})}})
-    made = nests_of_poses(learn, np.random.default_rng([profile.seed, 7]))
+    made, _, _ = one_pose_a_stop(smrs_of_poses(learn, np.random.default_rng([profile.seed, 7])))
     yield (
         "one SMR",
         truth.errors(calibrated(profile, replace(learn, quaternion_M=None, sigma_rad=None), discover=discover)),
     )
-    yield "three SMRs, made from poses", truth.errors(calibrated(of_nests, made, discover=discover))
+    yield "three SMRs, made from poses", truth.errors(calibrated(profile, made, discover=discover))
     yield "6-D probe", truth.errors(calibrated(profile, learn, discover=discover))
 
 
-def nests_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
+def smrs_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
     """Three SMRs made from measured poses: one where the probe is, two beside it, with noise of their own."""
     assert measured.quaternion_M is not None
     turns = Rotation.from_quat(np.roll(measured.quaternion_M, -1, axis=1))
     plain = replace(measured, quaternion_M=None, sigma_rad=None)
     parts = []
-    for name, offset_S in zip("ABC", MADE_NESTS_S, strict=True):
-        noise = NEST_NOISE_M * rng.standard_normal(measured.p_M.shape) if any(offset_S) else 0.0
+    for name, offset_S in zip("ABC", PLACES_S, strict=True):
+        noise = MADE_NOISE_M * rng.standard_normal(measured.p_M.shape) if any(offset_S) else 0.0
         p_M = measured.p_M + turns.apply(offset_S) + noise
         parts.append(replace(plain, p_M=p_M, smr=(name,) * len(p_M)))
     return joined(parts)

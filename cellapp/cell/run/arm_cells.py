@@ -177,9 +177,9 @@ def _check_once(
     arm: str,
     words: Mapping[str, tuple[str | None, ...] | None],
 ) -> None:
-    """Check that an arm has one row per stop, or one per nest and station where these are named."""
+    """Check that an arm has one row per stop, or one per SMR and station where these are named."""
     named = [its for name in ("smr", "station") if (its := words[name]) is not None]
-    once = "give one row per stop" + (", nest and station" if named else "")
+    once = "give one row per stop" + (", SMR and station" if named else "")
     first: dict[tuple[int | str | None, ...], int] = {}
     for index, key in enumerate(zip(configuration.tolist(), *named, strict=True)):
         if key in first:

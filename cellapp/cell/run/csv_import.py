@@ -24,7 +24,6 @@ from cellapp.cell.run.csv_text import (
 )
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
-from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.stations import (
     STATIONS_RESULT,
@@ -37,9 +36,18 @@ from cellapp.cell.run.stations import (
 from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings
+from cellapp.estimation.readings.several_smrs import one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
+
+
+class WhichSmr(InputError):
+    """Readings of two SMRs, which give no rotation: one of ``names`` is to be taken."""
+
+    def __init__(self, text: str, names: tuple[str, ...]) -> None:
+        super().__init__(text)
+        self.names = names
 
 
 def read_readings_csv(
@@ -101,17 +109,18 @@ def readings_from_csv(
     in_order: bool = False,
     recorded: Collection[str] = (),
     reference_nests: Path | None = None,
+    smr: str | None = None,
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; return a function that stores them in a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
     run then stores what was derived. ``reference_nests`` is a file of nests that tie tracker stations. Arms that are
-    ``recorded`` in motion need no readings.
+    ``recorded`` in motion need no readings. ``smr`` is as in ``readings_of_table``.
 
     Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
-    readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
+    readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded, smr=smr)
     tied = ""
     if reference_nests is None:
         require_ties(csv, readings)
@@ -137,9 +146,16 @@ def readings_from_csv(
 
 
 def readings_of_table(
-    profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = ()
+    profile: Profile,
+    table: CsvTable,
+    *,
+    in_order: bool = False,
+    recorded: Collection[str] = (),
+    smr: str | None = None,
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
+
+    Three SMRs or more on a flange give one position and one rotation a stop; ``smr`` takes only the SMR of that name.
 
     Returns
     -------
@@ -154,10 +170,13 @@ def readings_of_table(
     ------
     InputError
         As ``read_readings_csv`` does, and if an arm of the profile has no readings.
+    WhichSmr
+        If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    _check_together(profile, table, readings)
+    readings, made = _one_a_stop(table, readings, smr)
+    notes += made
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -167,16 +186,34 @@ def readings_of_table(
     return readings, orders, notes
 
 
-def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
-    """Check that readings of one stop, and of the nests on one flange, belong together."""
-    problems = Problems(table.place)
+def _one_a_stop(
+    table: CsvTable, readings: Mapping[str, Readings], smr: str | None
+) -> tuple[dict[str, Readings], list[str]]:
+    """Make one reading a stop of each arm; return them, and sentences on what was made of several SMRs."""
+    problems, found, notes = Problems(table.place), dict(readings), list[str]()
+    if smr is not None and not any(smr in smr_names(its) for its in readings.values()):
+        known = dict.fromkeys(name for its in readings.values() for name in smr_names(its))
+        raise InputError(f"--smr: no reading is of an SMR '{smr}'; there are {', '.join(known) or 'no names of SMRs'}")
     for arm, its in readings.items():
-        lines = _lines_of(table, arm)
-        for row, text in twice_at_a_stop(its):
-            problems.add(lines[row], "station", text)
-        for row, column, text in nest_faults(profile, arm, its):
+        lines, names, faults = _lines_of(table, arm), smr_names(its), list[tuple[int, str, str]]()
+        faults += [(row, "station", text) for row, text in twice_at_a_stop(its)]
+        if len(names) > 1 and smr is not None:
+            found[arm] = its.take([row for row, word in enumerate(its.smr or ()) if word == smr])
+        elif len(names) == 2:
+            raise WhichSmr(
+                f"{table.path}: smr: arm '{arm}' was measured at two SMRs, {' and '.join(names)}; two give no rotation:"
+                " take one of them (--smr NAME)",
+                names,
+            )
+        elif len(names) > 2 and not faults:
+            found[arm], made, faults = one_pose_a_stop(its)
+            notes.append(f"{table.path}: arm '{arm}': {made}; smr.offset of the profile is that of {names[0]}")
+        for row, column, text in faults:
             problems.add(lines[row], column, text)
+        if not len(found[arm]):
+            raise InputError(f"{table.path}: smr: no reading of arm '{arm}' is of SMR '{smr}'")
     problems.check()
+    return found, notes
 
 
 def _lines_of(table: CsvTable, arm: str) -> list[int]:

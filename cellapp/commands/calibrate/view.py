@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
-from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
 from cellapp.commands.calibrate.network_view import network_sentences
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
@@ -63,8 +62,8 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, torques and nests, and the priors."""
-    return [*motion_tables(result), *torque_tables(result), *nest_tables(result), *prior_tables(result)]
+    """Show results from recordings of motion and torques, and the priors."""
+    return [*motion_tables(result), *torque_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -151,7 +150,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result), *torque_sentences(result))
+    more = (*network_sentences(result), *motion_sentences(result), *torque_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
 from cellapp.cell.driving.check_stops import check_candidates
 from cellapp.cell.driving.controllers import noting_controllers
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.smr_search import FoundPoint, points_of
 from cellapp.cell.driving.supervision import Opened
@@ -94,12 +93,11 @@ def check_run(
     control = control or JobControl()
     if stops < FEWEST_STOPS:
         raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
-    nests = nest_shapes(run)
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
-    checked = _checked(run, [*probed, *nests])
+    checked = _checked(run, probed)
     chosen = _stops(run.profile, checked, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
-    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model), nests)
+    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
     test = SequentialTest(checked.belief, len(chosen))
     notes: list[str] = []
     if checked.stale:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.csv_import import readings_from_csv
+from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
 from cellapp.commands.import_.request import ImportRequest
@@ -18,8 +19,9 @@ from cellapp.ground.profile import Profile
 
 
 def run(request: ImportRequest, work: Work) -> ImportResult:
-    """Make the run."""
-    return import_new_run(
+    """Make the run; ask which SMR counts where two of a stop give no rotation."""
+    make = partial(
+        import_new_run,
         load_profile(request.profile),
         request.csv,
         request.folder,
@@ -28,6 +30,12 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         arm=request.arm,
         reference_nests=request.reference_nests,
     )
+    try:
+        return make(smr=request.smr)
+    except WhichSmr as error:
+        if not (smr := work.choose(str(error), error.names)):
+            raise
+        return make(smr=smr)
 
 
 def import_new_run(
@@ -39,11 +47,12 @@ def import_new_run(
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
     reference_nests: Path | None = None,
+    smr: str | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
     ``recordings`` are files of joints and of points, pair by pair, and ``arm`` their arm if they do not state one.
-    ``reference_nests`` is a file of nests that tie tracker stations together.
+    ``reference_nests`` is a file of nests that tie tracker stations together; ``smr`` is as in ``readings_of_table``.
 
     Raises
     ------
@@ -56,7 +65,9 @@ def import_new_run(
         fills.append(fill)
     if csv is not None:
         fills.append(
-            readings_from_csv(profile, csv, in_order=in_order, recorded=recorded, reference_nests=reference_nests)
+            readings_from_csv(
+                profile, csv, in_order=in_order, recorded=recorded, reference_nests=reference_nests, smr=smr
+            )
         )
     elif missing := [name for name in profile.arms if name not in recorded]:
         raise InputError(

@@ -13,7 +13,6 @@ from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, lost_beam_words, missing_words, pair_results
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
@@ -146,7 +145,6 @@ def _task(
         also_loads=request.also_loads,
         forces=request.forces,
         cubes={} if other is None else other.cubes,
-        nests={} if used is None else nest_shapes(run),
     )
 
 

@@ -29,10 +29,7 @@ from cellapp.ground.grouping import grouped
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
-ONE_SMR = (
-    "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) or three nests"
-    " (smr.nests) do"
-)
+ONE_SMR = "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) does"
 POSES_ONLY = "orientation is evaluated in the pose test only"
 PERSON = "it needs a person at the arm: 'cellapp iso9283 compliance' asks for each step"
 OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"

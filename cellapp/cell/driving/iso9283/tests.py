@@ -34,7 +34,6 @@ from cellapp.cell.driving.iso9283.programme import (
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.iso9283.settling_tests import SettlingTests
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.tracked_path import PathDriver
@@ -47,7 +46,6 @@ from cellapp.estimation.iso9283.evaluate_compliance import POSE
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import IsoCube
-from cellapp.estimation.nests import NestShape
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
@@ -73,7 +71,7 @@ class IsoTask:
     base and SMR of each arm are found first. ``cycles`` is the requested number, ``speed`` the fraction of the
     profile's speed, ``drift_s`` the duration of the drift test [s]. Pose and path tests are repeated at
     ``also_speeds``, pose tests with the payloads ``also_loads`` [kg]; static compliance is tested under ``forces`` [N].
-    ``cubes`` maps arms to cubes of an earlier test, other arms get new ones; ``nests`` are shapes of several SMRs.
+    ``cubes`` maps arms to cubes of an earlier test, other arms get new ones.
     """
 
     profile: Profile
@@ -88,7 +86,6 @@ class IsoTask:
     also_loads: tuple[float, ...] = ()
     forces: tuple[float, ...] = ()
     cubes: Mapping[str, IsoCube] = field(default_factory=dict)
-    nests: Mapping[str, NestShape] = field(default_factory=dict)
 
 
 def drive_tests(
@@ -162,7 +159,6 @@ class _Session:
         self.bodies = bodies
         self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
         self.driver = Driver(self.mover, self.homes)
-        self.nests = NestPoses.of(self.task.profile, self.task.model, bodies, self.task.nests)
         slow = self.task.profile.collection.slow_start.speed
         self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
 
@@ -462,7 +458,7 @@ class _Session:
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)
-        return self.nests.measure(self.mover, name, q)
+        return self.mover.measure(name, q)
 
     def _miss(self, visit: Visit, reason: str) -> None:
         self._missed += 1
