@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SERIES = ("ur10-real", "ur10-real-d", "ur10-6d", "ur5-real", "panda-sockets")
+SERIES = ("ur10-real", "ur10-real-d", "ur10-6d", "ur5-real")
 SOURCE_FOLDERS = {
     **{"cellapp": "cellapp", "drivers": "drivers", "profiles": "cellapp/starters"},
     **{f"tests/fixtures/{name}": f"cellapp/starters/readings/{name}" for name in SERIES},

@@ -57,7 +57,7 @@ def conformity(run: RunFile, results: StageResults) -> Conformity | None:
     """Return the verdict on the tolerances of a run's profile; None if the profile has none or nothing is judged."""
     if not run.profile.tolerances.any_given:
         return None
-    if CALIBRATE in results.out_of_date:
+    if CALIBRATE in results.out_of_date or run.removed_kinds():
         return "cannot say"
     readings = {name: run.readings(name) for name in run.profile.arms}
     measured = measured_conditions({name: arm for name, arm in readings.items() if len(arm)})

@@ -177,8 +177,6 @@ class Work:
         (question, possible answers) -> the answer of a person; empty if nobody can be asked.
     write_page : callable
         Write the page of a run into its folder; return its path.
-    line : callable
-        Question -> one line of input from a person or a program; None at its end, or if nobody can be asked.
     """
 
     listener: Listener
@@ -192,7 +190,6 @@ class Work:
     say: Callable[[str], None] = field(default=lambda sentence: None)
     write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
-    line: Callable[[str], str | None] = field(default=lambda question: None)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ is fixed in the base frame at the zero position (Brockett's product of exponenti
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,8 +99,6 @@ class Mechanism:
         Payload, in the flange frame.
     smr, smr_normal : arrays, shape (3,)
         In the flange frame.
-    nests : mapping
-        Further SMRs in the flange frame, name -> (3,).
     probe : array, shape (3, 3), or None
         Rotation of a 6-D probe in the flange frame.
     """
@@ -116,7 +114,6 @@ class Mechanism:
     smr: Array
     smr_normal: Array
     capsules: Capsules
-    nests: Mapping[str, Array] = field(default_factory=dict)
     probe: Array | None = None
 
     @cached_property
@@ -269,10 +266,6 @@ class Posture:
         """SMR centre and viewing direction, (n, 3) each."""
         return transform_points(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
 
-    def nest(self, name: str) -> tuple[Array, Array]:
-        """Return centre and viewing direction of a further SMR, (n, 3) each."""
-        return transform_points(self.flange, self.mechanism.nests[name]), self.smr[1]
-
     def segments(self) -> tuple[Array, Array]:
         """Return the ends of the capsules' segments, (k, n, 3) each."""
         capsules = self.mechanism.capsules
@@ -323,13 +316,12 @@ def nominal(arm: ArmConfig) -> Mechanism:
         smr=arm.smr_offset,
         smr_normal=arm.smr_normal / np.linalg.norm(arm.smr_normal),
         capsules=_capsules_at_zero(arm.capsules, frames),
-        nests=arm.nests,
         probe=arm.probe,
     )
 
 
 def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Generator) -> Mechanism:
-    """Return the mechanism with normally distributed errors of axes, joint zeros, SMRs and probe.
+    """Return the mechanism with normally distributed errors of axes, joint zeros, SMR and probe.
 
     The draws do not depend on the sizes, so that one size can be changed alone.
     """
@@ -339,7 +331,6 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
     zeros = rng.standard_normal(joints)
     smr = rng.standard_normal(3)
     probe = rigid(np.concatenate([np.zeros(3), errors.probe * rng.standard_normal(3)]))[:3, :3]
-    nests = {name: offset + errors.smr * rng.standard_normal(3) for name, offset in mechanism.nests.items()}
     moved = mechanism.points + errors.length * np.einsum("jk,jkx->jx", shift, sideways)
     turned = errors.angle * np.einsum("jk,jkx->jx", tilt, sideways)
     twist = np.concatenate([np.zeros_like(turned), turned], axis=1)
@@ -350,7 +341,6 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
         directions=directions,
         zeros=mechanism.zeros + errors.angle * zeros,
         smr=mechanism.smr + errors.smr * smr,
-        nests=nests,
         probe=None if mechanism.probe is None else probe @ mechanism.probe,
     )
 

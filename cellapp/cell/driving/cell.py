@@ -338,19 +338,15 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
         ),
         effects=effects,
         home=None if arm.home is None else np.array(arm.home),
-        **_beside_the_smr(name, arm.smr),
+        **_probe(name, arm.smr),
     )
 
 
-def _beside_the_smr(name: str, smr: Smr) -> dict[str, Any]:
-    """Return the further SMRs and the probe of an arm of the simulated cell. Raise ``InputError``."""
-    unknown = [nest for nest, its in smr.nests.items() if its.offset == "unknown"]
-    if unknown:
-        raise InputError(f"arms.{name}.smr.nests: a simulated arm needs a known 'offset' of nest {', '.join(unknown)}")
-    further: dict[str, Any] = {"nests": {nest: np.array(its.offset) for nest, its in smr.nests.items()}}
+def _probe(name: str, smr: Smr) -> dict[str, Any]:
+    """Return the probe of an arm of the simulated cell. Raise ``InputError``."""
     if smr.probe is None:
-        return further
+        return {}
     if smr.probe.rpy == "unknown":
         raise InputError(f"arms.{name}.smr.probe: a simulated arm needs a known 'rpy' of its probe")
     roll, pitch, yaw = smr.probe.rpy
-    return {**further, "probe": rotation_zyx(yaw, pitch, roll), "probe_sigma": smr.probe.sigma}
+    return {"probe": rotation_zyx(yaw, pitch, roll), "probe_sigma": smr.probe.sigma}

@@ -22,7 +22,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "terminal": "the terminal application: a day, its screens and its keys",
         "planning": "which stops are measured, obstacles, editing a plan",
         "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
-        "sockets": "a ball in a socket: calibrating and checking without a tracker",
         "discovery": "how discovery decides, and what its words mean",
         "effects": "the physical effects that discovery knows",
         "messages": "every fault and suspicion by device: what the program says, cause, what to do",

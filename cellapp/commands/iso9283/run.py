@@ -14,7 +14,6 @@ from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, lost_beam_words, missing_words, pair_results
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
@@ -138,7 +137,6 @@ def _task(
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
-        nests={} if used is None else nest_shapes(run),
     )
 
 

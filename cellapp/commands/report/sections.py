@@ -31,7 +31,6 @@ from cellapp.commands.calibrate.detail_tables import (
     pair_tables,
 )
 from cellapp.commands.calibrate.motion_view import motion_sentences
-from cellapp.commands.calibrate.nests_view import nest_sentences
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts_drift import residual_drift_chart
@@ -156,7 +155,6 @@ def _accuracy(data: ReportData) -> Section:
             *accuracy_charts(data),
             *detailed_tables(calibrate),
             *motion_sentences(calibrate),
-            *nest_sentences(calibrate),
             Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
         ],
         _accuracy_message(data),

@@ -28,10 +28,7 @@ from cellapp.ground.grouping import grouped
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
-ONE_SMR = (
-    "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) or three nests"
-    " (smr.nests) do"
-)
+ONE_SMR = "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) does"
 POSES_ONLY = "orientation is evaluated in the pose test only"
 NOT_OFFERED = "this program does not test it"
 

@@ -117,7 +117,6 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         announce=announce,
         say=job.say,
         choose=partial(_choose, job),
-        line=partial(typed_line, job),
     )
 
 

@@ -43,9 +43,6 @@ READ = {
         "--key",
         "--public-key",
         "--person",
-        "--distances",
-        "--on-flange",
-        "--touches",
         "--reference-nests",
         "--joints",  # of import; those of export are written, and say so
         "--points",

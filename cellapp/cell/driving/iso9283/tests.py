@@ -6,7 +6,7 @@ Measurements are stored visit by visit in the caller's object, so that they can 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -30,7 +30,6 @@ from cellapp.cell.driving.iso9283.programme import (
 )
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.tracked_path import PathDriver
@@ -39,7 +38,6 @@ from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measured
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest, wanted_cycles
-from cellapp.estimation.nests import NestShape
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
@@ -64,7 +62,7 @@ class IsoTask:
     The tracker of ``profile`` is at its true pose if the cell is simulated. ``model`` is the calibrated one; if None,
     base and SMR of each arm are found first. ``cycles`` is the requested number, ``speed`` the fraction of the
     profile's speed, ``drift_s`` the duration of the drift test [s]. Pose and path tests are repeated at
-    ``also_speeds``. ``nests`` are shapes of several SMRs.
+    ``also_speeds``.
     """
 
     profile: Profile
@@ -76,7 +74,6 @@ class IsoTask:
     speed: float
     drift_s: float
     also_speeds: tuple[float, ...] = ()
-    nests: Mapping[str, NestShape] = field(default_factory=dict)
 
 
 def drive_tests(
@@ -149,7 +146,6 @@ class _Session:
         self.bodies = bodies
         self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
         self.driver = Driver(self.mover, self.homes)
-        self.nests = NestPoses.of(self.task.profile, self.task.model, bodies, self.task.nests)
         slow = self.task.profile.collection.slow_start.speed
         self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
 
@@ -374,7 +370,7 @@ class _Session:
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)
-        return self.nests.measure(self.mover, name, q)
+        return self.mover.measure(name, q)
 
     def _miss(self, visit: Visit, reason: str) -> None:
         self._missed += 1
