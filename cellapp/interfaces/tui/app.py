@@ -52,6 +52,7 @@ from cellapp.interfaces.tui.slow_collections import SlowCollections
 from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
@@ -430,11 +431,18 @@ class CellApp(JobKeys):
             line.set_classes(f"message {self._severity}")
 
     def _draw_events(self) -> None:
-        """Process the oldest events of the job, and draw if anything changed."""
+        """Process the oldest events of the job, and draw if anything changed.
+
+        One timer for whichever screen is shown: with one for each screen that was ever shown there was no 0.02 s left
+        in which nothing was due.
+        """
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
         self.record.look(self.live())
+        with contextlib.suppress(NoMatches, StopIteration):
+            if (screen := self._made_screen) is not None:
+                screen.query_one(LiveStrip).look()
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes

@@ -30,8 +30,8 @@ from cellapp.ground.progress import (
     StateChange,
 )
 from tests.latency import attempts
+from tests.waiting import WAIT_S, within
 
-WAIT_S = 30.0
 BAR_S = 0.05
 """From the request to the brakes of the job, more than its own stop takes."""
 
@@ -243,6 +243,7 @@ def test_a_watcher_that_reads_nothing_does_not_delay_the_job(folder: Path) -> No
             address = json.loads((folder / JOB_FILE).read_text())
             with socket.create_connection(("127.0.0.1", address["port"])) as mute:
                 mute.sendall(f"{address['token']} {WATCH}\n".encode())
+                mute.settimeout(WAIT_S)
                 assert mute.recv(1)
                 began_s = time.monotonic()
                 for number in range(20_000):  # 40 MB: far more than any buffer of the system takes
@@ -309,7 +310,7 @@ def test_a_silent_process_and_one_that_is_gone_are_said(folder: Path, monkeypatc
         thread = threading.Thread(target=accept)
         thread.start()
         watched = Watched(folder)
-        thread.join()
+        within(thread.join, "the link")
         watched.until_said("has been silent for 0.05 s")
         watched.remote.stop()
         assert watched.remote.request == "stop"

@@ -30,9 +30,11 @@ from cellapp.interfaces import cli
 from drivers.findings import Finding
 from tests.loopback import own_address
 from tests.twin import PROFILES, write_profile
+from tests.waiting import WAIT_S, until, within
 
 ROOT = Path(__file__).parents[3]
-WAIT_S = 120.0
+RUN_S = 120.0
+"""What a whole command may compute."""
 DRAWN = "  stops: 30\n  method: random"
 """To design stops takes seconds; what loads for it and what it prints is tested with a few."""
 FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
@@ -100,7 +102,7 @@ def shell(*arguments: object, cwd: Path) -> Ended:
         env={**environment(), "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=WAIT_S,
+        timeout=RUN_S,
         check=False,
     )
     assert "Traceback" not in done.stdout + done.stderr
@@ -790,7 +792,7 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
         env={**environment(), "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=WAIT_S,
+        timeout=RUN_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -821,15 +823,14 @@ def long_run(work: Path) -> Path:
 
 def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
     """Wait until a collecting process has stored some stops."""
-    for _ in range(600):
+
+    def some() -> bool:
+        if process.poll() is not None:
+            pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
         with RunFile.open(run) as seen:
-            if len(seen.stops_done()) >= 5:
-                return
-        try:
-            process.wait(0.05)
-        except subprocess.TimeoutExpired:
-            continue
-        pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+            return len(seen.stops_done()) >= 5
+
+    until(some, "the first stops")
 
 
 def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
@@ -849,7 +850,7 @@ def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
@@ -891,7 +892,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
         wait_for_stops(long_run, process)
         paused = shell("pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
-        assert "collect: paused" in process.stderr.readline()
+        assert "collect: paused" in within(process.stderr.readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
         one_sentence(call("pause", long_run.name), "paused already")
         stopped = call("stop", long_run.name, "--json", "-")
@@ -901,7 +902,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
@@ -965,13 +966,13 @@ def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: li
     )
     try:
         assert process.stdout is not None
-        first = process.stdout.readline()
+        first = within(process.stdout.readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     if process.returncode == 3 and "in use" in err:
         pytest.skip("another emulator listens here")
     assert process.returncode == 0, err

@@ -21,6 +21,7 @@ from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.fast
 
@@ -116,7 +117,7 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
 
     def probe(profile: Profile, names: Collection[str]) -> DoctorResult:
         asked.append(tuple(names))
-        assert go_on.wait(60.0)
+        assert go_on.wait(WAIT_S)
         link = Finding(subject="arm left: link", status="ok", text="CB3", device=UR)
         return DoctorResult(findings=(link,))
 

@@ -66,6 +66,7 @@ from tests.interfaces.tui.pilot import (
     opened,
     shown_text,
     shows,
+    turned_to,
     until,
 )
 from tests.twin import small_twin
@@ -211,8 +212,7 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
         assert app.screen.query_one(LogView).size.height >= 5
         assert ("residuals left " in text) == (size == SMALL), "where no plot is shown"
         await see_plots(pilot, app)
-        while not app.screen.has_class("log"):
-            await pilot.press("t")
+        await turned_to(pilot, "log")
         await until(pilot, lambda: app.focused is app.screen.query_one(LogView), "the focus")
         await finished(pilot, app, held)
 
@@ -521,8 +521,7 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
         await pilot.press("o")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log again")
-        while not app.screen.has_class("collected"):
-            await pilot.press("t")
+        await turned_to(pilot, "collected")
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held)
         await shows(pilot, "Log of this session")
@@ -577,8 +576,7 @@ def stops_of(app: CellApp) -> list[tuple[str, ...]]:
 
 async def show_stops(pilot: Pilot[None], app: CellApp, run: Path) -> None:
     await show_collect(pilot, app, run)
-    while not app.screen.has_class("stops"):
-        await pilot.press("t")
+    await turned_to(pilot, "stops")
     await until(pilot, lambda: bool(stops_of(app)), "the stops")
     table = app.screen.query_one(CollectedStops).table
     await until(pilot, lambda: app.focused is table, "the table that takes the keys")
@@ -680,8 +678,7 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await ended(pilot, app)
         stops = app.day_screen.query_one(CollectedStops)
         await until(pilot, lambda: not stops.table.row_count, "the stops as they are now, none suspicious")
-        while not app.screen.has_class("stops"):  # the job's log was shown
-            await pilot.press("t")
+        await turned_to(pilot, "stops")  # the job's log was shown
         await pilot.press("f")
         rows = [row for row in stops_of(app) if row[0] == "12"]
         assert [row[5] for row in rows] == ["again", "again"]

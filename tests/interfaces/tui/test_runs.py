@@ -36,6 +36,7 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
+from tests.waiting import WAIT_S
 
 LOGS = Path("logs")
 
@@ -333,7 +334,7 @@ async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypat
     read = history.list_runs
 
     def slow(folder: Path | None = None) -> RunsResult:
-        assert go_on.wait(60.0)
+        assert go_on.wait(WAIT_S)
         return read(folder)
 
     monkeypatch.setattr(history, "list_runs", slow)
