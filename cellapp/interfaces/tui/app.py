@@ -24,11 +24,9 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.widgets import Static
 
-from cellapp.cell.driving.requests.attaching import Detached
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal_signals
 from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.jump import Jump
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -37,6 +35,7 @@ from cellapp.interfaces.tui.job_keys import JobKeys
 from cellapp.interfaces.tui.jobs import JobEnded
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
+from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
@@ -212,7 +211,7 @@ class CellApp(JobKeys):
         self._leaving = True
         self.jobs.control.leave(LEFT)
         self._refuse_motion()
-        if not self.jobs.attached:
+        if not self.jobs.watched:
             self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
         self.set_timer(self._patience_s, self._quit_without_job)
 

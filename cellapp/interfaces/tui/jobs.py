@@ -116,7 +116,7 @@ class JobRunner:
         return job is not None and (job.moves or job.process is not None or self.control.has_brakes)
 
     @property
-    def attached(self) -> bool:
+    def watched(self) -> bool:
         """Whether the current job belongs to another process: leaving it does not stop it."""
         return self.job is not None and self.job.process is not None
 

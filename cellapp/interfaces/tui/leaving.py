@@ -71,7 +71,7 @@ class Leaving:
 
     def _end_process(self, after_s: float) -> None:
         """End the process if Textual cannot: it waits for ever after a failed write to a closed terminal."""
-        running = self._app.jobs.running and not self._app.jobs.attached
+        running = self._app.jobs.running and not self._app.jobs.watched
         self._app.wait_for_job()
         time.sleep(after_s)
         os._exit(STOPPED if running else self._app.code)

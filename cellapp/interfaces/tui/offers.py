@@ -257,7 +257,7 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[st
         text = f"{lost}Key {SHOWN['save']} saves on the screen that has them."
         app.push_screen(Choice("Quit?", text, lose), lambda answer: leave(answer == "leave"))
         return
-    if app.jobs.attached:
+    if app.jobs.watched:
         text = f"{lost}'{app.record.name}' runs in another process and goes on; its arms are not stopped."
         stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
         app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
@@ -273,7 +273,7 @@ def offer_to_resume(app: Host, run: RunSummary) -> None:
     folder, title = Path(run.run), "Go on with the last run?"
     text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
     if run.in_use:
-        title = "Watch the job that runs now?"
+        title = "Open the run of the job that runs now?"
         text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
 
     def open_it(answer: str | None) -> None:

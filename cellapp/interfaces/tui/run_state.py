@@ -42,7 +42,7 @@ class JobNow:
     state: JobState
     folder: Path | None
     step: Step | None
-    attached: bool = False
+    watched: bool = False
     replays: bool = False
     stops: int | None = None
     moves: bool = True
@@ -290,7 +290,7 @@ def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
         record.state,
         None if running is None else running.folder,
         _DRIVES.get(part),
-        record.attached,
+        record.watched,
         record.is_replay,
         None if collected is None or record.is_replay else collected.done,
         running is None or running.moves or running.process is not None,

@@ -384,7 +384,7 @@ class RunsScreen(DayScreen):
             else:
                 why = "was not interrupted while collecting; there is nothing to resume"
                 if run.in_use:
-                    why = f"is in use by {run.in_use}; Enter opens it, and watches a job of this computer"
+                    why = f"is in use by {run.in_use}; Enter opens it, and shows the state of a job of this computer"
                 self.say(f"{run.run} {why}.", "warning")
 
         self._with_run(resume)
