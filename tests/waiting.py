@@ -18,11 +18,11 @@ T = TypeVar("T")
 
 def until(holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> float:
     """Ask again and again until a condition holds; return how long that took [s]."""
-    began_s = time.monotonic()
+    began_s, pause = time.monotonic(), threading.Event()
     while not holds():
         if time.monotonic() - began_s > wait_s:
             pytest.fail(f"not within {wait_s:g} s: {what}")
-        time.sleep(_LOOK_S)
+        pause.wait(_LOOK_S)
     return time.monotonic() - began_s
 
 

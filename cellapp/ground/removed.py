@@ -7,7 +7,9 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
-COMMANDS: Mapping[str, str] = {}
+COMMANDS: Mapping[str, str] = {
+    "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
+}
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""

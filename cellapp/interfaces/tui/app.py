@@ -472,15 +472,13 @@ class CellApp(JobKeys):
         self.tell(terminal_signals.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
-        """Show a new state of the job in the message line; a replay's state is not a state of these arms."""
+        """Show a new state of the job in the message line."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
             since = "" if state == "running" else f" {terminal_signals.since_words(self.record)}"
-            self.message = (
-                f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}{since or f': {reason}'}"
-            )
+            self.message = f"{state.upper()}{since or f': {reason}'}"
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()
-        if state in _WAITING and not self.record.is_replay:
+        if state in _WAITING:
             self._tell_event(str(state), f"{self.record.name} {terminal_signals.since_words(self.record)}")

@@ -201,11 +201,6 @@ class JobRecord:
         """The newest event; None before the first."""
         return next(reversed(self.progress.values()), None)
 
-    @property
-    def is_replay(self) -> bool:
-        """Whether a stored run is played back: nothing moves."""
-        return self.name.split(" ")[0] == "replay"
-
     def newest_lines(self, written: int) -> list[LogRow]:
         """Return the kept lines written since ``log_written`` had the value ``written``; oldest first."""
         count = min(self.log_written - written, len(self.log))

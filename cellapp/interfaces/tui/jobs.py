@@ -50,7 +50,7 @@ class Job:
     folder : Path or None
         The run that it reads or adds to; its error log is written there.
     moves : bool
-        Whether it may move arms; a replay and a calculation do not.
+        Whether it may move arms; a calculation does not.
     process : int or None
         Id of the other process that runs it and is only watched and commanded from here; None: this process.
     verb : Verb or None

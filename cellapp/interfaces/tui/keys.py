@@ -99,7 +99,6 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "export": ("calibrate", "export"),
     "compare": ("runs", "compare"),
     "fleet": ("runs", "fleet"),
-    "replay": ("runs", "look"),
     "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""

@@ -11,7 +11,6 @@ from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
-from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
@@ -37,8 +36,6 @@ _MOST_SOCKETS = 6
 """Rows of a table in a dialog that fits into the smallest terminal."""
 _READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
-_SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
-"""Speeds of a replay and their keys."""
 
 
 def arms_words(workspace: Workspace) -> str:
@@ -298,15 +295,3 @@ def offer_at_rest(app: Host, arm: str) -> None:
     answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
     text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."
     app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)
-
-
-def offer_replay(app: Host, folder: Path) -> None:
-    """Play back a run on the screen Collect."""
-
-    def play(answer: str | None) -> None:
-        if answer is not None and app.start_job(work.job_of(REPLAY, folder=folder, speed=float(answer[1:]))):
-            app.action_show("collect")
-
-    answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]
-    text = f"Play back {folder} through the screen Collect. Nothing moves."
-    app.push_screen(Choice("How fast?", text, answers), play)

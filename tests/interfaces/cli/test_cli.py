@@ -25,7 +25,6 @@ from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.cell.planning.stored_stops import write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.ground.control import JobControl, Request
 from cellapp.interfaces import cli
 from drivers.findings import Finding
 from tests.loopback import own_address
@@ -472,31 +471,6 @@ def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
     assert "6114 approach signs" in call("show", "ordered").out
 
 
-def test_a_replay_reads_only_and_ends_on_request(work: Path, call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits_s: list[float] = []
-    stops_at: list[int] = []
-
-    def at_once(control: JobControl, *requests: Request, timeout_s: float) -> Request:
-        waits_s.append(timeout_s)
-        if len(waits_s) in stops_at:
-            control.stop()
-        return control.request
-
-    monkeypatch.setattr(JobControl, "wait_while", at_once)
-    monkeypatch.setattr("cellapp.cell.driving.replay._DUE_S", np.inf)
-    before = bytes_below(work / "collected")
-    ended = call("replay", "collected", "--speed", "100", "--json", "-")
-    jsonschema.validate(ended.json, json.loads(call("schema", "cellapp-replay").out))
-    assert (ended.json["stops"], ended.json["readings"]) == (30, {"left": 30, "right": 30})
-    assert waits_s[-1] <= ended.json["duration_s"] / 100.0
-    assert "played 100 times as fast" in ended.err
-    stops_at.append(len(waits_s) + 20)
-    ended = call("replay", "collected", "--speed", "1")
-    assert (ended.code, ended.out) == (4, "")
-    assert "stopped on request" in ended.err
-    assert bytes_below(work / "collected") == before
-
-
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 
@@ -596,11 +570,6 @@ BAD = [
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
-    (None, "replay planned", ["there are no readings to play back"]),
-    (None, "replay nothing", ["nothing: run folder not found"]),
-    (None, "replay collected --speed 0.5", ["the speed 0.5 is not possible; give one from 1 to 100 times"]),
-    (None, "replay collected --speed nan", ["the speed nan is not possible"]),
-    (truncated, "replay collected", ["run.sqlite is cut off"]),
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
     (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
@@ -801,7 +770,7 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
 def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
-    for command in ("run", "doctor", "plan", "collect", "replay", "import", "export", "calibrate", "discover",
+    for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover",
                     "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
                     "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
         assert f" {command} " in ended.out

@@ -167,18 +167,6 @@ def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -
     assert headline(run_state(Workspace(), running), running, "none").word == "NO DATA"
 
 
-@pytest.mark.parametrize("state", ["running", "stopped"])
-def test_a_replay_says_that_nothing_moves_whatever_was_recorded(state: JobState) -> None:
-    record = JobRecord()
-    record.begin("replay x10")
-    record.add(Progress("replay", 1, 9, detail=StateChange(state, "a fault of arm left")))
-    found = headline(run_state(Workspace(), record), record, "none")
-    assert found.word == "REPLAY x10, nothing moves"
-    assert "clear" not in found.sentence
-    assert ("Recorded: STOPPED, a fault of arm left." in found.sentence) == (state == "stopped")
-    assert headline(run_state(Workspace(), record), record, "pause").word.endswith("PAUSED")
-
-
 # -- a job -------------------------------------------------------------------------------------------------------------
 
 
@@ -332,17 +320,6 @@ async def test_a_flood_of_events_keeps_the_keys_answered(monkeypatch: pytest.Mon
         await until(pilot, lambda: [verb for verb, _ in job.brakes] == ["stop"], "the stop")
         await pilot.press("x")
         await ended(pilot, app)
-
-
-async def test_a_replay_is_shown_as_one() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held, "replay x10")
-        await shows(pilot, "REPLAY x10, nothing moves")
-        assert "RUNNING" not in shown_text(app)
-        await finished(pilot, app, held)
 
 
 # -- a run -------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The screen Runs: listed in a thread, sorted, filtered, opened, compared, resumed, replayed; broken ones are rows."""
+"""The screen Runs: listed in a thread, sorted, filtered, opened, compared, resumed; broken ones are rows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.comparison import Comparison
 from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
@@ -250,24 +249,6 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
         await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
         assert app.day_screen.STEP == "collect"
         assert not app.jobs.running
-
-
-async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[tuple[Path | None, str]] = []
-
-    def start_job(job: Job) -> bool:
-        started.append((job.folder, job.name))
-        return False
-
-    app = app_without_offer(monkeypatch)
-    monkeypatch.setattr(app, "start_job", start_job)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("v")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await pilot.press("3")
-        await until(pilot, lambda: started == [(LOGS / "first", "replay x100")], "the replay")
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

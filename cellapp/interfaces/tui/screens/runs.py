@@ -1,4 +1,4 @@
-"""The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume, replay.
+"""The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume.
 
 Runs are read and compared in threads, which also load the packages for it.
 """
@@ -38,7 +38,7 @@ from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
-from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
+from cellapp.interfaces.tui.offers import offer_to_resume
 from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -104,7 +104,6 @@ class RunsScreen(DayScreen):
         bind("fleet", "fleet", "Fleet", "the history of each arm over the runs of the list"),
         bind("open", "report", "Report", "open the report in a browser"),
         bind("go", "resume_run", "Resume run", "go on with a run that was interrupted"),
-        bind("look", "replay", "Replay", "play the run back; nothing moves"),
         bind("search", "filter", "Filter", "filter the list while you type"),
         Binding("escape", "clear_filter", show=False),
         bind("sort", "sort", "Sort", "sort by the next column"),
@@ -388,17 +387,6 @@ class RunsScreen(DayScreen):
                 self.say(f"{run.run} {why}.", "warning")
 
         self._with_run(resume)
-
-    def action_replay(self) -> None:
-        """Offer to play back the run under the cursor."""
-
-        def replay(run: RunSummary) -> None:
-            if run.stops_measured:
-                offer_replay(self.cell_app, Path(run.run))
-            else:
-                self.say(f"{run.run} has no readings to play back.", "warning")
-
-        self._with_run(replay)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""

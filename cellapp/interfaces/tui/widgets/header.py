@@ -26,7 +26,6 @@ _BADGES: Mapping[str, str] = {
     "simulated": " SIMULATED ",
     "emulated": " EMULATED ",
     "real": " REAL ARMS ",
-    "replay": " REPLAY ",
 }
 
 
@@ -46,7 +45,6 @@ class DayHeader(Horizontal):
     def show(self, state: RunState, kind: str, record: JobRecord) -> None:
         """Draw the open run and the running job; ``kind`` is that of the cell's arms."""
         job = state.job
-        kind = "replay" if job is not None and job.replays else kind
         watched = job is not None and job.watched
         words = job_words(record)
         drawn = (kind, watched, state.where, words, record.state)
