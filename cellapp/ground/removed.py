@@ -11,7 +11,9 @@ COMMANDS: Mapping[str, str] = {
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
 }
 """Name of a removed command, as it is typed -> what to do instead."""
-PROFILE_KEYS: Mapping[str, str] = {}
+PROFILE_KEYS: Mapping[str, str] = {
+    "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
+}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 
 
