@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -139,6 +139,12 @@ class CellApp(JobKeys):
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
         self.leaving.close_terminal()
+
+    @contextlib.contextmanager
+    def lend_terminal(self) -> Iterator[None]:
+        """Let another program have the terminal."""
+        with self.suspend(), self.leaving.lent():
+            yield
 
     def get_driver_class(self) -> type[Driver]:
         """Return the driver that stops before the event loop gets a key, if this system has one."""

@@ -58,7 +58,7 @@ KEYS: Mapping[str, Key] = {
     "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
     "push": Key("P", "P", "drive to the targets without measuring. The arms move"),
     "locate": Key("l", "l", "measure where the tracker stands. The arms move"),
-    "edit": Key("u", "u", "change the profile in a form"),
+    "edit": Key("u", "u", "change the profile in $EDITOR"),
     "forecast": Key("j", "j", "foresee what a plan gives"),
     "freeze": Key("z", "z", "let later designs leave the marked stops"),
     "drift": Key("d", "d", "accept a drift of the references"),

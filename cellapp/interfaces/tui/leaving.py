@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
+from collections.abc import Iterator
 
 from cellapp.ground.signals import HANGUP, INTERRUPTS, TERMINAL_CLOSED, available, ended_by, watch_signals
 from cellapp.interfaces.tui.endings import STOPPED, forget_terminal
@@ -44,6 +46,19 @@ class Leaving:
     def close(self) -> None:
         """Stop handling signals."""
         self._signals.close()
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[None]:
+        """Leave Ctrl-C and Ctrl-Z to another program that has the terminal meanwhile. Call it in the main thread."""
+        self.close()
+        own = {number: signal.signal(number, signal.SIG_IGN) for number in available("SIGINT")}
+        own |= {number: signal.signal(number, signal.SIG_DFL) for number in _PAUSING}
+        try:
+            yield
+        finally:
+            for number, handler in own.items():
+                signal.signal(number, handler)
+            self.watch()
 
     def _react(self, number: int) -> None:
         """React to a signal, in the thread that watches the signals."""

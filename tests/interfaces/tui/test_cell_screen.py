@@ -169,7 +169,7 @@ async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None
     app = CellApp(tmp_path)
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: bool(app.workspace.problem), "the problem")
-        await until(pilot, lambda: "sede" in line(app, "cell-verdict"), "its sentence")
+        await until(pilot, lambda: "bad.yaml:4  sede: unknown key" in shown_text(app), "its line")
         assert "bad.yaml" in line(app, "cell-verdict")
         assert device_rows(app) == []
 
