@@ -53,7 +53,7 @@ KEYS: Mapping[str, Key] = {
     "arm": Key("a", "a", "the other arm"),
     "before": Key("comma", ",", "the one before: joint, picture, chart, match, place in the handbook"),
     "after": Key("full_stop", ".", "the next one: joint, picture, chart, match"),
-    "look": Key("v", "v", "look: what the tracker sees, from another side, at a run again"),
+    "look": Key("v", "v", "look: what the tracker sees, from another side"),
     "check": Key("k", "k", "check: the plan, the calibration"),
     "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
     "push": Key("P", "P", "drive to the targets without measuring. The arms move"),
@@ -62,8 +62,6 @@ KEYS: Mapping[str, Key] = {
     "forecast": Key("j", "j", "foresee what a plan gives"),
     "freeze": Key("z", "z", "let later designs leave the marked stops"),
     "drift": Key("d", "d", "accept a drift of the references"),
-    "compare": Key("equals_sign", "=", "compare the marked runs"),
-    "fleet": Key("F", "F", "the history of each arm over the runs of the list"),
     "debug": Key("D", "D", "show all lines of the log"),
     "info": Key("I", "I", "show lines of the log from info upwards"),
     "warning": Key("W", "W", "show warnings and errors of the log"),
@@ -97,8 +95,6 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "check-certificate": ("accept", "import"),
     "report": ("accept", "go"),
     "export": ("calibrate", "export"),
-    "compare": ("runs", "compare"),
-    "fleet": ("runs", "fleet"),
     "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
