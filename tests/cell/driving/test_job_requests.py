@@ -187,7 +187,7 @@ def test_a_look_tells_the_state_and_how_far_the_job_is(folder: Path) -> None:
         assert look_at_job(folder) == JobSeen("collect", "none", True, False, part="collect")
         with control.brakes(lambda verb: None):
             listener(Progress("plan", 30, 30))
-            listener(Progress("collect", np.int64(7), 30, "stop 8"))
+            listener(Progress("collect", np.int64(7), 30, "stop 8"))  # type: ignore[arg-type]  # some loops count so
             control.pause()
             listener(Progress("collect", 7, 30, detail=StateChange("paused", "asked by a person" + "!" * 3000)))
             seen = look_at_job(folder)
