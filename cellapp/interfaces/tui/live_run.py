@@ -18,7 +18,7 @@ from cellapp.ground.asking import (
     ask_running_job,
     look_at_job,
 )
-from cellapp.ground.control import Aborted, JobControl, Stopped
+from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.interfaces.tui.host import Host
@@ -56,26 +56,6 @@ class OthersControl(JobControl):
     def can_hold(self) -> bool:
         """Whether the job could wait after a halt."""
         return self.has_brakes
-
-    def pause(self) -> None:
-        """Ask the job to wait after the current stop."""
-        self._send("pause")
-        super().pause()
-
-    def resume(self) -> None:
-        """Let a paused or stopped job continue."""
-        self._send("resume")
-        super().resume()
-
-    def stop(self) -> None:
-        """Brake all arms of the job now."""
-        self._send("stop")
-        super().stop()
-
-    def abort(self) -> None:
-        """Brake all arms of the job now and end it."""
-        self._send("abort")
-        super().abort()
 
     def leave(self, how: str = "") -> None:
         """Look at it no longer. The job goes on: another person attends it."""
@@ -134,16 +114,17 @@ class OthersControl(JobControl):
         if self.request == "stop":
             raise Stopped("stopped on request")
 
-    def _send(self, verb: Verb) -> None:
+    def _set(self, request: Request, replaces: tuple[Request, ...]) -> None:
+        """Send the request that pause, resume, stop or abort makes, in a thread of its own; here it stands at once."""
         self._sent += 1  # before it is sent: what is under way does not know of it
+        threading.Thread(target=self._send, args=("resume" if request == "none" else request,), daemon=True).start()
+        super()._set(request, replaces)
 
-        def send() -> None:
-            try:
-                ask_running_job(self.folder, verb)
-            except CellappError as error:
-                self._say(f"{verb}: {error}")
-
-        threading.Thread(target=send, name=verb, daemon=True).start()
+    def _send(self, verb: Verb) -> None:
+        try:
+            ask_running_job(self.folder, verb)
+        except CellappError as error:
+            self._say(f"{verb}: {error}")
 
     def _say(self, text: str) -> None:
         self._app.call_later(self._app.say, text, "error")
