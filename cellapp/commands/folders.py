@@ -19,7 +19,7 @@ STORING = (
 """Verbs that store results in a run, in the order in which ``show`` names them."""
 
 FOLDERS = (
-    *("run", "demo", "doctor", "init", "plan", "power", "rehearse", "collect", "replay", "import_", "touch"),
+    *("run", "demo", "doctor", "init", "plan", "rehearse", "collect", "replay", "import_", "touch"),
     *(*STORING, "sign_key"),
     *("check_certificate", "report", "show", "export", "correct", "at_rest", "runs", "compare", "fleet"),
     *("recalibrate", "schema", "docs", "emulate", "tracker_bridge"),

@@ -11,7 +11,6 @@ import json
 import logging
 import multiprocessing
 import os
-import pickle
 import platform
 import signal
 import threading
@@ -31,10 +30,10 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
-from threadpoolctl import threadpool_limits
 
 from cellapp.ground.errors import CellappError, CheckFailed, InputError
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.threads import one_blas_thread
 from cellapp.ground.version import __version__
 
 Prepared = TypeVar("Prepared")
@@ -50,6 +49,9 @@ _CONNECT_S = 10.0
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _ONE_AT_A_TIME = threading.Lock()
 """A Dask worker may have several threads; the limit of threads of linear algebra holds for the whole process."""
+
+_PREPARED: dict[str, Any] = {}
+"""What this process has prepared for its tasks."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,9 @@ def gather(
     Cancelled
         On request; tasks under way end and are kept.
     """
-    program, shared, adapter = _program(function), pickle.dumps((function, prepare)), TypeAdapter(found)
+    if work.scheduler is not None and work.jobs is not None:
+        raise InputError("--jobs: the scheduler has workers of its own; leave out --jobs or --scheduler")
+    program, adapter = _program(function), TypeAdapter(found)
     about = json.dumps([program, function.__qualname__, to_jsonable_python([prepare.args, prepare.keywords])])
     text = {name: about + json.dumps(to_jsonable_python(one)) for name, one in given.items()}
     keys = {name: hashlib.sha256(one.encode()).hexdigest() for name, one in text.items()}
@@ -126,7 +130,7 @@ def gather(
     failures: dict[str, _Answer] = {}
     work.listener(Progress(job, len(results), len(given), f"{len(results)} computed before" if results else ""))
     missing = {name: one for name, one in given.items() if name not in results}
-    for name, answer in _answers(program, shared, missing, work):
+    for name, answer in _answers(_Shared(program, about, function, prepare), missing, work):
         if answer.failure:
             failures[name] = answer
         else:
@@ -151,6 +155,16 @@ def local_cores() -> int:
 
 
 @dataclass(frozen=True)
+class _Shared:
+    """What all tasks share; ``about`` is the same text only where what is prepared is the same."""
+
+    program: str
+    about: str
+    function: Callable[[Any, Any], Any]
+    prepare: Callable[[], Any]
+
+
+@dataclass(frozen=True)
 class _Answer:
     """What became of a task: its result, or why it failed and the exit code of that."""
 
@@ -159,20 +173,20 @@ class _Answer:
     exit_code: int = CheckFailed.exit_code
 
 
-def _answers(program: str, shared: bytes, given: Mapping[str, Any], work: Work) -> Iterator[tuple[str, _Answer]]:
+def _answers(shared: _Shared, given: Mapping[str, Any], work: Work) -> Iterator[tuple[str, _Answer]]:
     """Every task as it ends. Tasks whose process was ended are begun again, with those that waited behind them."""
     jobs = min(work.jobs or local_cores(), len(given))
     if jobs <= 1 and work.scheduler is None:
         for name, one in given.items():
             work.cancel.check()
-            yield name, _perform(program, shared, one)
+            yield name, _perform(shared, one)
         return
     waiting, attempts = dict(given), 1 if work.scheduler else _ATTEMPTS
     for _ in range(attempts):
         if waiting:
             with _cluster(work.scheduler) if work.scheduler else _processes(jobs) as executor:
                 with _ctrl_c_blocked():  # processes start as the first tasks are submitted
-                    begun = {executor.submit(_perform, program, shared, one): name for name, one in waiting.items()}
+                    begun = {executor.submit(_perform, shared, one): name for name, one in waiting.items()}
                 for future in _ended(begun, work.cancel):
                     if not future.cancelled() and not isinstance(future.exception(), BrokenProcessPool):
                         del waiting[begun[future]]
@@ -277,25 +291,21 @@ def _cluster(address: str) -> Iterator[Executor]:
         client.close(timeout=_POLL_S)
 
 
-def _perform(program: str, shared: bytes, one: Any) -> _Answer:
+def _perform(shared: _Shared, one: Any) -> _Answer:
     """Compute one task; a worker of another program refuses."""
-    with _ONE_AT_A_TIME, threadpool_limits(1):
+    with _ONE_AT_A_TIME, one_blas_thread():
         try:
-            function, prepared = _prepared(shared)
-            if (here := _program(function)) != program:
-                raise InputError(f"{platform.node()} runs {here}, this is {program}; install the same on both")
-            return _Answer(function(prepared, one))
+            if (here := _program(shared.function)) != shared.program:
+                raise InputError(f"{platform.node()} runs {here}, this is {shared.program}; install the same on both")
+            if shared.about not in _PREPARED:
+                _PREPARED.clear()
+                _PREPARED[shared.about] = shared.prepare()
+            return _Answer(shared.function(_PREPARED[shared.about], one))
         except CellappError as error:
             return _Answer(failure=str(error), exit_code=error.exit_code)
         except Exception as error:  # noqa: BLE001 - one task that fails, of many, is reported with its place
             place = traceback.extract_tb(error.__traceback__)[-1]
             return _Answer(failure=f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})")
-
-
-@lru_cache(maxsize=2)
-def _prepared(shared: bytes) -> tuple[Callable[[Any, Any], Any], Any]:
-    function, prepare = pickle.loads(shared)
-    return function, prepare()
 
 
 @lru_cache(maxsize=8)
@@ -318,11 +328,13 @@ def _kept(path: Path | None) -> dict[str, Any]:
     if path is None or not path.exists():
         return {}
     try:
-        text = path.read_text("utf-8")
-        whole = text[: text.rfind("\n") + 1]
-        if whole != text:
-            path.write_text(whole, encoding="utf-8", newline="\n")
-        return {one["key"]: one["found"] for one in map(json.loads, whole.splitlines())}
+        data = path.read_bytes()
+        whole = data[: data.rfind(b"\n") + 1]
+        kept = {one["key"]: one["found"] for one in map(json.loads, whole.splitlines())}
+        if data and not kept:
+            raise ValueError("it begins otherwise")
+        os.truncate(path, len(whole))
+        return kept
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path} is no results file ({error}); choose another name") from None
 

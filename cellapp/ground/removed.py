@@ -7,7 +7,17 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
-COMMANDS: Mapping[str, str] = {}
+_EVIDENCE = "the source's 'python -m tests.evidence' has what made the project's figures"
+COMMANDS: Mapping[str, str] = {
+    "power": "use 'cellapp trials power DIR'",
+    **{
+        f"trials {name}": _EVIDENCE
+        for name in (
+            *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),
+            *("targets", "plans", "check", "signature"),
+        )
+    },
+}
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""

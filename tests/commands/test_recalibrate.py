@@ -16,6 +16,7 @@ from cellapp.commands.recalibrate.view import recalibration_sentences, recalibra
 from cellapp.commands.stages import read_stages
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.executors import Work
 from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.cli.app import app
 from tests.estimation.monitoring.fleet.runs import STOPS, measured_run
@@ -44,25 +45,25 @@ def change(run: Path) -> None:
 
 def test_only_what_is_out_of_date_is_made_again(fleet: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(fleet, tmp_path / "fleet"))
-    assert recalibrate([folder], search=False).made == ()
+    assert recalibrate([folder], computing=Work(), search=False).made == ()
     change(folder / "b")
-    result = recalibrate([folder], search=False)
+    result = recalibrate([folder], computing=Work(), search=False)
     (made,) = result.made
     assert (Path(made.run).name, made.made) == ("b", ("calibrate",))
     assert made.because.startswith("calibrate: ")
     assert 0.0 < made.heldout_mm["left"] < 0.1
     assert len(recalibration_table(result).rows) == 1
-    assert recalibration_sentences(result) == ["1 run computed again, 1 up to date, 0 failed; 1 at the same time"]
+    assert recalibration_sentences(result) == ["1 run computed again, 1 up to date, 0 failed"]
     assert RecalibrateResult.from_json(result.to_json(), "here") == result
-    assert recalibrate([folder], search=False).made == ()
-    forced = recalibrate([folder / "a"], search=False, force=True)
+    assert recalibrate([folder], computing=Work(), search=False).made == ()
+    forced = recalibrate([folder / "a"], computing=Work(), search=False, force=True)
     assert [run.because for run in forced.runs] == ["calibrate: asked for"]
     assert [calibrations(folder / name) for name in ("a", "b")] == [2, 2]
 
 
 def test_effects_are_searched_where_that_was_not_done(fleet: Path, tmp_path: Path) -> None:
     run = Path(shutil.copytree(fleet / "a", tmp_path / "a"))
-    (found,) = recalibrate([run]).runs
+    (found,) = recalibrate([run], computing=Work()).runs
     assert (found.made, found.because) == (("discover",), "discover: not done yet")
     with RunFile.open(run) as opened:
         assert not read_stages(opened).out_of_date
@@ -90,4 +91,4 @@ def test_folders_without_runs_are_refused(tmp_path: Path) -> None:
         ([tmp_path / "x"], "not found"),
     ):
         with pytest.raises(InputError, match=sentence):
-            recalibrate(folders)
+            recalibrate(folders, computing=Work())

@@ -4,24 +4,19 @@ stated 95 % intervals of their parameters hold the truth?"""
 from __future__ import annotations
 
 import argparse
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
-from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import nominal_arm
-from tests.evidence.skeleton import ROOT, Evidence, Limit, Share, Table
+from tests.evidence.shared.cells import TWIN, bare, bare_stops
+from tests.evidence.skeleton import Evidence, Limit, Share, Table
 
 TITLE = "Confidence intervals"
-PROFILE = ROOT / "profiles" / "twin.yaml"
 LEAST, MOST = 0.93, 0.97
 """Limits of the share of 95 % intervals that hold the truth."""
 
@@ -32,27 +27,12 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    arms = load_profile(PROFILE).arms
+    arms = load_profile(TWIN).arms
     return {
         f"arm {arm}, seed {seed}": {"arm": arm, "seed": seed, "stops": asked.stops}
         for arm in arms
         for seed in range(asked.n)
     }
-
-
-def bare(profile: Profile, stops: int, plant_seed: int | None = None) -> Profile:
-    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
-    assert profile.plant is not None
-    seed = profile.plant.seed if plant_seed is None else plant_seed
-    plant = profile.plant.model_copy(update={"effects": {}, "seed": seed})
-    plan = profile.plan.model_copy(update={"stops": stops})
-    return profile.model_copy(update={"plant": plant, "plan": plan})
-
-
-@cache
-def planned(profile: Path, stops: int) -> dict[str, Array]:
-    """Arm -> joint positions (n, N) of stops that all seeds share [rad]; planned once a process."""
-    return dict(plan_stops(bare(load_profile(profile), stops)))
 
 
 def one(case: dict[str, Any]) -> dict[str, Any]:
@@ -61,8 +41,8 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     The truth of the identified parameters is their estimate from noise-free positions of the same plant with the same
     parameter set: parameters into which others are merged have no true value of their own.
     """
-    profile, arm, seed = load_profile(PROFILE), case["arm"], case["seed"]
-    q = planned(PROFILE, case["stops"])[arm]
+    profile, arm, seed = load_profile(TWIN), case["arm"], case["seed"]
+    q = bare_stops(TWIN, case["stops"])[arm]
     plant = build_plant(bare(profile, len(q), seed))
     exact = plant.smr_positions(arm, q)
     noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, seed]))

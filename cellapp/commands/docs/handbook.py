@@ -47,7 +47,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
         "extend": "arms, drivers, effects and exports of your own, as plug-ins",
         "emulator": "the emulated cell: real protocols, faults at will",
-        "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
+        "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
         "house": "how the code is laid out, how to add to it, tests",
         "decisions": "decisions that shaped the house, with what was measured",
     },

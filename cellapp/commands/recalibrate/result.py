@@ -25,7 +25,6 @@ class RecalibrateResult(Result, schema="cellapp-recalibrate"):
 
     runs: tuple[RecalibratedRun, ...]
     failed: Mapping[str, str]
-    workers: int
 
     @property
     def made(self) -> tuple[RecalibratedRun, ...]:

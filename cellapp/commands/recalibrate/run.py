@@ -9,6 +9,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
@@ -23,11 +24,9 @@ from cellapp.commands.stages import read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.asking import who_uses
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.executors import Work as Computing
+from cellapp.ground.executors import gather
 from cellapp.ground.results import CALIBRATE, DISCOVER, ModelStage, Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import check_resources, gather
-from cellapp.ground.scale.task import Batch, TaskKind, as_given
 
 
 class WhatToMake(Record):
@@ -37,23 +36,13 @@ class WhatToMake(Record):
     search: bool
 
 
-class FolderOfRun(Record):
-    """The folder of a run, under a path that every worker sees."""
-
-    folder: str
-
-
 def run(request: RecalibrateRequest, work: Work) -> RecalibrateResult:
     """Recompute what is out of date."""
-    resources = Resources(request.jobs, request.scheduler)
-    check_resources(resources)
     return recalibrate(
         request.folders,
         force=request.again,
         search=not request.calibration_only,
-        resources=resources,
-        listener=work.listener,
-        cancel=work.control,
+        computing=Computing(request.jobs, request.scheduler, None, work.listener, work.control),
     )
 
 
@@ -62,9 +51,7 @@ def recalibrate(
     *,
     force: bool = False,
     search: bool = True,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    computing: Computing,
 ) -> RecalibrateResult:
     """Calibrate and search every run in or below some folders that is out of date or was not calibrated or searched
     yet.
@@ -87,14 +74,13 @@ def recalibrate(
     runs = {run.absolute(): run for folder in folders for run in run_folders(folder)}
     if not runs:
         raise InputError(f"recalibrate: no runs below {', '.join(map(str, folders))}")
-    tasks = [FolderOfRun(folder=str(run)) for run in runs]
-    batch = Batch(RUNS, WhatToMake(force=force, search=search), tasks, [str(run) for run in runs.values()])
-    where = Resources(resources.jobs, resources.scheduler)  # no store: runs keep their results
-    gathered = gather(batch, "recalibrate", where, listener, cancel, all_may_fail=True)
-    return RecalibrateResult(runs=gathered.found, failed=dict(gathered.failures), workers=gathered.workers)
+    tasks = {str(run): str(absolute) for absolute, run in runs.items()}
+    what = partial(WhatToMake, force=force, search=search)
+    gathered = gather(recalibrated_run, what, tasks, RecalibratedRun, "recalibrate", computing, all_may_fail=True)
+    return RecalibrateResult(runs=tuple(gathered.found), failed=dict(gathered.failures))
 
 
-def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
+def recalibrated_run(asked: WhatToMake, of: str) -> RecalibratedRun:
     """Calibrate and search one run again if needed.
 
     Raises
@@ -102,7 +88,7 @@ def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
     InputError
         If the folder is not visible here, another job runs in it, or as the two verbs do.
     """
-    folder, began = Path(its.folder), time.perf_counter()
+    folder, began = Path(of), time.perf_counter()
     if not folder.is_dir():
         raise InputError(
             f"{folder} is not seen on {platform.node()}: runs must lie on a file system that workers share"
@@ -127,17 +113,12 @@ def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
                 }
                 made.append("discover")
     return RecalibratedRun(
-        run=its.folder,
+        run=of,
         made=tuple(made),
         because="; ".join(f"{name}: {why}" for name, why in because.items()),
         heldout_mm=heldout_mm,
         seconds=time.perf_counter() - began,
     )
-
-
-RUNS = TaskKind(
-    "cellapp.commands.recalibrate.run:RUNS", WhatToMake, FolderOfRun, RecalibratedRun, as_given, recalibrated_run
-)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -32,4 +32,4 @@ def recalibration_sentences(result: RecalibrateResult) -> list[str]:
     """State how many runs were recomputed, up to date and failed; which runs failed and why."""
     held = len(result.runs) - len(result.made)
     counts = f"{counted(len(result.made), 'run')} computed again, {held} up to date, {len(result.failed)} failed"
-    return [f"{counts}; {result.workers} at the same time", *(f"{run}: {why}" for run, why in result.failed.items())]
+    return [counts, *(f"{run}: {why}" for run, why in result.failed.items())]
