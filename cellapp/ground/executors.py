@@ -47,7 +47,7 @@ _POLL_S = 0.2
 _CONNECT_S = 10.0
 """How long a scheduler is waited for, and then its first worker."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_ONE_AT_A_TIME = threading.Lock()
+_ONE_AT_A_TIME = threading.RLock()
 """A Dask worker may have several threads; the limit of threads of linear algebra holds for the whole process."""
 
 _PREPARED: dict[str, Any] = {}

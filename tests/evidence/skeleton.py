@@ -49,9 +49,8 @@ class Limit:
         return (self.most is None or self.reached <= self.most) and (self.least is None or self.reached >= self.least)
 
     def words(self) -> str:
-        sides = [f"at least {self.least:g}"] * (self.least is not None) + [f"at most {self.most:g}"] * (
-            self.most is not None
-        )
+        sides = [] if self.least is None else [f"at least {self.least:g}"]
+        sides += [] if self.most is None else [f"at most {self.most:g}"]
         return f"{self.what}: {self.reached:.4g} ({', '.join(sides)}{'' if self.met else '; MISSED'})"
 
 
@@ -71,6 +70,12 @@ class Share:
 
     hits: int
     n: int
+
+    @classmethod
+    def of(cls, facts: Iterable[object]) -> Share:
+        """Count the true ones among some facts."""
+        known = [bool(fact) for fact in facts]
+        return cls(sum(known), len(known))
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -112,6 +117,8 @@ def run(name: str, arguments: Sequence[str]) -> int:
     work = Work(jobs, asked.scheduler, kept, listener=_say)
     given = module.cases(asked)
     gathered = gather(_one, partial(program, name), given, dict, name, work, all_may_fail=True)
+    if not gathered.found:
+        sys.exit(f"{name}: every case failed, nothing was written: {gathered.failed[0]}")
     evidence = module.summary(gathered.found, asked)
     stated = {
         "title": module.TITLE,

@@ -20,7 +20,7 @@ from cellapp.estimation.calibration.gross_errors import left_out_words
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.robot.kinematics.chain import smr_positions
-from tests.benchmarks.gross_errors import disturbed
+from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
 
 ROOT = Path(__file__).parents[3]

@@ -1,0 +1,127 @@
+"""Draws of the trials of new targets: effects that a simulated cell hides, and targets that its arms can reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.candidates import random_configurations
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible, visible_stops
+from cellapp.cell.targets.targets import Partner, Target
+from cellapp.commands.trials.sealed_cases import MIXTURE, OUT, cases
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.chain import Geometry, flange_poses
+from cellapp.robot.kinematics.transforms import Array, invert, rpy_of, transform, xyz_of
+from cellapp.robot.model import CellModel
+from drivers.plant import suggest, suggest_other_law
+
+_HIDDEN_SEED, _TARGET_SEED = 0x71DE, 0x7A26
+"""Mixed with the trial's seed."""
+_OTHER_LAWS = 0.5
+"""Share of the drawn effects with a law of another shape than the library's."""
+
+
+def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """Draw the effects of every arm: the profile's own, and a case of the sealed trials' mixture; also describe the
+    laws.
+
+    Onsets and time constants lie within the run's length ``duration_s`` [s].
+    """
+    assert profile.plant is not None
+    configs = {config.name: config for config in build_plant(profile).config.arms}
+    hidden: dict[str, dict[str, Any]] = {}
+    laws = {}
+    for place, name in enumerate(profile.arms):
+        rng = np.random.default_rng([seed, _HIDDEN_SEED, place])
+        case = cases((name,), str(rng.choice(MIXTURE)), 1, int(rng.integers(2**31)))[0]
+        other = bool(rng.random() < _OTHER_LAWS) and case.kind != OUT
+        draw = suggest_other_law if other else suggest
+        drawn = {slug: draw(slug, rng, configs[name], duration_s) for slug in case.slugs}
+        hidden[name] = {**profile.plant.effects.get(name, {}), **drawn}
+        laws[name] = "other" if other and drawn else "same"
+    return hidden, laws
+
+
+def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
+    """Draw ``count`` single targets of each arm in the tracker frame, reachable and visible to the tracker.
+
+    Each is the SMR pose of the nominal arm at a random configuration; the other arms wait at home. The side from which
+    each joint comes is stated and random, with a short last motion as in designed plans: after motions of radians the
+    effects of the last motion would be larger than any in the run.
+    """
+    cell, homes = cell_bodies(profile, model), home_positions(profile)
+    targets = []
+    for place, name in enumerate(profile.arms):
+        others = {other: home for other, home in homes.items() if other != name}
+        drawn = _drawn(cell, profile, name, [seed, _TARGET_SEED, place])
+        found = (q for q in drawn if not refuse_stop(cell, {**others, name: q}) and _seen(cell, name, q, others))
+        sides = np.random.default_rng([seed, _TARGET_SEED, place, 1])
+        for number, q in zip(range(count), found, strict=False):
+            position, rpy = _smr(model.arms[name].nominal, q)
+            target = _target(f"{name} {number + 1}", name, position, rpy)
+            targets.append(target.model_copy(update={"approach": tuple(sides.choice([-1, 1], len(q)).tolist())}))
+    return targets
+
+
+def draw_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:
+    """Draw ``count`` cooperative targets of the first two arms: random configurations, collision-free and visible."""
+    cell = cell_bodies(profile, model)
+    first, second = list(profile.arms)[:2]
+    drawn = zip(
+        _drawn(cell, profile, first, [seed, _TARGET_SEED, 2]),
+        _drawn(cell, profile, second, [seed, _TARGET_SEED, 3]),
+        strict=False,
+    )
+    found = (both for both in drawn if _both_allowed(cell, {first: both[0], second: both[1]}))
+    targets = []
+    for number, both in zip(range(count), found, strict=False):
+        T_M_S = [_pose(model.arms[name].nominal, q) for name, q in zip((first, second), both, strict=True)]
+        between = np.asarray(invert(T_M_S[0]) @ T_M_S[1])
+        position, rpy = _smr(model.arms[first].nominal, both[0])
+        partner = Partner(arm=second, position=xyz_of(between[:3, 3]), rpy=_rpy(between[:3, :3]))
+        targets.append(_target(f"pair {number + 1}", first, position, rpy, partner))
+    return targets
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _drawn(cell: CellBodies, profile: Profile, name: str, seed: list[int]) -> Iterator[Array]:
+    return random_configurations(cell, profile, name, np.random.default_rng(seed))
+
+
+def _seen(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array]) -> bool:
+    return bool(visible(cell, name, q[None], {other: one[None] for other, one in others.items()})[0])
+
+
+def _both_allowed(cell: CellBodies, q: Mapping[str, Array]) -> bool:
+    return not refuse_stop(cell, q) and bool(visible_stops(cell, {name: one[None] for name, one in q.items()})[0])
+
+
+def _pose(nominal: Geometry, q: Array) -> Array:
+    """Compute the SMR pose (4, 4) in the tracker frame, with the axes of the flange."""
+    rotations, origins = flange_poses(nominal, q[None])
+    return transform(rotations[0], origins[0] + rotations[0] @ nominal.tool)
+
+
+def _smr(nominal: Geometry, q: Array) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    T_M_S = _pose(nominal, q)
+    return xyz_of(T_M_S[:3, 3]), _rpy(T_M_S[:3, :3])
+
+
+def _target(
+    name: str,
+    arm: str,
+    position: tuple[float, float, float],
+    rpy: tuple[float, float, float],
+    partner: Partner | None = None,
+) -> Target:
+    return Target(name=name, arm=arm, frame="tracker", position=position, rpy=rpy, partner=partner)
+
+
+def _rpy(rotation: Array) -> tuple[float, float, float]:
+    return rpy_of(rotation)
