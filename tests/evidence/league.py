@@ -124,7 +124,8 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
                 turned = np.mean([its["turned"] for its in own], axis=0)
                 errors[-1][4] += f", {turned[0]:.3f} mrad"
                 errors[-1][5] += f", {turned[1]:.3f} mrad"
-                limits.append(Limit(f"{series}, orientation error [mrad]", float(turned[1]), MOST_MRAD))
+                if rows == 300:
+                    limits.append(Limit(f"{series}, orientation error [mrad]", float(turned[1]), MOST_MRAD))
         counts = Counter(name for its in draws for name in dict.fromkeys(its["names"]))
         seconds = [its["seconds"] for its in draws]
         said = ", ".join(f"{name} {count}" for name, count in counts.most_common()) or "none"

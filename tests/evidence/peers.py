@@ -45,7 +45,7 @@ MOST_LSTSQ, LEAST_FASTER = 5.0, 400.0
 
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--venvs", required=True, help="folder for the environments, made by plain pip")
-    parser.add_argument("--configurations", type=int, nargs="+", default=[400, 100])
+    parser.add_argument("--configurations", type=int, nargs="+", default=[400])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--only", nargs="*", default=list(SOLVERS))
 

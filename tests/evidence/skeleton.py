@@ -185,7 +185,12 @@ def _say(event: object) -> None:
 
 
 def _commit() -> str:
-    """The commit that measured, and whether files had been changed since it."""
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=10"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.stdout.strip() or "no repository"
+    """The commit that measured, and whether anything but results had been changed since it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False
+        ).stdout.strip()
+
+    changed = git("status", "--porcelain", "--", ".", ":(exclude)tests/evidence/results")
+    return f"{git('rev-parse', '--short=10', 'HEAD') or 'not recorded'}{' and changes' if changed else ''}"
