@@ -1,11 +1,10 @@
-"""Blind trials of measured torques and of sockets: names and errors of arms with and without them.
+"""Blind trials of measured torques: names and errors of arms with and without them.
 
     python -m tests.trials.quantities --seeds 10
 
 Arms are those of ``kinds``: elastic joints and an eccentric encoder 1, geometry drawn by the seed. Torques: masses are
 30 % off what the profile states, points are measured with or without the torques of the drives (0.5 Nm of noise); the
-compliance of joint 2 is judged against the true one. Sockets: 200 touches without a tracker, against as many points of
-a tracker. Errors are means at 300 configurations that no reading is of, of sockets with the base laid onto the truth.
+compliance of joint 2 is judged against the true one. Errors are means at 300 configurations that no reading is of.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from drivers.plant.mechanism import STANDARD_GRAVITY, Posture
-from tests.trials.kinds import EFFECTS, PLACES_B, Array, Bench, Truth, run_of
+from tests.trials.kinds import EFFECTS, Array, Bench, Truth, run_of
 
 app = typer.Typer(add_completion=False)
 
@@ -56,7 +55,7 @@ def held_torques(profile: Profile, q: Array, seed: int) -> Array:
     return np.asarray(held + NOISE_NM * np.random.default_rng([seed, 41]).standard_normal(q.shape))
 
 
-def found_in(profile: Profile, measured: Readings, truth: Truth, *, lay: bool = False) -> Found:
+def found_in(profile: Profile, measured: Readings, truth: Truth) -> Found:
     """What ``calibrate`` and ``discover`` make of readings."""
     with run_of(profile, measured) as run:
         calibrate_run(run)
@@ -66,7 +65,7 @@ def found_in(profile: Profile, measured: Readings, truth: Truth, *, lay: bool = 
     values = [one.parameters["compliance2"].value for one in its.accepted if "compliance2" in one.parameters]
     return Found(
         names=tuple(sorted({one.effect for one in its.accepted})),
-        off_mm=truth.errors(model, lay=lay).smr_mm,
+        off_mm=truth.errors(model).smr_mm,
         held_out_mm=its.heldout_mm.after,
         compliance=values[0] / true if values else float("nan"),
     )
@@ -85,8 +84,6 @@ def trials(seed: int, stops: int) -> Iterator[tuple[str, Found]]:
     yield "points and torques, masses 30 % off", found_in(profile, with_torques, truth)
     truth = bench.truth()
     yield "points", found_in(plain, bench.measured(plain), truth)
-    touched = bench.touched(build_plant(plain), PLACES_B, stops // (2 * len(PLACES_B)))
-    yield "sockets", found_in(plain, touched, truth, lay=True)
 
 
 def lines(found: Mapping[str, Sequence[Found]]) -> Iterator[str]:

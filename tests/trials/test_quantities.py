@@ -1,4 +1,4 @@
-"""The trial of torques and sockets, with few stops."""
+"""The trial of torques, with few stops."""
 
 from __future__ import annotations
 

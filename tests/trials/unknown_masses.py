@@ -53,7 +53,7 @@ class Named:
 
 def arm_profile(seed: int, which: str = "iiwa") -> Profile:
     """The cell of the arm, whose joints hide their elasticity."""
-    profile = load_profile(PROFILES / "panda-sockets.yaml")
+    profile = load_profile(PROFILES / "ur10-real.yaml")
     path = PROFILES / "arms" / f"{ARMS[which]}.yaml"
     arm_type = arm_type_of_text(path.read_text("utf-8"), path)
     rng = np.random.default_rng([seed, 77])

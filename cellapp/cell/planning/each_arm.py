@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+
+from cellapp.ground.threads import one_blas_thread
 
 _AT_ONCE = 2
 """Number of threads: bounds the memory; more arms or cores are rare."""
@@ -25,5 +26,5 @@ def of_each_arm(
     """
     names = tuple(names)
     # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
-    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
         return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))

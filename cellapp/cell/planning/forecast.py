@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.check import required_plan
 from cellapp.cell.planning.coverage import joint_coverage
@@ -27,6 +26,7 @@ from cellapp.estimation.discovery.plan_forecast import (
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -57,7 +57,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         cancel.check()
         listener(Progress("forecast", number, len(designs), f"arm {name}"))
         try:
-            with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
+            with one_blas_thread():  # the matrices are small
                 effects = planned_effects(design)
         except InputError as error:
             effects = ()

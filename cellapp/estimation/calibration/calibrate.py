@@ -27,16 +27,12 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
-from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
-from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_torques
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
@@ -74,7 +70,7 @@ class ArmCalibration:
     training : Training or None
         How the residual network was trained.
     tracker_frame_network : ResidualNetwork or None
-        The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
+        The same network of an arm of a pair trained in the tracker frame, the counter-example of Bai et al. (2023).
     prior : ArmPriorResult or None
         The earlier calibration used as prior. Identification and model then include it, and there is no network.
     left_out : tuple of int
@@ -136,7 +132,7 @@ def calibrate_readings(
     notes: list[str] = []
     trains = profile.network.kind != "none"
     require_learner(profile.network)
-    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the 1: in the tracker frame
+    training = learning_steps(profile.network) + training_steps(1) * in_a_pair(profile) if trains else 0
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -197,9 +193,6 @@ def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
     """Draw a split for each reading by the profile's seed, the same for all arms at a stop; return splits and notes."""
-    if any(in_sockets(arm) for arm in readings.values()):
-        positions = {name: smr_positions(nominal_arm(profile.arms[name]), its.q) for name, its in readings.items()}
-        return draw_point_splits(readings, positions, profile.seed)
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_
@@ -220,15 +213,16 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
     evaluated = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
-    calibration = _with_torques(evaluated, fitted.readings)
-    return calibration, _arm_notes(name, calibration, fitted)
+    try:
+        calibration, failed = _with_torques(evaluated, fitted.readings), []
+    except NotConverged as error:  # the geometry does not depend on them
+        calibration, failed = evaluated, [f"arm '{name}': {error}; its torques were not used"]
+    return calibration, [*_arm_notes(name, calibration, fitted), *failed]
 
 
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings that are gross errors by the fit to the identify split."""
     good, geometry = fitted.readings, fitted.identification.geometry
-    if in_sockets(good):
-        return gross_errors_in_sockets(geometry, fitted.nominal, good)
     learned, its = len(good.in_split("identify")), measured_quantities(good)
     wrong = gross_errors_of_geometry(
         geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
@@ -244,7 +238,6 @@ class _Fitted:
     nominal: Geometry
     identification: Identification
     excess_m: float
-    notes: tuple[str, ...] = ()
 
 
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
@@ -257,10 +250,6 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
     arm, learn = profile.arms[name], readings.take(identify_rows)
-    if in_sockets(readings):
-        nominal, fit, priors = fit_arm(profile, name, learn, robust=robust)
-        notes = socket_notes(name, readings, fit, priors, nominal)
-        return _Fitted(readings, nominal, fit.tabulated(priors, nominal), fit.noise_m, notes)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)
@@ -289,14 +278,14 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         for stage, geometry in geometries.items()
     }
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
-    stated = None if in_sockets(held_out) else stated_uncertainty(held_out)
+    stated = stated_uncertainty(held_out)
     return ArmCalibration(
         model=model,
         identification=identification,
         excess_m=fitted.excess_m,
         validate=stages,
         counts={word: len(good.in_split(word)) for word in SPLITS},
-        repeatability=None if in_sockets(good) else repeatability(good.q, good.p_M),
+        repeatability=repeatability(good.q, good.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
@@ -305,7 +294,7 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
 
 def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
     """Fit masses to measured torques or currents; put them into the model if they are clearly better."""
-    if in_sockets(readings) or not has_torques(readings):
+    if not has_torques(readings):
         return arm
     found = fit_torques(arm.model, readings)
     model = replace(arm.model, bodies=found.bodies) if found.used else arm.model
@@ -315,13 +304,8 @@ def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
-    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
-    if arm.left_out:
-        notes.append(left_out_note(name, arm))
-    notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
-    if in_sockets(readings):
-        gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
-        return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
+    notes = [left_out_note(name, arm)] if arm.left_out else []
+    notes += [*_hardly_better(name, arm), *undetermined_offset(name, found)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
@@ -398,13 +382,11 @@ def train_arm(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """Train an arm's residual network in the base frame, and the same in the tracker frame for comparison.
+    """Train an arm's residual network in the base frame; for a pair the same in the tracker frame, for comparison.
 
     The training data are the train split, or the identify split if there is no train split.
     """
     readings = without(readings, arm.left_out)
-    if in_sockets(readings):  # a network would learn the unknown points with the rest
-        return arm
     rows = readings.in_split("train")
     taught = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))
@@ -430,8 +412,8 @@ def with_networks(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], one in the base frame and
-    the same in the tracker frame; add neither if a network does not help."""
+    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
+    for method 2 of a pair the same in the tracker frame; none if a network does not help."""
     training = learn(
         profile.network,
         q,
@@ -443,6 +425,9 @@ def with_networks(
     )
     if training.network is None:
         return replace(arm, training=training)
+    arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
+    if not in_a_pair(profile):
+        return arm
     first = learning_steps(profile.network)
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     in_tracker = train_network(
@@ -455,8 +440,12 @@ def with_networks(
         cancel=cancel,
         report=lambda done, words: report(first + done, f"tracker frame: {words}"),
     ).network
-    model = replace(arm.model, network=training.network)
-    return replace(arm, model=model, training=training, tracker_frame_network=in_tracker)
+    return replace(arm, tracker_frame_network=in_tracker)
+
+
+def in_a_pair(profile: Profile) -> bool:
+    """Return whether there is a network in the tracker frame as well: only methods of the pair use it."""
+    return len(profile.arms) > 1
 
 
 def rms_length_mm(sigma: Array) -> float:

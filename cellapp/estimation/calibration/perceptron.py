@@ -15,6 +15,10 @@ import numpy as np
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.network import Inputs, Layers
 
+_BENT = 2.0
+"""Scale of the first hidden signals. Errors of gears have many cycles a turn; from small weights, which bend the units
+little, most iterations only make them grow."""
+
 
 @dataclass(frozen=True)
 class Perceptron:
@@ -30,8 +34,8 @@ class Perceptron:
         return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Draw random parameters whose variance keeps the scale of the signal through the layers."""
-        scales = np.repeat([(self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
+        """Draw random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
+        scales = np.repeat([_BENT * (self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
         return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
 
     def predict(self, p: Array, x: Array) -> Array:

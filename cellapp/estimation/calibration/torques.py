@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.chain import JointAngles, frame_poses, jacobian, joint_jacobian
 from cellapp.robot.kinematics.statics import STANDARD_GRAVITY, Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -40,7 +41,10 @@ _UNKNOWN_KG = 10.0
 """Prior standard deviation of a mass that is not stated [kg]."""
 _CENTER_SD = 0.1
 """Prior standard deviation of a centre of mass along each axis of its frame [m]."""
-_ROUNDS = 15
+_ROUNDS = 2000
+"""Most rounds of joints and masses, each fitted beside the other: twenty to three hundred are usual."""
+_SETTLED = 1e-3
+"""Change of a torque in the last round, as a share of its joint's scatter."""
 _STILL_NM = 1.0
 """Range of a joint's torque below which neither its motor constant nor its sign is determined [Nm]."""
 _ALIKE = 0.6
@@ -239,7 +243,10 @@ def _prior_sd(stated: Array) -> Array:
 
 
 def _fitted(rows: _Rows, stated: Array, usable: NDArray[np.bool_], kind: Kind, *, free: bool = True) -> _Fit:
-    """Fit joints and masses alternately, each by least squares; if ``free`` is False the masses stay as stated."""
+    """Fit joints and masses alternately, each by least squares; if ``free`` is False the masses stay as stated.
+
+    Raise ``NotConverged`` if they do not settle.
+    """
     parameters, sd = stated.copy(), _prior_sd(stated)
     n, joints = rows.measured.shape
     if kind == "current" and free:
@@ -255,6 +262,10 @@ def _fitted(rows: _Rows, stated: Array, usable: NDArray[np.bool_], kind: Kind, *
         A = (rows.regressor * (slope * weight)[:, None]).reshape(n * joints, -1)
         normal = A.T @ A + np.diag(sd**-2.0)
         parameters = np.linalg.solve(normal, A.T @ left.ravel() + stated / sd**2)
+        if np.max(np.abs(rows.torques(parameters) - torques) * slope / scatter) < _SETTLED:
+            break
+    else:
+        raise NotConverged.of("fit of masses to torques", f"{_ROUNDS} rounds were not enough")
     return _Fit(parameters, joint, slope_error, scatter)
 
 

@@ -13,11 +13,13 @@ from cellapp.estimation.calibration.evaluation import evaluate_quantities, posit
 from cellapp.estimation.calibration.quantities import Quantities, measured_quantities
 from cellapp.estimation.discovery.records import HeldOutBeforeAfter, HeldOutPosition, PredictedUncertainty
 from cellapp.estimation.readings import Readings, stated_uncertainty
-from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+
+_SAMPLING_ERRORS = 2.5
+"""Standard errors of the mean difference of squares beyond which a model predicts worse: a probability of 0.6 %."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,15 @@ class HeldOut:
         """Return statistics of the position error of a model [mm]."""
         return _statistics(self.errors_m(model) * 1e3)
 
+    def predicts_worse(self, model: ArmModel, other: ArmModel) -> bool:
+        """Return whether a model predicts worse than another one by more than sampling explains, reading by reading."""
+        more = self.errors_m(model) ** 2 - self.errors_m(other) ** 2
+        return bool(more.mean() > _SAMPLING_ERRORS * more.std() / math.sqrt(len(more)))
+
     def errors_m(self, model: ArmModel) -> Array:
         """Return the position errors (n,) of a model [m]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        return position_errors(measured_positions(self.readings, computed), computed)
+        return position_errors(self.readings.p_M, computed)
 
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
         """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""

@@ -40,7 +40,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Profile:
     file = tmp_path / "token"
     file.write_text(TOKEN + "\n")
     file.chmod(0o600)
-    monkeypatch.setenv("CELLAPP_KEY_PASSPHRASE", PASSWORD)
+    monkeypatch.setenv("KEY_PASSPHRASE", PASSWORD)
     driver = BridgeSettings(url="socket://127.0.0.1:50960", token_file=str(file))
     twin = small_twin()
     return twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"driver": driver}), "name": "bundled"})

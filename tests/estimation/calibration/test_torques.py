@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
+from cellapp.estimation.calibration import torques
 from cellapp.estimation.calibration.torques import fit_torques, has_torques
 from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import frame_poses, smr_positions
 from cellapp.robot.kinematics.statics import gravity_loads
@@ -149,3 +151,10 @@ def test_the_payloads_center_moves_its_torque_by_row():
     np.testing.assert_allclose(by_row[1::2], moved[1::2], atol=1e-12)
     conditions = MeasurementConditions(payload_kg=load, payload_center_F=center)
     np.testing.assert_allclose(arm.context(readings.q, conditions=conditions).torques, by_row, atol=1e-12)
+
+
+def test_masses_that_do_not_settle_are_refused(monkeypatch):
+    arm, readings, _ = measured()
+    monkeypatch.setattr(torques, "_ROUNDS", 1)
+    with pytest.raises(NotConverged, match="fit of masses to torques did not converge: 1 rounds"):
+        fit_torques(arm, readings)
