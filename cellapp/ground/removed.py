@@ -9,7 +9,9 @@ VERSION = "0.1.0"
 """The version in which everything below was removed."""
 COMMANDS: Mapping[str, str] = {}
 """Name of a removed command, as it is typed -> what to do instead."""
-PROFILE_KEYS: Mapping[str, str] = {}
+PROFILE_KEYS: Mapping[str, str] = {
+    "plant.torques": "leave it out; masses are those that the profile states",
+}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 
 

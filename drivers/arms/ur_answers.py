@@ -61,7 +61,7 @@ def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
     elif fault is not None:
         reason = f"{fault['text']}; connect again when the arm may move"
     qd = np.array(answer["qd"], dtype=np.float64)
-    temperatures, current_a = answer["joints_c"], answer["current_a"] or ()
+    temperatures = answer["joints_c"]
     return ArmState(
         q=np.array(answer["q"], dtype=np.float64),
         time_s=float(answer["time_s"]),
@@ -74,5 +74,4 @@ def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
         safety_mode=safety,
         program=str(answer["program"]),
         speed_fraction=answer["speed_fraction"],
-        current_a=np.array(current_a, dtype=np.float64) if any(current_a) else None,  # all 0: not measured
     )

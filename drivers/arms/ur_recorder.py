@@ -26,7 +26,7 @@ _SILENT_S = 2.0
 _ENDS_WITHIN_S = 1.0
 _PULSE_S = 0.02
 _REQUIRED = ("timestamp", "actual_q", "actual_qd")
-_OPTIONAL = ("actual_current", "joint_temperatures", "actual_digital_output_bits")
+_OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
 _INPUTS = ("standard_digital_output_mask", "standard_digital_output")
 
 Values = dict[str, tuple[float, ...]]
@@ -89,14 +89,12 @@ class UrRecorder:
         bits = [int(state.get("actual_digital_output_bits", (0,))[0]) for state in states]
         level = np.array([0 if output is None else (value >> output) & 1 for value in bits], dtype=np.int8)
         time_s = _table(states, "timestamp")[:, 0]
-        current = _table(states, "actual_current")
         temperature = _table(states, "joint_temperatures")
         return JointRecord(
             time_s=time_s,
             q=_table(states, "actual_q"),
             qd=_table(states, "actual_qd"),
             period_s=self._period_s,
-            current_a=current if current.any() else None,  # an emulated controller reports zeros
             temperature_c=temperature if temperature.any() else None,
             triggers_s=time_s[1:][np.diff(level) > 0],
         )

@@ -71,7 +71,7 @@ SLIDER_DOWN = 0.005
 
 @dataclass(frozen=True)
 class UrSample:
-    """One state. ``q``, ``qd``, ``joints_c``, ``current_a``: six joints [rad, rad/s, degC, A]; None if not reported.
+    """One state. ``q``, ``qd``, ``joints_c``: six joints [rad, rad/s, degC]; None if not reported.
 
     ``robot_mode``, ``safety_mode`` and ``program`` are named as in the manual, e.g. RUNNING, NORMAL, PLAYING.
     """
@@ -86,7 +86,6 @@ class UrSample:
     payload_kg: float | None
     payload_center_m: tuple[float, ...] | None
     joints_c: tuple[float, ...] | None = None
-    current_a: tuple[float, ...] | None = None
 
     @property
     def at_rest(self) -> bool:

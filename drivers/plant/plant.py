@@ -50,7 +50,6 @@ class Plant:
         self._air_now = (np.nan, np.nan)
         """Cache: a time [s] and the air temperature at that time [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
-        self._torque_noise = np.random.default_rng([config.seed, 0x70])
         # one random stream per arm and purpose: draws from one do not change another
         self._arms = {
             arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
@@ -275,22 +274,6 @@ class Plant:
         arm = self._arm(name)
         if arm.motion is not None:
             arm.motion = arm.motion.scaled(self._clock_s, scale)
-
-    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Return torques [Nm] or currents [A] (N,) that an arm's drives report at rest, holding it up; one of both is
-        None.
-
-        Both are None while it moves, and if drives do not measure them.
-        """
-        arm, sensing = self._arm(name), self.config.torques
-        if sensing is None or arm.motion is not None:
-            return None, None
-        held = -Posture(arm.mechanism, arm.q[None], arm.gravity).torques[0]
-        torque = held + sensing.friction_nm * arm.approach
-        torque += sensing.noise_nm * self._torque_noise.standard_normal(len(torque))
-        if sensing.constant_nm_per_a is None:
-            return torque, None
-        return None, torque / sensing.constant_nm_per_a
 
     def rest_s(self, name: str) -> float:
         """Return when the arm comes or came to rest [s]."""

@@ -34,7 +34,6 @@ from drivers.plant import (
     GeometryErrors,
     Plant,
     PlantConfig,
-    TorqueSensing,
     TrackerConfig,
 )
 from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
@@ -287,7 +286,6 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
     if settings is None or tracker.pose is None:
         raise InputError(f"profile {profile.name}: a simulated cell needs the sections 'plant' and 'tracker.pose'")
     accuracy = tracker_context(profile)
-    torques = settings.torques
     try:
         config = PlantConfig(
             seed=settings.seed,
@@ -306,7 +304,6 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             temperature_c=settings.temperature,
             noise=settings.noise,
             floor=profile.plan.floor,
-            torques=None if torques is None else TorqueSensing(**torques.model_dump()),
             factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)

@@ -10,7 +10,6 @@ from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
 from cellapp.commands.calibrate.network_view import network_sentences
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
-from cellapp.commands.calibrate.torque_view import torque_sentences, torque_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
@@ -68,8 +67,8 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, torques, nests and sockets, and the priors."""
-    measured = (*motion_tables(result), *torque_tables(result), *nest_tables(result))
+    """Show results from recordings of motion, nests and sockets, and the priors."""
+    measured = (*motion_tables(result), *nest_tables(result))
     return [*measured, *gauge_tables(result), *prior_tables(result)]
 
 
@@ -169,7 +168,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result), *torque_sentences(result))
+    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 

@@ -32,7 +32,6 @@ from cellapp.estimation.calibration.socket_identification import gross_errors_in
 from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
-from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_torques
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
@@ -81,8 +80,6 @@ class ArmCalibration:
         Configurations of readings with gross errors. No parameter and no held-out error uses them.
     left_out_counts : mapping
         Number of readings left out of each split.
-    torques : TorqueFit or None
-        Masses from measured torques or currents.
     clocks, motion
         Clocks by recording and results of the motion; None unless the arm was recorded in motion.
     """
@@ -101,7 +98,6 @@ class ArmCalibration:
     left_out_counts: Mapping[str, int] = field(default_factory=dict)
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    torques: TorqueFit | None = None
 
 
 @dataclass(frozen=True)
@@ -219,8 +215,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         if not wrong.any():
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
-    evaluated = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
-    calibration = _with_torques(evaluated, fitted.readings)
+    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
     return calibration, _arm_notes(name, calibration, fitted)
 
 
@@ -301,15 +296,6 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
     )
-
-
-def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
-    """Fit masses to measured torques or currents; put them into the model if they are clearly better."""
-    if in_sockets(readings) or not has_torques(readings):
-        return arm
-    found = fit_torques(arm.model, readings)
-    model = replace(arm.model, bodies=found.bodies) if found.used else arm.model
-    return replace(arm, model=model, torques=found)
 
 
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:

@@ -351,8 +351,6 @@ COLUMNS: tuple[Column, ...] = (
     ),
     Column("quaternion_M", "", ("quat_w", "quat_x", "quat_y", "quat_z"), "quaternion", check=_of_unit_length, since=8),
     Column("sigma_rad", "rad", ("sigma_rad",), check=_positive_angle, since=8),
-    Column("tau_nm", "Nm", ("tau",), "joints", check=_within(-1e5, 1e5, "Nm"), since=8),
-    Column("current_a", "A", ("current",), "joints", check=_within(-1e4, 1e4, "A"), since=8),
     Column("smr", "", ("smr",), dtype=str, since=8),
     Column("station", "", ("station",), dtype=str, since=8),
     Column("point", "", ("point",), dtype=str, since=7),

@@ -49,8 +49,6 @@ class Reading:
         Orientation of the probe's frame S in M, unit quaternion, scalar first.
     sigma_rad : float or None
         Standard uncertainty of the orientation about each axis [rad].
-    tau_nm, current_a : array, shape (N,), or None
-        Measured joint torques [Nm] and motor currents [A].
     smr : str or None
         Name of the nest on the flange that was measured; None for the only one.
     station : str or None
@@ -78,8 +76,6 @@ class Reading:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: float | None = None
-    tau_nm: _Floats | None = None
-    current_a: _Floats | None = None
     smr: str | None = None
     station: str | None = None
     point: str | None = None
@@ -156,8 +152,6 @@ class Readings:
         Orientation of the probe's frame S in M, unit quaternion, scalar first; NaN in rows where it was not measured.
     sigma_rad : array, shape (n,), or None
         Standard uncertainty of the orientation about each axis [rad].
-    tau_nm, current_a : array, shape (n, N), or None
-        Measured joint torques [Nm] and motor currents [A].
     smr : tuple of n (str or None), or None
         Names of the nests on the flange that were measured; a stop has a row for each.
     station : tuple of n (str or None), or None
@@ -196,8 +190,6 @@ class Readings:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: _Floats | None = None
-    tau_nm: _Floats | None = None
-    current_a: _Floats | None = None
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None

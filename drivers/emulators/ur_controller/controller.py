@@ -403,9 +403,6 @@ class Controller:
             values["actual_qd"] = values["target_qd"] = self._qd
         if self._was_moving and not moving:
             self.journal.note("ended", "at rest")
-            current_a = self.motions.drive_torques(self.name)[1]
-            if current_a is not None:
-                self.values["actual_current"] = tuple(current_a.tolist())
         self._was_moving = moving
         if moving:
             self._rest_since_s = clock_s

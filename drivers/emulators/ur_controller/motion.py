@@ -61,9 +61,6 @@ class Motions(Protocol):
     def joint_temperatures_c(self, name: str) -> Array:
         """Return the current joint temperatures (6,) [degC]."""
 
-    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Return torques [Nm] or currents [A] (6,) of the drives at rest; None if not measured."""
-
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Set the load of the flange [kg, m]."""
 
@@ -137,10 +134,6 @@ class FreeMotions:
     def joint_temperatures_c(self, name: str) -> Array:
         """Return room temperature (6,) [degC]."""
         return np.full(6, _ROOM_C)
-
-    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Return None twice: ideal joints carry no load."""
-        return None, None
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Do nothing: ideal joints carry no load."""

@@ -29,7 +29,6 @@ class DelayedClient:
         self.q, self.stamp = list(HOME), 0.0
         self.playing, self.running, self.local = True, False, False
         self.fraction, self.safety, self.mode, self.speed = 1.0, 1, 7, 0.0
-        self.current_a = [0.0] * 6
 
     def tick(self, _: float) -> None:
         self.stamp += 0.16  # a cell at twenty times the pace
@@ -42,9 +41,6 @@ class DelayedClient:
 
     def getActualQd(self) -> list[float]:
         return [self.speed] * 6
-
-    def getActualCurrent(self) -> list[float]:
-        return self.current_a
 
     def getJointTemperatures(self) -> list[float]:
         return [30.0] * 6

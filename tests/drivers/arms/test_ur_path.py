@@ -206,7 +206,6 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     )
     np.testing.assert_allclose(np.abs(record.q - HOME).max(axis=0), np.abs(path - HOME).max(axis=0), rtol=0.1)
     assert np.abs(record.qd).max() > 0.1
-    assert record.current_a is None
     assert 100 < so_far <= len(record.time_s)
     assert missing <= record.missing
     assert arm.recorded() == (0, 0)
