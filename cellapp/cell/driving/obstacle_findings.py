@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from cellapp.cell.safety.covers import cover
+from cellapp.cell.safety.cell_bodies import ObstacleClearance, cover, obstacle_clearances
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.safety.obstacle_clearance import ObstacleClearance, obstacle_clearances
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 from drivers.findings import Finding

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cellapp.cell.planning.candidates import CandidatePool, random_configurations
+from cellapp.cell.planning.candidates import CandidatePool, random_configurations, workspace_configurations
 from cellapp.cell.planning.design_records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
-from cellapp.cell.planning.workspace import workspace_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.parameters import determined_set

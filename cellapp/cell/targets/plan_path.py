@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible
-from cellapp.cell.safety.path_gate import refuse_path
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.targets import WorkingConditions

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.planning.proposal.predictions import PredictedDiscrimination
+from cellapp.cell.planning.planned_stops import StopConditions
+from cellapp.cell.planning.proposal.propose import PredictedDiscrimination, ProposedStop
 from cellapp.cell.planning.proposal.propose import Proposal as ProposedStops
-from cellapp.cell.planning.proposal.propose import ProposedStop
-from cellapp.cell.planning.stop_conditions import StopConditions
 from cellapp.commands.calibrate.result import pair_result
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import (

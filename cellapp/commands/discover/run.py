@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from cellapp.cell.planning.proposal.candidate_poses import Effort
-from cellapp.cell.planning.proposal.propose import propose_stops
-from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
+from cellapp.cell.planning.proposal.arm_candidates import Effort
+from cellapp.cell.planning.proposal.propose import append_proposed_stops, propose_stops, why_not_driven
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of
 from cellapp.cell.run.samples import known_readings

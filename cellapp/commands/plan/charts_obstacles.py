@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.cell.safety.mesh_files import load_mesh
+from cellapp.cell.safety.shapes import load_mesh
 from cellapp.commands.view.charts import Series, series
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile

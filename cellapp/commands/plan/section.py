@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
 from cellapp.cell.planning.records import PlannedTime
-from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts
 from cellapp.commands.plan.charts_map import cell_map_chart

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellapp.cell.planning.check import required_plan
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.power.request import PowerRequest
 from cellapp.commands.record import Work

@@ -10,8 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.design_records import ErrorName
+from cellapp.cell.planning.designed import select_stops
 from cellapp.cell.planning.plan_quality import Errors, Judge, arm_design, equal_to_random
-from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.commands.trials.whole_plans import WholePlan, whole_plans

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellapp.cell.planning.balance import correlations
 from cellapp.cell.planning.design_records import FactorCorrelation
-from cellapp.cell.planning.factor_correlations import correlations
 from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

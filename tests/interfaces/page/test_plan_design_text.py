@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.driving.records import PlanResult
-from cellapp.cell.planning.stored_stops import (
+from cellapp.cell.planning.planned_stops import (
     PLAN_DESIGN_RESULT,
     read_plan_design,
     read_planned_stops,
