@@ -13,7 +13,7 @@ from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, vis
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.relocation import relocated
+from cellapp.robot.model.model import relocated
 
 _MOST_CANDIDATES = 300
 """Maximum number of candidates per arm; more are thinned out, because many of them are alike."""

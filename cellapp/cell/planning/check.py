@@ -1,4 +1,4 @@
-"""A second check of a complete plan by the safety gate (every stop, every motion, the tracker's view), and its forecast."""
+"""A second check of a complete plan by the gate (every stop, every motion, the tracker's view), and its forecast."""
 
 from __future__ import annotations
 

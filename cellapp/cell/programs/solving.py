@@ -18,8 +18,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.closed_form import closed_form_solutions
-from cellapp.robot.kinematics.inverse import solve_pose
+from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 

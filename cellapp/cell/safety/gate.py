@@ -29,8 +29,7 @@ from cellapp.cell.safety.obstacles import Obstacle, beam_gaps, box_about
 from cellapp.cell.safety.paths import STRIDE, SampledPath, gap_at_rest, gap_on_paths, sample_path
 from cellapp.cell.safety.visibility import TrackerField, sight_conditions, sight_of
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.kinematics.interpolation import rows_at
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
 from cellapp.cell.targets.invert import Inverted
-from cellapp.robot.kinematics.branches import turned_into
-from cellapp.robot.kinematics.sampled_inverse import sampled_configurations
+from cellapp.robot.kinematics.inverse import sampled_configurations, turned_into
 from cellapp.robot.kinematics.transforms import Array
 
 _TIE_DECIMALS = 6

@@ -31,7 +31,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.branches import all_branches
+from cellapp.robot.kinematics.inverse import all_branches
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 

@@ -19,9 +19,8 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import joint_rates
-from cellapp.robot.paths.branches import Branch, follow_branches
 from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
-from cellapp.robot.paths.joint_path import Conditions, JointPath, PathError, joint_path
+from cellapp.robot.paths.joint_path import Branch, Conditions, JointPath, PathError, follow_branches, joint_path
 from cellapp.robot.paths.timing import Rates, Trajectory, timed
 
 RUN_UP_RAD = 5e-3

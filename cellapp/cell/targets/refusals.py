@@ -9,8 +9,7 @@ import numpy as np
 from cellapp.cell.safety.gate import CellBodies, refuse_stop
 from cellapp.cell.targets.choice import LARGEST_CORRECTION, Branches, Chosen
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.inverse import errors_and_jacobian, solve_pose
-from cellapp.robot.kinematics.sampled_inverse import missed_distances
+from cellapp.robot.kinematics.inverse import errors_and_jacobian, missed_distances, solve_pose
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.motion.responses import EvenPath, even_grid
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
 from cellapp.estimation.motion.streams import JointStream
-from cellapp.robot.kinematics.interpolation import rows_at
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 _WINDOW_S = 0.2
 """Time over which recorded speeds are integrated to compare them with positions."""

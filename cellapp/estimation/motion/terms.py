@@ -36,9 +36,8 @@ from cellapp.robot.effects.backlash import left_by_motion
 from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
-from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 CHUNK = 2048
 """Batch size of times of a recording: memory does not grow with their number."""

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize_scalar
 
-from cellapp.robot.kinematics.interpolation import rows_at
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 from cellapp.robot.model import ArmModel
 from cellapp.robot.paths.timing import Rates, Trajectory
 

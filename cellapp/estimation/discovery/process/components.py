@@ -22,8 +22,8 @@ from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import FIELD, position_in_base
 from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_variances
+from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, TransmissionError
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.kinematics.transforms import Array
 
 CURVE_CYCLES = 80

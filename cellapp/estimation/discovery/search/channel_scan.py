@@ -26,8 +26,7 @@ from cellapp.estimation.discovery.projected_residual import MOST_SHARE, Projecte
 from cellapp.estimation.discovery.search.scan import NO_DISPLACEMENT
 from cellapp.robot.effects import Channel
 from cellapp.robot.effects.data_driven import DataChannel, channels
-from cellapp.robot.effects.data_functions import FunctionTable
-from cellapp.robot.effects.unknown import FunctionFamily, channel_directions
+from cellapp.robot.effects.unknown import FunctionFamily, FunctionTable, channel_directions
 from cellapp.robot.kinematics.transforms import Array
 
 _FAMILIES_AT_ONCE = 128

@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.robot.effects.data_driven import FIELD, position_in_base
 from cellapp.robot.effects.field import FIELD_LENGTH
-from cellapp.robot.effects.smooth import AMPLITUDE
+from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 

@@ -20,7 +20,7 @@ from cellapp.estimation.discovery.process.evidence import (
 )
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.column import Wave
-from cellapp.robot.effects.smooth import circle_variances
+from cellapp.robot.effects.law import circle_variances
 
 pytestmark = pytest.mark.fast
 
