@@ -8,8 +8,7 @@ from drivers.plant.clearance import Clearance
 from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
-from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest
-from drivers.plant.suggest_other import suggest_other_law
+from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest, suggest_other_law
 from drivers.plant.true_arm import Target
 
 __all__ = [

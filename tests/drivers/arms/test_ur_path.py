@@ -21,8 +21,7 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.recording import RecordingArm
-from drivers.arms.ur import UrArm
-from drivers.arms.ur_path import UrPathArm
+from drivers.arms.ur import UrArm, UrPathArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
