@@ -15,7 +15,7 @@ from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import DrivenPath, PathLag, PathTime
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
 from cellapp.estimation.calibration.evaluation import summarise
-from cellapp.estimation.uncertainty.judging import Judge
+from cellapp.estimation.uncertainty.decision import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -20,9 +20,15 @@ from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_alone, sample_spacing
-from cellapp.estimation.design.block_choice import Candidates, choose_blocks, most_informative_first
+from cellapp.estimation.design.block_choice import (
+    Candidates,
+    choose_blocks,
+    close_gaps,
+    gap_limits,
+    most_informative_first,
+    without_turns,
+)
 from cellapp.estimation.design.block_design import Criterion, Rows, information_of, reference_errors
-from cellapp.estimation.design.gaps import close_gaps, gap_limits, without_turns
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

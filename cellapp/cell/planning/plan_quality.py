@@ -25,8 +25,8 @@ from cellapp.cell.planning.information import InformationModel, drawn_conditions
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.parameters import determined_set
+from cellapp.estimation.design.block_choice import largest_gaps, without_turns
 from cellapp.estimation.design.block_design import information_of
-from cellapp.estimation.design.gaps import largest_gaps, without_turns
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array

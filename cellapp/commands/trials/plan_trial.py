@@ -15,9 +15,8 @@ from cellapp.cell.planning.plan_quality import Errors, Judge, arm_design, equal_
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.commands.trials.whole_plans import WholePlan, whole_plans
-from cellapp.estimation.design.block_choice import Candidates
+from cellapp.estimation.design.block_choice import Candidates, least_errors
 from cellapp.estimation.design.block_design import Criterion
-from cellapp.estimation.design.relaxation import least_errors
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken

@@ -9,9 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.design.block_choice import Candidates, Effort, choose_blocks, most_informative_first
+from cellapp.estimation.design.block_choice import (
+    Candidates,
+    Effort,
+    choose_blocks,
+    least_errors,
+    most_informative_first,
+)
 from cellapp.estimation.design.block_design import BlockDesign, Criterion, Shares, information_of, reference_errors
-from cellapp.estimation.design.relaxation import least_errors
 from cellapp.ground.progress import Cancelled, CancelToken
 
 pytestmark = pytest.mark.fast

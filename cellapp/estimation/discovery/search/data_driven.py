@@ -14,11 +14,10 @@ from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.posterior import is_free_function
-from cellapp.estimation.discovery.search.another_cause import COORDINATES_EACH, fitted_parameters
-from cellapp.estimation.discovery.search.channel_scan import ChannelScan, Families
+from cellapp.estimation.discovery.search.another_cause import COORDINATES_EACH, ChannelScan, Families, fitted_parameters
 from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
-from cellapp.estimation.discovery.search.contradiction import MOSTLY, share_of
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.review import MOSTLY, share_of
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.estimation.discovery.search.tuning import apply_step

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.significance import corrected_p_value
+from cellapp.estimation.discovery.search.scan import LawScan, corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
 from cellapp.ground.memory import give_back
 from cellapp.ground.progress import CancelToken

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cellapp.estimation.discovery.process.components import CURVE_LENGTHS, Component
-from cellapp.estimation.discovery.process.evidence import (
+from cellapp.estimation.discovery.process import (
+    CURVE_LENGTHS,
+    Component,
     Hyperparameters,
     ProcessData,
     evidence,

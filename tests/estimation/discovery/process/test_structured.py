@@ -11,7 +11,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms, refit
-from cellapp.estimation.discovery.process.structured import LEAST_READINGS, fit_process, process_terms
+from cellapp.estimation.discovery.process import LEAST_READINGS, fit_process, process_terms
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects.law import circle_variances
