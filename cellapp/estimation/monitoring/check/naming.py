@@ -2,7 +2,7 @@
 
 A least-squares fit of an alternative lowers chi-squared; its gain is half of that minus (r / 2) log d for r parameters
 and d coordinates (Schwarz, Ann. Stat. 6 (1978) 461). The best alternative is accepted and its parameters are unknown
-from then on; the next one is searched until the rest is explained. Tracker and bases may have moved by centimetres, see below.
+from then on; the next one is searched until the rest is explained. Tracker and bases may have moved by centimetres.
 """
 
 from __future__ import annotations
