@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run.nests import has_nests, nest_stops
+from cellapp.cell.targets.prediction import predicted_turns
 from cellapp.cell.targets.ranges import ConditionRanges
-from cellapp.cell.targets.turn_prediction import predicted_turns
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery

@@ -11,7 +11,7 @@ from cellapp.cell.exports.arm_export import hashed
 from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.records import TargetCommand
-from cellapp.cell.targets.sides import signs_words
+from cellapp.cell.targets.unknown_conditions import signs_words
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array
 

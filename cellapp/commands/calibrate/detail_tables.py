@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.network_view import batches_words
-from cellapp.commands.calibrate.view import MM, merged_words
+from cellapp.commands.calibrate.view import MM, batches_words, merged_words
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial

@@ -5,9 +5,9 @@ from __future__ import annotations
 from cellapp.cell.targets.path_records import PathRecord, PathResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import StageResults
-from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Column, Table, number_column, table_of
+from cellapp.commands.view.words import RULE_WORDS
 from cellapp.ground.counting import counted
 from cellapp.ground.results import FOLLOW, PATH
 

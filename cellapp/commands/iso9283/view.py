@@ -20,9 +20,9 @@ from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
 from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
-from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
+from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (

@@ -15,7 +15,7 @@ from cellapp.robot.model.nominal import pose_matrix
 _AXIS_M = 0.4
 """Length of the line along a frame's x axis: visible in a map of some metres."""
 _OTHER_STYLE = 4
-"""Style of series that belong to no arm; as in ``charts_map``."""
+"""Style of series that belong to no arm; as in ``charts_obstacles``."""
 
 
 def placement_chart(

@@ -11,8 +11,7 @@ from cellapp.commands.fleet.view import arms_table, certainty_sentence, runs_tab
 from cellapp.estimation.monitoring.fleet.records import ArmCondition, FleetResult
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.interfaces.page.drawn import drawn_sections
-from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
-from cellapp.interfaces.page.templates import template
+from cellapp.interfaces.page.templates import plotly_base64, plotly_notice, template
 
 _CLASSES: Mapping[ArmCondition, str] = {
     "beyond tolerance": "does-not-conform",

@@ -22,9 +22,8 @@ from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_sto
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
-from cellapp.commands.discover.proposal_view import proposal_lines
-from cellapp.commands.discover.result import proposal_result
-from cellapp.commands.discover.run import propose_after
+from cellapp.commands.discover.run import proposal_result, propose_after
+from cellapp.commands.discover.view import proposal_lines
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

@@ -15,7 +15,7 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.check_view import design_sentences, design_tables, plan_lines, plan_result_tables
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
 from cellapp.ground.errors import InputError

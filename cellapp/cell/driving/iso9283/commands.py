@@ -9,8 +9,7 @@ import numpy as np
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.cell.driving.iso9283.programme import legs
-from cellapp.cell.targets.choice import LARGEST_CORRECTION
-from cellapp.cell.targets.invert import invert, with_approach
+from cellapp.cell.targets.invert import LARGEST_CORRECTION, invert, with_approach
 from cellapp.cell.targets.working_conditions import beside
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme

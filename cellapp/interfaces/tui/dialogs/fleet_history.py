@@ -19,8 +19,7 @@ from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_tab
 
 PAGE = "fleet.html"
 

@@ -49,9 +49,7 @@ from cellapp.interfaces.tui.screens import targets_jobs
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, listed_path, new_name
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
