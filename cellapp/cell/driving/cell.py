@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
 from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
-from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
-from cellapp.cell.driving.unasked_tracker import UnaskedTracker
+from cellapp.cell.driving.tracker_watch import UnaskedTracker, Watch, monitored, unwatched, watched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError

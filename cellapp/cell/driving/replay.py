@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from cellapp.cell.driving.live_model import LiveModel
 from cellapp.cell.driving.recording import Recording, ReferenceGroup, Visit, What, read_recording
 from cellapp.cell.driving.records import ReplayResult
-from cellapp.cell.driving.reference_watch import ReferenceWatch
+from cellapp.cell.driving.references import ReferenceWatch
 from cellapp.cell.run import RunFile
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError

@@ -50,7 +50,7 @@ _RECORDING_TABLES = (
     "CREATE TABLE stream (arm TEXT NOT NULL, recording TEXT NOT NULL, kind TEXT NOT NULL, place INTEGER NOT NULL,"
     " name TEXT NOT NULL, words TEXT, data BLOB NOT NULL, PRIMARY KEY (arm, recording, kind, place))",
 )
-"""A recording of motion, and its columns: ``data`` as in ``stream_codes``; for texts, indices into ``words``."""
+"""A recording of motion, and its columns: ``data`` as in ``recordings``; for texts, indices into ``words``."""
 
 _AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
 """The stops that a session measured again, as a list; NULL for a session that collects what is left."""

@@ -1,7 +1,7 @@
 """Possible displacement of the SMR because a condition that effects of the model depend on was not stated.
 
 A condition that is not stated is assumed at a default: payload as in the profile, temperatures at the mean of the run,
-time at its end, dwell as in the run. A side of approach is chosen and stated with the command (``sides.py``): the
+time at its end, dwell as in the run. A side of approach is chosen and stated with the command: the
 effect of another side is reported, but is not an uncertainty. Plausible ranges are
 
 - payload: from the profile's to what the run covered; no unknown if all readings had the profile's payload;

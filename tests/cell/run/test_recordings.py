@@ -14,10 +14,16 @@ from hypothesis import given
 from hypothesis.extra import numpy as hnp
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import read_recordings_of, recording_states, recordings_digest, recordings_from_csv
+from cellapp.cell.run.csv_export import write_recordings_csv
+from cellapp.cell.run.recordings import (
+    packed,
+    read_recordings_of,
+    recording_states,
+    recordings_digest,
+    recordings_from_csv,
+    unpacked,
+)
 from cellapp.cell.run.recordings_csv import read_recordings
-from cellapp.cell.run.recordings_export import write_recordings_csv
-from cellapp.cell.run.stream_codes import packed, unpacked
 from cellapp.ground.errors import InputError
 from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.recorded_motion import Columns, joint_columns, point_columns, write_columns
