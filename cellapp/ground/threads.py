@@ -11,6 +11,8 @@ from threadpoolctl import threadpool_limits
 def one_blas_thread() -> AbstractContextManager[object]:
     """Linear algebra in one thread: the matrices are small, and threads that wait for one another on a busy computer
     made a search eight times slower than one thread is."""
+    import scipy.linalg  # noqa: F401  # it has a BLAS of its own; only one that is loaded can be limited
+
     limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
     return limits
 

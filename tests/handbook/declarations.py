@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from cellapp.commands.docs.handbook import declared_part
+from cellapp.commands.docs.effect_parts import declared_part
 from cellapp.commands.registry import VERBS
 from cellapp.commands.schema.results import written_results
 from cellapp.ground.results import Result

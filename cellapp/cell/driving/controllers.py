@@ -6,12 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
-from cellapp.ground.errors import HardwareError, InputError
+from cellapp.cell.run.arm_identity import (
+    CONTROLLERS_RESULT,
+    STORED_CONTROLLERS,
+    ControllerIdentity,
+    recorded_controllers,
+)
+from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
 from cellapp.robot.kinematics.plain_dh import same_chain
@@ -21,39 +25,11 @@ from drivers.arms.protocol import Arm, ArmError, stale
 
 
 @dataclass(frozen=True)
-class ControllerIdentity:
-    """Identity that a controller reports; ``dh_checksum`` identifies the factory calibration of its D-H rows.
-
-    ``dh_rows`` are the rows theta, d, a, alpha of such a calibration [rad, m]; None without one.
-    """
-
-    model: str
-    serial: str
-    software: str
-    dh_checksum: str
-    dh_rows: tuple[tuple[float, float, float, float], ...] | None = None
-
-
-@dataclass(frozen=True)
 class ControllerCheck:
     """Identities of the controllers of an open cell by arm, and notes about them for a person."""
 
     identities: Mapping[str, ControllerIdentity]
     notes: tuple[str, ...]
-
-
-_STORED = TypeAdapter(dict[str, ControllerIdentity])
-
-
-def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
-    """Return the controllers that a run has recorded, by arm. Raise ``InputError`` if the record is damaged."""
-    text = run.read_result(CONTROLLERS_RESULT)
-    if text is None:
-        return {}
-    try:
-        return _STORED.validate_json(text)
-    except ValidationError:
-        raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
 
 
 def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
@@ -86,7 +62,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
     notes += changed
     if set(identities) - set(recorded):
         run.write_result(
-            CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
+            CONTROLLERS_RESULT, STORED_CONTROLLERS.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
         )
     for note in notes:
         run.log("warning", note)

@@ -227,7 +227,8 @@ def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tup
     if fit.explains:
         return fit, ()
     points, start = measuring.search.points(), fit.T_new_old
-    return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m)
+    told = measuring.notes.append
+    return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m, told=told)
 
 
 @dataclass(eq=False)

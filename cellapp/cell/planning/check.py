@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import joint_ranges
 from cellapp.cell.planning.duration import planned_time, stop_times_of
@@ -48,6 +47,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 _PROGRESS_EVERY = 10
@@ -202,7 +202,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         cancel.check()
         listener(Progress("forecast", number, len(designs), f"arm {name}"))
         try:
-            with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
+            with one_blas_thread():  # the matrices are small
                 effects = planned_effects(design)
         except InputError as error:
             effects = ()

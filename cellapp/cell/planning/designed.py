@@ -10,7 +10,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool, workspace_configurations
 from cellapp.cell.planning.information import even_conditions, information_model
@@ -33,6 +32,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0xDE51
@@ -178,7 +178,7 @@ def of_each_arm(
     """
     names = tuple(names)
     # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
-    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
         return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))
 
 

@@ -17,7 +17,6 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import CandidatePool, random_configurations, workspace_configurations
 from cellapp.cell.planning.design_records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
@@ -29,6 +28,7 @@ from cellapp.estimation.design.block_choice import largest_gaps, without_turns
 from cellapp.estimation.design.block_design import information_of
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)
@@ -221,7 +221,7 @@ def arm_design(
     q = stops[name]
     n = len(q)
     others = {other: theirs for other, theirs in stops.items() if other != name}
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         judge = Judge.of(profile, name, others, n, rng, cancel or CancelToken())
         rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]

@@ -1,4 +1,4 @@
-"""Identity of the arms that a run measured: by serial numbers where known, else by names."""
+"""Controllers that a run has recorded, and the identity of its arms: by serial numbers where known, else by names."""
 
 from __future__ import annotations
 
@@ -9,9 +9,27 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from cellapp.cell.run.file import RunFile
 from cellapp.estimation.monitoring.fleet.records import IdentityBasis
+from cellapp.ground.errors import InputError
 
 CONTROLLERS_RESULT = "controllers"
 """Name of the stored result: arm -> identity of its controller."""
+
+
+@dataclass(frozen=True)
+class ControllerIdentity:
+    """Identity that a controller reports; ``dh_checksum`` identifies the factory calibration of its D-H rows.
+
+    ``dh_rows`` are the rows theta, d, a, alpha of such a calibration [rad, m]; None without one.
+    """
+
+    model: str
+    serial: str
+    software: str
+    dh_checksum: str
+    dh_rows: tuple[tuple[float, float, float, float], ...] | None = None
+
+
+STORED_CONTROLLERS = TypeAdapter(dict[str, ControllerIdentity])
 
 
 class _Controller(BaseModel):
@@ -36,6 +54,17 @@ class ArmIdentity:
     def is_other_than(self, other: ArmIdentity) -> bool:
         """Return whether serial numbers prove two arms to be different ones."""
         return self.known_by == other.known_by and bool(self.serial) and self.serial != other.serial
+
+
+def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
+    """Return the controllers that a run has recorded, by arm. Raise ``InputError`` if the record is damaged."""
+    text = run.read_result(CONTROLLERS_RESULT)
+    if text is None:
+        return {}
+    try:
+        return STORED_CONTROLLERS.validate_json(text)
+    except ValidationError:
+        raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
 
 
 def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian, sampled_configurations, turned_into
 from cellapp.robot.kinematics.transforms import Array
@@ -27,6 +28,8 @@ _EFFECT_ROUNDS = 8
 """Fixed-point iterations for the effects' joint offsets; each contracts by the offsets' slope, about 1e-3."""
 _SAME_RAD = 1e-12
 """Joint change [rad] at which that iteration ends: far below any controller's resolution."""
+_SETTLED_RAD = 1e-8
+"""Joint change [rad] up to which it counts as ended: less than any controller's resolution."""
 _FREE_DAMPING = 1e-12
 """Damping [m^2] of a step to a position with free rotation: far below the squared lever arms."""
 _SHIFTED_M = 1e-8
@@ -126,12 +129,16 @@ def without_effects(
     """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), arriving as ``approach``.
 
     ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offsets depend on the configuration.
+    Raise ``NotConverged`` if it does not settle.
     """
     q = true
     for _ in range(_EFFECT_ROUNDS):
         before, q = q, true - (arm.true_joints(q, approach, conditions=conditions) - q)
-        if np.max(np.abs(q - before), initial=0.0) < _SAME_RAD:
+        changed = np.max(np.abs(q - before), initial=0.0)
+        if changed < _SAME_RAD:
             break
+    if not changed < _SETTLED_RAD:
+        raise NotConverged.of("inverse of an arm's effects", f"joints still change by {changed:.1e} rad")
     return q
 
 

@@ -24,6 +24,8 @@ def with_nests(result: CalibrateResult, run: RunFile, model: CellModel) -> Calib
 
 
 def _nests(run: RunFile, name: str, model: CellModel) -> NestsResult | None:
+    if not run.profile.arms[name].smr.nests:  # rows can name no other
+        return None
     rows = run.rows(name)
     if not has_nests(rows):
         return None

@@ -8,8 +8,8 @@ from typing import cast
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import ControllerIdentity, recorded_controllers
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import ControllerIdentity, recorded_controllers
 from cellapp.commands.basis import PriorBasis
 from cellapp.commands.stages import StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force

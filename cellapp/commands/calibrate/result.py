@@ -118,7 +118,7 @@ def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
             for name, value, error, other in estimates
         },
         iterations=found.iterations,
-        converged=found.converged,
+        converged=True,  # else it was refused; earlier versions stored such a pair
         splits=pair.counts,
         held_out=PairHeldOut(
             configuration=tuple(pair.stops.tolist()),

@@ -20,7 +20,6 @@ from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.motion.calibrate import calibrate_with_motion
 from cellapp.estimation.prior.calibrate import calibrate_with_prior
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
@@ -73,6 +72,8 @@ def calibrate_run(
     if not earlier and (used := {record.run for record in recorded_priors(run).values()}):
         notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
     if any(recordings.values()):
+        from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
+
         with one_blas_thread():
             moved = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
         keep_samples(run, moved.samples)
@@ -81,9 +82,9 @@ def calibrate_run(
     else:
         result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)
     result = with_nests(result, run, model)
-    basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
-    append_with_model(run, CALIBRATE, result, model, basis)
-    stages = read_stages(run)
+    now = basis_of(run)
+    append_with_model(run, CALIBRATE, result, model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
+    stages = read_stages(run, lambda _: now)
     export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
 
@@ -117,17 +118,16 @@ def calibrate_cell(
 
 def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
     """Draw and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    counts = run.split_counts()
     recorded = {state.arm for state in recording_states(run)}
-    for name, arm in readings.items():
-        if len(arm) == 0 and name not in recorded:
+    for name in run.profile.arms:
+        if name not in counts and name not in recorded:
             raise InputError(
                 f"{run.path}: arm '{name}' has no readings; collect or import them, or take the arm out of the profile"
             )
-    at_rest = {name: arm for name, arm in readings.items() if len(arm)}
-    if not at_rest:
+    if not counts or any(word is not None for its in counts.values() for word in its):
         return ()
-    drawn, notes = missing_splits(run.profile, at_rest)
+    drawn, notes = missing_splits(run.profile, {name: run.readings(name) for name in counts})
     for name, words in drawn.items():
         run.assign_splits(name, words)
     return notes

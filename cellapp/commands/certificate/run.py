@@ -13,10 +13,10 @@ from pathlib import Path
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.profile.files import path_exists
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.basis import Basis, basis_of
 from cellapp.commands.certificate.request import CertificateRequest

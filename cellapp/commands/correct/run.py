@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import recorded_controllers, same_calibration
+from cellapp.cell.driving.controllers import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
 from cellapp.cell.programs.records import CorrectResult, LeftLine
 from cellapp.cell.programs.script_targets import read_script, six
@@ -16,6 +16,7 @@ from cellapp.cell.programs.targets import ReadProgram, Six
 from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.cell.programs.words import assumptions, model_notes
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.correct.request import ENDINGS, CorrectRequest
 from cellapp.commands.record import Work

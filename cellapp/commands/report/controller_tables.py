@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Column, Table, number_column

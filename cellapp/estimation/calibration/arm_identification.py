@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.identification import Identification, TooFew
 from cellapp.estimation.calibration.parameters import ParameterSet, SetName
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.calibration.weights import RobustName, excess_of_kinds, with_excess
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile.schema import Calibration
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register, rotation_x
@@ -31,11 +31,13 @@ minimum only within some 10, and the linear standard error understates the width
 
 @contextmanager
 def refused_by_arm(name: str) -> Iterator[None]:
-    """Convert errors of an identification into an ``InputError`` that names the arm of the profile."""
+    """Name the arm of the profile in errors of an identification: an ``InputError``, or that it did not converge."""
     try:
         yield
     except TooFewReadings as error:
         raise InputError(f"arm '{name}': {error}") from None
+    except NotConverged as error:
+        raise NotConverged(f"arm '{name}': {error}") from None
     except ValueError as error:
         raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
 
@@ -82,6 +84,11 @@ def identify_with_excess(
         ``excess_rad`` is the excess standard deviation of an orientation.
     excess : float
         Excess standard deviation of a coordinate [m].
+
+    Raises
+    ------
+    NotConverged
+        If the last identification, of the better one, did not converge.
     """
     fit: _Fit = partial(
         identify,
@@ -97,14 +104,15 @@ def identify_with_excess(
     found, excess = _rounds(fit, start, sigma, parameter_set)
     tool = _mirrored_tool(found)
     if tool is None:
-        return found, excess
+        return found.settled("identification"), excess
     at_origin = replace(start, tool=tool).with_T_M_B(np.eye(4))
     points = slice(None) if found.turned is None else ~found.turned
     mirrored = at_origin.with_T_M_B(register(p_M[points], smr_positions(at_origin, q[points])))
     if R_M_S is not None:
         mirrored = with_probe(mirrored, q, R_M_S)
     other, its_excess = _rounds(fit, mirrored, sigma, parameter_set)
-    return (other, its_excess) if _square(other) < _square(found) else (found, excess)
+    better = (other, its_excess) if _square(other) < _square(found) else (found, excess)
+    return better[0].settled("identification"), better[1]
 
 
 def _rounds(

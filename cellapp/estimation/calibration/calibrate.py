@@ -73,7 +73,7 @@ class ArmCalibration:
     training : Training or None
         How the residual network was trained.
     tracker_frame_network : ResidualNetwork or None
-        The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
+        The same network of an arm of a pair trained in the tracker frame, the counter-example of Bai et al. (2023).
     prior : ArmPriorResult or None
         The earlier calibration used as prior. Identification and model then include it, and there is no network.
     left_out : tuple of int
@@ -132,7 +132,7 @@ def calibrate_readings(
     notes: list[str] = []
     trains = profile.network.kind != "none"
     require_learner(profile.network)
-    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the 1: in the tracker frame
+    training = learning_steps(profile.network) + training_steps(1) * in_a_pair(profile) if trains else 0
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -301,9 +301,7 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
-    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
-    if arm.left_out:
-        notes.append(left_out_note(name, arm))
+    notes = [left_out_note(name, arm)] if arm.left_out else []
     notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
     if in_sockets(readings):
         gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
@@ -384,7 +382,7 @@ def train_arm(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """Train an arm's residual network in the base frame, and the same in the tracker frame for comparison.
+    """Train an arm's residual network in the base frame; for a pair the same in the tracker frame, for comparison.
 
     The training data are the train split, or the identify split if there is no train split.
     """
@@ -416,8 +414,8 @@ def with_networks(
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> ArmCalibration:
-    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], one in the base frame and
-    the same in the tracker frame; add neither if a network does not help."""
+    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
+    for method 2 of a pair the same in the tracker frame; none if a network does not help."""
     training = learn(
         profile.network,
         q,
@@ -429,6 +427,9 @@ def with_networks(
     )
     if training.network is None:
         return replace(arm, training=training)
+    arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
+    if not in_a_pair(profile):
+        return arm
     first = learning_steps(profile.network)
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     in_tracker = train_network(
@@ -441,8 +442,12 @@ def with_networks(
         cancel=cancel,
         report=lambda done, words: report(first + done, f"tracker frame: {words}"),
     ).network
-    model = replace(arm.model, network=training.network)
-    return replace(arm, model=model, training=training, tracker_frame_network=in_tracker)
+    return replace(arm, tracker_frame_network=in_tracker)
+
+
+def in_a_pair(profile: Profile) -> bool:
+    """Return whether there is a network in the tracker frame as well: only methods of the pair use it."""
+    return len(profile.arms) > 1
 
 
 def rms_length_mm(sigma: Array) -> float:

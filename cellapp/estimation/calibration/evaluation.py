@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy
 
@@ -41,8 +43,9 @@ def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
     )
 
 
+@lru_cache(maxsize=1)
 def _resampled(n: int) -> Array:
-    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample."""
+    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample; kept for the next stage."""
     return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
 
 

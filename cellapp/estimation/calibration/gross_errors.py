@@ -99,6 +99,7 @@ def gross_errors_of_geometry(
     # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
     found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    found = found.settled("robust fit that finds gross errors")
     return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
 
 

@@ -42,6 +42,7 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.weights import RobustName, robust_weights, whitener
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register
 
@@ -145,6 +146,12 @@ class Identification:
     freedom_of_turns: float = 0.0
     excess_rad: float = 0.0
 
+    def settled(self, fit: str) -> Identification:
+        """Return this; raise ``NotConverged`` with the name of the ``fit`` if it did not converge."""
+        if not self.converged:
+            raise NotConverged.of(fit, self.message, "allow more steps (calibration.max_iterations), or report it")
+        return self
+
     @cached_property
     def singular_values(self) -> Array:
         """Singular values of the scaled Jacobian divided by root n, in descending order, shape (K,)."""
@@ -179,6 +186,8 @@ class Identification:
 
 def start_from_nominal(nominal: Geometry, q: Array, p_M: Array, *, tool_unknown: bool) -> Geometry:
     """Compute the initial geometry: the nominal chain with its base registered to the measured points.
+
+    It is a start, and need not have converged: what is fitted from it must.
 
     Parameters
     ----------
@@ -217,7 +226,7 @@ def identify(
     tolerance: float = 1e-8,
     max_iterations: int = 50,
 ) -> Identification:
-    """Identify the geometry of one arm.
+    """Identify the geometry of one arm; ``Identification.settled`` refuses a fit that did not converge.
 
     Parameters
     ----------
@@ -376,8 +385,14 @@ class _Problem:
         freedom = self._degrees_of_freedom(point, by_priors)
         return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
+    def _right(self, point: Estimate) -> Array:
+        return np.asarray(point.normal.b / point.variance + point.precision * (self.mean - point.values))
+
+    def promise(self, point: Estimate, step: Array) -> float:
+        return float(step @ self._right(point))
+
     def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
-        b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
+        b = self._right(point)
         unit = point.normal.unit
         if point.eliminated is not None and damping == 0.0:
             step = point.eliminated.solve(unit * b, point.geometric_priors(len(self.parameters.columns)))

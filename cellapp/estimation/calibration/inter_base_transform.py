@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.estimation.calibration.gauss_newton import damped_step, minimise
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform, zyx_angles
@@ -37,7 +37,6 @@ class PairIdentification:
     standard_errors : array, shape (6,)
         Of the translation [m] and of small rotations about z, y, x of the right base [rad], scaled by ``scale``.
     iterations : int
-    converged : bool
     scale : float
         Standard deviation of a distance [m].
     """
@@ -46,7 +45,6 @@ class PairIdentification:
     values: Array
     standard_errors: Array
     iterations: int
-    converged: bool
     scale: float
 
 
@@ -71,67 +69,39 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
     ------
     TooFewReadings
         For fewer than seven stops.
+    NotConverged
     """
     n = len(measured)
     if n < _FEWEST_STOPS:
         raise TooFewReadings(
             f"{n} common stops are too few for the inter-base transform; measure at least {_FEWEST_STOPS}"
         )
-    problem = _Problem(p_L, p_R, measured)
-    first = problem.estimate(start[:3, :3], start[:3, 3])
-    minimum = minimise(problem, first, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS)
-    found = minimum.point
-    T_R_L = transform(found.rotation, found.translation)
+
+    def linearised(T: Array) -> tuple[Array, Array]:
+        """Linearise the squared distances [m^2] in b and in a small rotation that is applied after R."""
+        rotated = p_L @ T[:3, :3].T
+        d = p_R - rotated - T[:3, 3]
+        return measured**2 - np.einsum("na,na->n", d, d), -2.0 * np.hstack([d, np.cross(rotated, d)])
+
+    found = LeastSquares(linearised, after_twist).best(
+        "inter-base transform from distances", start, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS
+    )
+    T_R_L = found.point.state
     off = measured - distances(T_R_L, p_L, p_R)
     scale = float(np.sqrt(off @ off / max(1, n - 6)))
     # All distances have the same variance, but their squares do not: D^2 has the standard deviation 2 D scale.
-    J = found.J
+    J = found.point.A
     gain = inverse_psd(J.T @ J) @ (J * (2.0 * measured * scale)[:, None]).T
     errors = np.linalg.norm(gain, axis=1)
     return PairIdentification(
         T_R_L=T_R_L,
-        values=np.concatenate([found.translation, zyx_angles(found.rotation)]),
+        values=np.concatenate([T_R_L[:3, 3], zyx_angles(T_R_L[:3, :3])]),
         standard_errors=np.concatenate([errors[:3], errors[:2:-1]]),
-        iterations=len(minimum.steps),
-        converged=minimum.converged,
+        iterations=len(found.steps),
         scale=scale,
     )
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """R (3, 3) and b (3,) [m], the residuals (n,) [m^2] of the squared distances and their Jacobian (n, 6)."""
-
-    rotation: Array
-    translation: Array
-    residuals: Array
-    J: Array
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """The least-squares problem of ``identify_pair``, for ``gauss_newton.minimise``."""
-
-    p_L: Array
-    p_R: Array
-    measured: Array
-
-    def estimate(self, rotation: Array, translation: Array) -> _Estimate:
-        """Linearise in b and in a small rotation that is applied after R."""
-        rotated = self.p_L @ rotation.T
-        d = self.p_R - rotated - translation
-        J = -2.0 * np.hstack([d, np.cross(rotated, d)])
-        return _Estimate(rotation, translation, self.measured**2 - np.einsum("na,na->n", d, d), J)
-
-    def reweighted(self, point: _Estimate) -> _Estimate:
-        return point
-
-    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
-        step = damped_step(point.J.T @ point.J, point.J.T @ point.residuals, damping)
-        return step, step
-
-    def moved(self, point: _Estimate, step: Array) -> _Estimate:
-        return self.estimate(rotation_from_vector(step[3:]) @ point.rotation, point.translation + step[:3])
-
-    def objective(self, point: _Estimate) -> float:
-        return float(point.residuals @ point.residuals)
+def after_twist(T: Array, step: Array) -> Array:
+    """Return T (4, 4) after a shift [m] and a small rotation [rad], applied after T's own, step (6,)."""
+    return transform(rotation_from_vector(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])

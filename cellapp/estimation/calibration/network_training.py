@@ -13,14 +13,13 @@ The validation split is not used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import count as count_from
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.linear import inverse_diagonal, solve_psd
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.network import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
@@ -31,6 +30,10 @@ from cellapp.robot.model.network import Inputs, Layers, ResidualNetwork, network
 #
 # The derivative of output k by ``W[o, i]`` is ``V[k, o] (1 - h_o^2) a_i`` and by ``V[k, j]`` it is ``b_j``. All outputs
 # share ``(1 - h_o^2) a_i`` and ``b_j``; therefore one product over the rows gives the normal matrix of all outputs.
+
+_BENT = 2.0
+"""Scale of the first hidden signals. Errors of gears have many cycles a turn; from small weights, which bend the units
+little, most iterations only make them grow."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,8 @@ class Perceptron:
         return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Draw random parameters whose variance keeps the scale of the signal through the layers."""
-        scales = np.repeat([(self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
+        """Draw random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
+        scales = np.repeat([_BENT * (self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
         return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
 
     def predict(self, p: Array, x: Array) -> Array:
@@ -109,7 +112,7 @@ _DAMPING_DOWN, _DAMPING_UP = 10.0, 5.0
 """Damping factors: divisor after a step that lowers the objective, multiplier after one that does not."""
 _TRIES = 6
 """Maximum number of steps tried with one Jacobian: together they raise the damping by a factor of 15 000."""
-_DECAY = 0.01
+_DECAY = 0.1
 """Initial weight decay, in units of the noise precision; the evidence adjusts it."""
 _DECAY_LIMITS = (1e-6, 1e6)
 _EVIDENCE_EVERY = 3
@@ -118,10 +121,9 @@ _IMPROVED = 0.998
 """Ratio to a member's best squared error on its fold below which an iteration counts as an improvement."""
 _PATIENCE = 8
 """Number of iterations without improvement after which the training of a member ends."""
-_SCREENING = 15
-"""Number of iterations after which candidates are compared; only the best one is trained further."""
-_REPORTED = 10
-"""Iterations between two progress reports: a second or less."""
+_SCREENED, _SCREENING = 2, 15
+"""Number of members, and of iterations of each, after which candidates are compared; only the best one is trained
+further."""
 
 
 @dataclass(frozen=True)
@@ -257,20 +259,27 @@ def train_network(
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
     candidates = [
-        (shape, _train_committee(inputs[shape.inputs], outputs[shape.rotates_with_joint_1], fold, shape, seed, cancel))
-        for shape in shapes
+        _Committee(shape, inputs[shape.inputs], outputs[shape.rotates_with_joint_1], fold, seed) for shape in shapes
     ]
-    shape, committee, screened = _train_best(candidates, iterations, report)
+    for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
+        report(number, f"network {number + 1} of {len(shapes)}")
+        candidate.train(_SCREENED, min(_SCREENING, iterations), cancel)
+    tried = tuple((candidate.shape, candidate.left_out() * scale) for candidate in candidates if candidate.members)
+    committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
+    report(len(shapes), "best network")
+    committee.train(int(fold.max()) + 1, iterations, cancel)
+    report(len(shapes) + 1, "network trained")
+    shape, left_out = committee.shape, committee.left_out()
     without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
     margin = MARGIN * np.maximum(high - low, 1e-3)
-    members = tuple(committee.net.layers(p) for p in committee.members)
+    members = tuple(committee.net.layers(member.best) for member in committee.members)
     network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
-        network=network if committee.left_out < WORTH * without else None,
+        network=network if left_out < WORTH * without else None,
         shape=shape,
-        left_out_rms=committee.left_out * scale,
+        left_out_rms=left_out * scale,
         without_rms=without * scale,
-        tried=tuple((tried, error * scale) for tried, error in screened),
+        tried=tried,
     )
 
 
@@ -279,121 +288,105 @@ def training_steps(shapes: int = _CANDIDATES) -> int:
     return shapes + 1
 
 
-def _train_best(
-    candidates: Sequence[tuple[Shape, Iterator[_Committee]]], iterations: int, report: Report
-) -> tuple[Shape, _Committee, list[tuple[Shape, float]]]:
-    """Train all candidates for some iterations and the best one to the end; return it with all errors when compared."""
-    compared: list[tuple[_Committee, Shape, Iterator[_Committee]]] = []
-    for number, (shape, training) in enumerate(candidates):
-        for committee in islice(training, min(_SCREENING, iterations)):
-            if committee.iteration % _REPORTED == 1:
-                report(number, f"network {number + 1} of {len(candidates)}, {_training_words(committee)}")
-        compared.append((committee, shape, training))
-    committee, shape, training = min(compared, key=lambda entry: entry[0].left_out)
-    while committee.iteration < iterations and (later := next(training, None)) is not None:
-        committee = later
-        if committee.iteration % _REPORTED == 1:
-            report(len(candidates), f"best network, {_training_words(committee)}")
-    report(len(candidates) + 1, "network trained")
-    return shape, committee, [(tried, screened.left_out) for screened, tried, _ in compared]
-
-
-def _training_words(committee: _Committee) -> str:
-    return f"{len(committee.members)} folds, iteration {committee.iteration}"
-
-
-@dataclass(frozen=True)
 class _Committee:
-    """Members after an iteration: the parameters of each that predicted its fold best, and the rms over all folds."""
-
-    net: Perceptron
-    members: tuple[Array, ...]
-    left_out: float
-    iteration: int
-
-
-def _train_committee(
-    x: Array, y: Array, fold: NDArray[np.int64], shape: Shape, seed: int, cancel: CancelToken
-) -> Iterator[_Committee]:
-    """Train one member per fold; yield the committee after each iteration until no member improves any more."""
-    net = Perceptron(x.shape[1], shape.hidden, y.shape[1])
-    groups = net.decay_groups(shape.inputs)
-    rng = np.random.default_rng(seed)
-    numbers = range(int(fold.max()) + 1)
-    members = [_Member(net, x[fold != k], y[fold != k], groups, net.start(rng)) for k in numbers]
-    left_out = [(x[fold == k], y[fold == k]) for k in numbers]
-    best = [member.p for member in members]
-    error = [_squares(net, *left_out[k], best[k]) for k in numbers]
-    stale = [0 for _ in numbers]
-    for iteration in count_from(1):
-        for k in numbers:
-            if stale[k] >= _PATIENCE:
-                continue
-            cancel.check()
-            members[k].step(with_evidence=iteration % _EVIDENCE_EVERY == 1)
-            now = _squares(net, *left_out[k], members[k].p)
-            stale[k] = 0 if now < _IMPROVED * error[k] else stale[k] + 1
-            if now < error[k]:
-                best[k], error[k] = members[k].p, now
-        yield _Committee(net, tuple(best), float(np.sqrt(sum(error) / len(x))), iteration)
-        if min(stale) >= _PATIENCE:
-            return
-
-
-def _squares(net: Perceptron, x: Array, y: Array, p: Array) -> float:
-    return float(np.sum((y - net.predict(p, x)) ** 2))
-
-
-class _Member:
-    """Member in training, which minimises ``beta sum e^2 + sum alpha_g p^2`` over its rows.
+    """One member for each fold, trained without it.
 
     Attributes
     ----------
-    p : array, shape (P,)
-        Parameters.
+    members : list of _Member
+        Those trained so far, of the first folds.
     """
 
-    def __init__(self, net: Perceptron, x: Array, y: Array, groups: Array, p: Array) -> None:
-        self.p = p
-        self._net, self._x, self._y, self._groups = net, x, y, groups
+    def __init__(self, shape: Shape, x: Array, y: Array, fold: NDArray[np.int64], seed: int) -> None:
+        self.shape, self.net = shape, Perceptron(x.shape[1], shape.hidden, y.shape[1])
+        self.members: list[_Member] = []
+        self._x, self._y, self._fold, self._seed = x, y, fold, seed
+
+    def train(self, count: int, iterations: int, cancel: CancelToken) -> None:
+        """Train the members of the first ``count`` folds, each for at most ``iterations`` in all."""
+        for number in range(count):
+            if number == len(self.members):
+                start = self.net.start(np.random.default_rng([self._seed, number]))
+                groups = self.net.decay_groups(self.shape.inputs)
+                self.members.append(_Member(self.net, self._x, self._y, self._fold == number, groups, start))
+            self.members[number].train(iterations, cancel)
+
+    def left_out(self) -> float:
+        """Compute the rms length of the errors on the folds that the members were trained without."""
+        rows = np.count_nonzero(self._fold < len(self.members))
+        return float(np.sqrt(sum(member.error for member in self.members) / rows))
+
+
+class _Member:
+    """Member in training, which minimises ``beta sum e^2 + sum alpha_g p^2`` over the readings that are not left out.
+
+    Attributes
+    ----------
+    best : array, shape (P,)
+        Parameters that predicted the left-out readings best, and ``error``, their sum of squares there.
+    """
+
+    def __init__(
+        self, net: Perceptron, x: Array, y: Array, left_out: NDArray[np.bool_], groups: Array, p: Array
+    ) -> None:
+        self._net, self._x, self._y, self._groups = net, x[~left_out], y[~left_out], groups
+        self._left_out = x[left_out], y[left_out]
         self._counts = np.bincount(groups)
         self._alpha = np.full(len(self._counts), _DECAY)  # precision of each group of parameters
         self._beta = 1.0  # precision of the noise
         self._damping = _DAMPING
-        self._e = y - net.predict(p, x)
-        self._gram, self._slope = net.normal_equations(p, x, self._e)
+        self._iteration = self._stale = 0
+        self._p, self._e = p, self._y - net.predict(p, self._x)
+        self._gram, self._slope = net.normal_equations(p, self._x, self._e)
+        self.best, self.error = p, self._error(p)
 
-    def step(self, *, with_evidence: bool) -> None:
+    def train(self, iterations: int, cancel: CancelToken) -> None:
+        """Iterate until there were ``iterations`` in all, or ``_PATIENCE`` without improvement."""
+        while self._iteration < iterations and self._stale < _PATIENCE:
+            cancel.check()
+            self._step(with_evidence=self._iteration % _EVIDENCE_EVERY == 0)
+            self._iteration += 1
+            now = self._error(self._p)
+            self._stale = 0 if now < _IMPROVED * self.error else self._stale + 1
+            if now < self.error:
+                self.best, self.error = self._p, now
+
+    def _error(self, p: Array) -> float:
+        x, y = self._left_out
+        return float(np.sum((y - self._net.predict(p, x)) ** 2))
+
+    def _step(self, *, with_evidence: bool) -> None:
         """Take the first damped step that lowers the objective; none if ``_TRIES`` steps fail."""
-        decay = self._alpha[self._groups]
-        hessian = self._beta * self._gram
-        np.einsum("ii->i", hessian)[:] += decay
-        moved = self._move(hessian, self._beta * self._slope - decay * self.p, decay)
+        decay = self._alpha[self._groups] / self._beta
+        hessian = self._gram  # of half the objective, divided by the precision of the noise
+        diagonal = hessian.diagonal() + decay
+        moved = self._move(hessian, diagonal, self._slope - decay * self._p, decay)
         if with_evidence:
-            self._update_evidence(hessian)
+            np.fill_diagonal(hessian, diagonal)
+            self._update_evidence(inverse_diagonal(hessian) / self._beta)
         if moved:
-            self._gram, self._slope = self._net.normal_equations(self.p, self._x, self._e)
+            self._gram, self._slope = self._net.normal_equations(self._p, self._x, self._e)
+        else:
+            np.fill_diagonal(hessian, diagonal - decay)
 
-    def _move(self, hessian: Array, descent: Array, decay: Array) -> bool:
-        objective = self._beta * np.sum(self._e**2) + np.sum(decay * self.p**2)
-        diagonal = np.diag(hessian).copy()
-        damped = hessian.copy()
+    def _move(self, hessian: Array, diagonal: Array, descent: Array, decay: Array) -> bool:
+        """Try steps with ``diagonal``, damped, in the place of that of ``hessian``, which is changed."""
+        objective = np.sum(self._e**2) + np.sum(decay * self._p**2)
         for _ in range(_TRIES):
-            np.einsum("ii->i", damped)[:] = (1.0 + self._damping) * diagonal
-            p = self.p + np.linalg.solve(damped, descent)  # numpy's, not scipy's: it releases the interpreter lock
+            np.fill_diagonal(hessian, (1.0 + self._damping) * diagonal)
+            p = self._p + solve_psd(hessian, descent)
             e = self._y - self._net.predict(p, self._x)
-            if self._beta * np.sum(e**2) + np.sum(decay * p**2) < objective:
-                self.p, self._e = p, e
+            if np.sum(e**2) + np.sum(decay * p**2) < objective:
+                self._p, self._e = p, e
                 self._damping = max(self._damping / _DAMPING_DOWN, _DAMPING_LIMITS[0])
                 return True
             self._damping = min(self._damping * _DAMPING_UP, _DAMPING_LIMITS[1])
         return False
 
-    def _update_evidence(self, hessian: Array) -> None:
+    def _update_evidence(self, variance: Array) -> None:
         """Set decay and noise to maximise the evidence, given the number of parameters that the data determine."""
-        variance = np.diag(np.linalg.inv(hessian))
         determined = np.maximum(self._counts - self._alpha * np.bincount(self._groups, variance), 1e-3)
-        squares = np.maximum(np.bincount(self._groups, self.p**2), 1e-12)
+        squares = np.maximum(np.bincount(self._groups, self._p**2), 1e-12)
         self._alpha = np.clip(determined / squares, *_DECAY_LIMITS)
         freedom = max(self._y.size - float(determined.sum()), 1.0)
         self._beta = float(np.clip(freedom / max(float(np.sum(self._e**2)), 1e-12), 1e-6, 1e9))

@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
 from cellapp.estimation.calibration.online_model import (
@@ -42,10 +44,10 @@ from cellapp.estimation.calibration.parameters import (
     weak_priors,
 )
 from cellapp.estimation.calibration.weights import RobustName, robust_weights, whitener
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian, smr_positions
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
@@ -66,7 +68,7 @@ _GROWTH = 1.2
 _LINEAR = 1e-3
 """Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
 standard errors are far larger as long as single readings change the estimate by this much."""
-_STEPS = 4
+_STEPS = 20
 """Maximum number of Gauss-Newton steps of a renewal; one is enough after the first readings."""
 _FIRST_EXCESS_M = 1e-4
 """Excess standard deviation of a coordinate until it is estimated: what gravity and backlash leave in UR arms."""
@@ -147,6 +149,9 @@ def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
 class OnlineFit:
     """Geometry of one arm, refitted after every stop. There is no model until ``ready``.
 
+    No step of a renewal raises the weighted sum of squares, priors included. Where its steps do not end, there is no
+    model, and nothing is predicted or reported, until a renewal with further readings ends.
+
     Parameters
     ----------
     arm : str
@@ -203,6 +208,7 @@ class OnlineFit:
         self._rows = Rows(self._parameters, planned_q, gravity)
         self._readings = StoredReadings(nominal.joints)
         self._models: _Models | None = None
+        self._settled = False
         self._next_renewal = 0
 
     @property
@@ -212,25 +218,29 @@ class OnlineFit:
 
     @property
     def ready(self) -> bool:
-        """Whether there is a model: after four readings, if their points are spread out."""
-        return self._models is not None
+        """Whether there is a model: after four readings, if their points are spread out and the fit converged."""
+        return self._ready is not None
+
+    @property
+    def _ready(self) -> _Models | None:
+        return self._models if self._settled else None
 
     @property
     def geometry(self) -> Geometry | None:
         """Present estimate, without compliance; None without a model."""
-        return None if self._models is None else self._estimate(self._models)
+        return None if self._ready is None else self._estimate(self._ready)
 
     @property
     def scatter_m(self) -> float | None:
         """Standard deviation of a measured coordinate about the geometry alone [m]; None without a model."""
-        return None if self._models is None else self._models.geometry.scatter_m
+        return None if self._ready is None else self._ready.geometry.scatter_m
 
     def predict(self, stop: int, q: Array) -> Prediction | None:
         """Predict the SMR position at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
-        if self._models is None:
+        if self._ready is None:
             return None
-        model = self._models.predicting
-        row = self._rows.at(self._models.origin, stop, q)
+        model = self._ready.predicting
+        row = self._rows.at(self._ready.origin, stop, q)
         return Prediction(row.P + row.J @ model.step, row.J @ model.covariance @ row.J.T, model.scatter_m)
 
     def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
@@ -264,9 +274,9 @@ class OnlineFit:
         return self._report(stops[-1], q[-1], p_M[-1])
 
     def _report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
-        if self._models is None:
+        if self._ready is None:
             return None
-        origin, model = self._models.origin, self._models.geometry
+        origin, model = self._ready.origin, self._ready.geometry
         row = self._rows.at(origin, stop, q)
         residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
         mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
@@ -280,16 +290,16 @@ class OnlineFit:
 
     def residuals(self) -> Residuals | None:
         """Compute the residuals of all readings by the geometry alone, in order of arrival; None without a model."""
-        if self._models is None:
+        if self._ready is None:
             return None
         readings = self._readings
         return Residuals.of(
-            self._left_M(self._models, readings.q, readings.p_M), readings.stated(), self._models.geometry
+            self._left_M(self._ready, readings.q, readings.p_M), readings.stated(), self._ready.geometry
         )
 
     def lengths_m(self, q: Array, p_M: Array) -> Array | None:
         """Compute residual lengths (n,) [m] of points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None if not ready."""
-        return None if self._models is None else np.linalg.norm(self._left_M(self._models, q, p_M), axis=1)
+        return None if self._ready is None else np.linalg.norm(self._left_M(self._ready, q, p_M), axis=1)
 
     def _left_M(self, models: _Models, q: Array, p_M: Array) -> Array:
         """Compute the residuals (n, 3) [m] of points by the geometry alone."""
@@ -307,17 +317,25 @@ class OnlineFit:
         errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave negative values
         return dict(zip(self._table.names, errors, strict=True))
 
-    def _estimate(self, models: _Models) -> Geometry:
+    def _estimate(self, models: _Models, step: Array | None = None) -> Geometry:
         vector = models.origin.vector()
-        vector[list(self._parameters.columns)] += models.geometry.step
+        vector[list(self._parameters.columns)] += models.geometry.step if step is None else step
         return models.origin.with_vector(vector)
+
+    def _loss(self, models: _Models, step: Array) -> float:
+        """Compute what the geometry's step minimises, after a ``step`` (k,) from the origin."""
+        readings, model = self._readings, models.geometry
+        left = (readings.p_M - smr_positions(self._estimate(models, step), readings.q)).T
+        white = np.einsum("ijn,jn->in", whitener(readings.stated() + model.excess * np.eye(3)), left)
+        return model.loss(float(np.sum(models.weights * white**2)), step)
 
     def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
         """Add the newest reading to both models, unless it is a gross error."""
         row = self._rows.at(models.origin, stop, q)
         J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
         innovation, expected = model.innovation(J, off, stated)
-        self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
+        if self._settled:  # else it says nothing about the reading
+            self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
         if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
             model.add(J, off, stated)
             models.geometry.add(J[:, : len(self._precision)], off, stated)
@@ -330,9 +348,14 @@ class OnlineFit:
         before = None if registered else self._models
         for _ in range(_STEPS):
             self._models = before = self._linearised(start, before)
-            if before.geometry.moved <= _LINEAR:
+            self._settled = before.geometry.moved <= _LINEAR
+            if self._settled:
                 break
-            start = self._estimate(before)
+            try:
+                step = shortened("fit of an arm", before.geometry.step, partial(self._loss, before))
+            except NotConverged:  # try again with further readings
+                break
+            start = self._estimate(before, step)
         self._next_renewal = math.ceil(_GROWTH * self.count)
 
     def _registered(self) -> Geometry | None:
@@ -350,7 +373,7 @@ class OnlineFit:
         readings, k = self._readings, len(self._precision)
         P, J = self._rows.of(origin, readings.q)
         off, stated = readings.p_M - P.T, readings.stated()
-        both = []
+        both, weights = [], []
         for which, columns in enumerate((J[:, :k], J)):
             weighting = _Weighting(np.ones(readings.count), _FIRST_EXCESS_M**2, 1.0)
             if before is not None:
@@ -359,7 +382,8 @@ class OnlineFit:
                 step[:k] += (before.origin.vector() - origin.vector())[list(self._parameters.columns)]
                 weighting = self._weighting(model, off - columns.transpose(2, 0, 1) @ step, stated)
             both.append(self._solved(origin, P, columns, weighting))
-        return _Models(origin, both[0], both[1])
+            weights.append(weighting.weights)
+        return _Models(origin, both[0], both[1], weights[0])
 
     def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
         """Compute the weights of the readings from the residuals (n, 3) [m] of ``model``."""
@@ -407,11 +431,15 @@ class OnlineFit:
 
 @dataclass(frozen=True)
 class _Models:
-    """Model of the geometry alone, and one with joint errors for predictions; both linear about ``origin``."""
+    """Model of the geometry alone, and one with joint errors for predictions; both linear about ``origin``.
+
+    ``weights`` (n,) are those of the readings in the former.
+    """
 
     origin: Geometry
     geometry: LinearModel
     predicting: LinearModel
+    weights: Array
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,10 @@ class LinearModel:
         self._chi_square = max(self.cost - float(self.step @ (2.0 * self.b - self.A @ self.step)), 0.0)
         self._find_variance()
 
+    def loss(self, square: float, step: Array) -> float:
+        """Compute what the solution minimises, at a ``step`` (k,) after which ``square`` is ``sum r^T W r``."""
+        return square / self._weight + float(self.precision @ (step - self.prior_step) ** 2)
+
     def innovation(self, J: Array, off: Array, stated: Array) -> tuple[Array, Array]:
         """Compute measured less predicted position (3,) [m] of a reading not yet added, and its covariance (3, 3).
 

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.inter_base_transform import PairIdentification
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.estimation.calibration.inter_base_transform import PairIdentification, after_twist
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets.contacts import Contacts
 from cellapp.robot.kinematics.chain import JointAngles, jacobian
@@ -25,15 +26,11 @@ from cellapp.robot.kinematics.transforms import (
     Array,
     apply,
     register,
-    rotation_from_vector,
-    transform,
     twist_columns,
     zyx_angles,
 )
 from cellapp.robot.model import ArmModel
 
-MOST_STEPS = 50
-SETTLED = 1e-10
 UNSEEN = 3e-3
 """Ratio of the smallest to the largest singular value from which all six directions count as determined: sockets half a
 metre apart are then some millimetres off one line."""
@@ -146,7 +143,6 @@ def identification_of(T: Array, covariance: Array, steps: int, scale: float) -> 
         values=np.concatenate([T[:3, 3], zyx_angles(T[:3, :3])]),
         standard_errors=np.concatenate([size[:3], size[:2:-1]]),
         iterations=steps,
-        converged=steps < MOST_STEPS,
         scale=scale,
     )
 
@@ -176,23 +172,27 @@ class _Problem:
         rows_L, rows_R = [self.left.place[a] for a, _ in ends], [self.right.place[b] for _, b in ends]
         p_L, p_R, n = self.left.at_B[rows_L], self.right.at_B[rows_R], len(self.common)
         T = np.asarray(register(p_R[:n], p_L[:n])) if n >= 3 else start
-        steps = 0
-        while steps < MOST_STEPS:
-            steps += 1
-            r, A, S = self._linearised(T, p_L, p_R, rows_L, rows_R)
-            lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
+        lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
+
+        def seen(T: Array) -> bool:
+            _, A, _ = self._linearised(T, p_L, p_R, rows_L, rows_R)
             sizes = np.linalg.svd(A / lever, compute_uv=False)
-            if len(r) < 6 or sizes[5] < UNSEEN * sizes[0]:
-                return None
-            white = np.linalg.cholesky(S)
-            A, r = np.linalg.solve(white, A), np.linalg.solve(white, r)
-            move = np.linalg.lstsq(A, r, rcond=None)[0]
-            T = transform(rotation_from_vector(move[3:]) @ T[:3, :3], T[:3, 3] + move[:3])
-            if float(np.abs(move).max()) <= SETTLED:
-                break
-        left = r - A @ move
-        excess = max(float(left @ left) / max(len(r) - 6, 1), 1.0)
-        return T, np.asarray(excess * np.linalg.inv(A.T @ A), dtype=np.float64), steps
+            return len(A) >= 6 and bool(sizes[5] >= UNSEEN * sizes[0])
+
+        if not seen(T):
+            return None
+        best = LeastSquares(
+            lambda T: self._linearised(T, p_L, p_R, rows_L, rows_R)[:2],
+            after_twist,
+            lambda T: np.asarray(
+                np.linalg.cholesky(self._linearised(T, p_L, p_R, rows_L, rows_R)[2]), dtype=np.float64
+            ),
+        ).best("tie of the bases by touched points", T)
+        if not seen(best.point.state):
+            return None
+        left, A = best.point.white
+        excess = max(float(left @ left) / max(len(left) - 6, 1), 1.0)
+        return best.point.state, np.asarray(excess * np.linalg.inv(A.T @ A), dtype=np.float64), len(best.steps)
 
     def _linearised(
         self, T: Array, p_L: Array, p_R: Array, rows_L: Sequence[int], rows_R: Sequence[int]

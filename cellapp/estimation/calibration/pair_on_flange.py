@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.estimation.calibration.inter_base_transform import after_twist
 from cellapp.estimation.calibration.pair_by_touching import (
     LEAST_NOISE_M,
-    MOST_STEPS,
-    SETTLED,
     UNSEEN,
     TouchedPair,
     identification_of,
@@ -31,7 +31,7 @@ from cellapp.estimation.calibration.pair_by_touching import (
 from cellapp.estimation.calibration.weights import added_variance
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, flange_poses, jacobian, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform, twist_columns
+from cellapp.robot.kinematics.transforms import Array, apply, invert, twist_columns
 from cellapp.robot.model import ArmModel
 
 _FOLDS = 5
@@ -92,6 +92,10 @@ class FlangeFit:
     T_R_L: Array
     sockets_F: Array
     steps: int = 0
+
+    def after(self, step: Array) -> FlangeFit:
+        """Return the fit after a step (6 + 3 P,): shift and rotation of T_R_L, then each socket."""
+        return FlangeFit(after_twist(self.T_R_L, step[:6]), self.sockets_F + step[6:].reshape(-1, 3))
 
 
 def nominal_flange_rows(both: Sequence[Readings], chains: Sequence[Geometry]) -> FlangeRows:
@@ -226,20 +230,20 @@ def _covariance(rows: FlangeRows, found: FlangeFit, of_parameters: Array | None)
 
 
 def _fitted(rows: FlangeRows, guess: FlangeFit, weights: Array | None = None) -> FlangeFit | None:
-    """Fit by Gauss-Newton, each touch with its weight (n,); None if a direction is undetermined."""
-    root = np.ones(3 * len(rows.socket)) if weights is None else np.repeat(np.sqrt(weights), 3)
-    fit = replace(guess, steps=0)
-    while fit.steps < MOST_STEPS:
-        r, A = rows.linearised(fit)
+    """Fit to the touches, each with its weight (n,); None if a direction is undetermined."""
+    L = None if weights is None else np.diag(np.repeat(weights**-0.5, 3))
+
+    def seen(fit: FlangeFit) -> bool:
+        _, A = rows.linearised(fit)
         sizes = np.linalg.svd(A, compute_uv=False)
-        if len(r) <= A.shape[1] or sizes[-1] < UNSEEN * sizes[0]:
-            return None
-        move = np.linalg.lstsq(A * root[:, None], r * root, rcond=None)[0]
-        T = transform(rotation_from_vector(move[3:6]) @ fit.T_R_L[:3, :3], fit.T_R_L[:3, 3] + move[:3])
-        fit = FlangeFit(T, fit.sockets_F + move[6:].reshape(-1, 3), fit.steps + 1)
-        if float(np.abs(move).max()) <= SETTLED:
-            break
-    return fit
+        return bool(len(A) > A.shape[1] and sizes[-1] >= UNSEEN * sizes[0])
+
+    if not seen(guess):
+        return None
+    problem = LeastSquares(rows.linearised, FlangeFit.after, L)
+    best = problem.best("tie of the bases by sockets on a flange", guess)
+    fit: FlangeFit = replace(best.point.state, steps=len(best.steps))
+    return fit if seen(fit) else None
 
 
 def _scatter(r: Array, A: Array, of_parameters: Array | None) -> float:

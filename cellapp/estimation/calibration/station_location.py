@@ -3,7 +3,7 @@
 The model predicts each point p_i(T) from the joint positions; T maps the tracker frame of the calibration into the
 present one. With measured points m_i, minimise r^T S^-1 r over T, r_i = m_i - p_i(T). S is the covariance of all
 coordinates together: noise of the tracker and of the arms, and the model's uncertainty, which the points of one
-arm share. Gauss-Newton: a twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
+arm share. A twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
 G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the noise at the points gives one draw of the
 station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
 
@@ -15,12 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 import scipy
 
-from cellapp.ground.errors import InputError
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.ground.errors import InputError, NotConverged
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
@@ -43,7 +46,6 @@ _LEAST_WIDTH = 0.05
 """Least ratio of the points' spread across their best line to that along it: below, rotation about it is unknown."""
 _LEAST_SPREAD_M = 0.05
 """Least rms distance of the points along their best line: closer ones turn noise into more than a milliradian."""
-_STEPS = 20
 _SMALL_STEP = 1e-9
 """Step size [m, rad] at which the iteration ends, a nanometre."""
 _REWEIGHTED = 2
@@ -194,6 +196,7 @@ def fit_station(
     ------
     InputError
         Without ``rough``, if the points are too few, or lie together or on one line.
+    NotConverged
     """
     if rough is None:
         check_layout(points)
@@ -201,23 +204,36 @@ def fit_station(
 
 
 def possible_causes(
-    model: CellModel, points: Points, start: Array, *, excess_m: Mapping[str, float], still_m: float
+    model: CellModel,
+    points: Points,
+    start: Array,
+    *,
+    excess_m: Mapping[str, float],
+    still_m: float,
+    told: Told = ignore_words,
 ) -> tuple[Cause, ...]:
     """Find what else than the tracker may have moved: one arm's base or its SMR. The best explanation comes first.
 
     Only arms with enough points for a motion of their own are tried. The other arms count as still if the fitted motion
     of the tracker moves their points by at most ``still_m`` [m]. In a cell of two arms, a motion of either base
     explains the points equally well, each with another motion of the tracker: the one that needs none comes first.
+    ``told`` takes a sentence for each cause that is left out because its fit did not converge.
     """
-    found = []
+    tried: list[tuple[MotionKind, str]] = []
     for name, own in points.items():
         if len(own) < FEWEST_POINTS or _layout_refusal(own.measured_M):
             continue
         others = {other: theirs for other, theirs in points.items() if other != name}
         if others and not _layout_refusal(np.concatenate([theirs.measured_M for theirs in others.values()])):
-            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("base", name)), start, still_m))
+            tried.append(("base", name))
         if sum(map(len, points.values())) > FEWEST_POINTS:
-            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("smr", name)), start, still_m))
+            tried.append(("smr", name))
+    found = []
+    for extra in tried:
+        try:
+            found.append(_cause(_Problem(model, points, excess_m, (0,), None, extra), start, still_m))
+        except NotConverged as error:
+            told(str(error))
     return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause))))
 
 
@@ -272,35 +288,42 @@ class _State:
 
 
 def _fit(problem: _Problem, state: _State) -> StationFit:
+    what = "" if problem.extra is None else f" and the {problem.extra[0]} of arm {problem.extra[1]}"
     kind = None if problem.extra is None else problem.extra[0]
     for _ in range(_REWEIGHTED):
         noise, drawn = _uncertainty(problem, state)
-        weight = np.linalg.inv(noise + drawn.T @ drawn / len(drawn))
-        for _ in range(_STEPS):
-            r, J = _linearised(problem, state)
-            normal, right = J.T @ weight @ J, J.T @ weight @ r
-            if problem.rough is not None:
-                known = np.linalg.inv(problem.rough.covariance)
-                normal[:6, :6] += known
-                right[:6] -= known @ _twist(state.station @ invert(problem.rough.T_new_old))
-            step: Array = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-            state = state.moved(step, kind)
-            if np.max(np.abs(step)) < _SMALL_STEP:
-                break
+        L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
+        of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
+        with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
+        least_squares = LeastSquares(partial(_with_prior, problem), lambda one, step: one.moved(step, kind), with_prior)
+        best = least_squares.best(f"fit of the tracker's station{what}", state, tolerance=_SMALL_STEP).point
+        state = best.state
+    _, A = best.white
+    covariance: Array = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
     r, J = _linearised(problem, state)
-    covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    white_r, white_J = (scipy.linalg.solve_triangular(L, one, lower=True) for one in (r, J))
+    gain = scipy.linalg.solve_triangular(L, white_J, lower=True, trans=1) @ covariance
     rng = np.random.default_rng([*problem.seed, 0x10C])
     drawn_noise = rng.standard_normal((len(drawn), len(r))) @ np.linalg.cholesky(noise).T
     return StationFit(
         T_new_old=state.station,
         covariance=covariance[:6, :6],
         residuals=_by_arm(problem.points, r),
-        chi_squared=float(r @ weight @ r),
+        chi_squared=float(white_r @ white_r),
         degrees_of_freedom=len(r) - problem.parameters,
-        twists=-((drawn + drawn_noise) @ weight @ J @ covariance)[:, :6],
+        twists=-((drawn + drawn_noise) @ gain)[:, :6],
         motion=state.motion,
         shift_F=state.shift_F,
     )
+
+
+def _with_prior(problem: _Problem, state: _State) -> tuple[Array, Array]:
+    """Return ``_linearised``, and below it the rows of the station's prior."""
+    r, J = _linearised(problem, state)
+    if problem.rough is None:
+        return r, J
+    left = -_twist(state.station @ invert(problem.rough.T_new_old))
+    return np.concatenate([r, left]), np.concatenate([J, np.eye(6, J.shape[1])])
 
 
 def _placed(problem: _Problem, state: _State) -> CellModel:

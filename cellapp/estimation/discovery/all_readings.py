@@ -1,8 +1,9 @@
-"""Fit of smooth terms to all readings, if only some of them were searched.
+"""Fit of the terms of a search to all readings, if only some of them were searched.
 
-The Gram matrix of all columns is accumulated over chunks of readings, so memory does not grow with their number. From
-it follow the hyperparameters of the structured process (more readings show more components), then all values and their
-covariance: one Gauss-Newton step from the fit to the searched readings, and a second one from there.
+Of smooth terms the Gram matrix of all columns is accumulated over chunks of readings, so memory does not grow with
+their number. From it follow the hyperparameters of the structured process (more readings show more components), then
+all values and their covariance, by Gauss-Newton steps from the fit to the searched readings. Each step has the matrix
+of its own point: that of hundreds of columns is so ill-conditioned that the matrix of a nearby point leads elsewhere.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.gauss_newton import minimise
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.joint_fit import (
@@ -23,6 +25,7 @@ from cellapp.estimation.discovery.joint_fit import (
     noise_of,
     refit,
     uncertainty_with_scatter,
+    with_posterior,
 )
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process import (
@@ -36,6 +39,7 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
+from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.kinematics.chain import smr_positions
@@ -47,34 +51,55 @@ _CHUNK = 1024
 """Readings in a chunk: 2000 columns of them take 50 MB."""
 _EVALUATIONS = 25
 """Most evaluations of the evidence, starting from the values of the searched readings."""
-_STEPS = 2
-"""Number of Gauss-Newton steps: the second corrects some per cent of the first."""
+_MOST_STEPS = 20
+"""Most Gauss-Newton steps, rejected ones included: usually four suffice."""
+_TOLERANCE = 0.1
+"""Step at which the fit ends, in standard errors of any combination of parameters."""
 _DRAW_SEED = 0xA117
 """Combined with the profile's seed, so that these draws are independent of all other draws."""
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:
-    """Refit the smooth terms of a search to all readings; return the outcome and the model fitted to all of them.
+    """Fit the terms of a search on some readings to all of them; return the outcome and the model fitted to all.
 
-    ``data`` are all readings; ``needed`` is the gain of the score at which a component is kept. The outcome keeps the
-    searched readings, for pictures and reviews.
+    ``data`` are all readings; ``needed`` is the gain of the score at which a component of the smooth terms is kept.
+
+    Raises
+    ------
+    NotConverged
+        If the fit does not reach a minimum.
     """
     smooth = smoothness_of(found.fit.terms)
-    assert smooth is not None
+    if smooth is None:
+        return fit_terms_to_all(found, data, found.fit.terms, found.reviews)
     named = tuple(term for term in found.fit.terms if term.smooth is None)
     weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
     process = _process(found, weighed, named, needed)
     more = math.sqrt(process.values.noise)
     scatter = Excess(smooth.scatter.m * more, smooth.scatter.rad * more)
     terms = (*named, *process_terms(process, scatter))
-    weighed = replace(weighed, sigma=uncertainty_with_scatter(data, scatter))
-    some = replace(found.data, sigma=uncertainty_with_scatter(found.data, scatter))
-    here, fit = refit(some.at(found.fit.model), terms)
     chance = min(review.p_value for review in found.reviews)
     of_named = [review for review in found.reviews if review.term.smooth is None]
     smooth_terms = [(term, term.smooth) for term in terms if term.smooth is not None]
     of_smooth = [Review(term, smooth.evidence, chance, ()) for term, smooth in smooth_terms]
-    return found.with_fit(here, fit, (*of_named, *of_smooth)), _fitted(weighed, fit)
+    return fit_terms_to_all(found, data, terms, (*of_named, *of_smooth))
+
+
+def fit_terms_to_all(
+    found: SearchResult, data: ArmData, terms: ModelTerms, reviews: tuple[Review, ...]
+) -> tuple[SearchResult, ArmModel]:
+    """Fit terms, each with its review, to all readings ``data``; return the outcome and the model fitted to all.
+
+    With smooth terms the outcome keeps the searched readings, for pictures and reviews. Raises ``NotConverged``.
+    """
+    smooth = smoothness_of(terms)
+    if smooth is None or len(found.data) == len(data):
+        here, fit = refit(data.at(found.fit.model), terms)
+        return found.with_fit(here, fit, reviews), with_posterior(here, fit)
+    weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
+    some = replace(found.data, sigma=uncertainty_with_scatter(found.data, smooth.scatter))
+    here, fit = refit(some.at(found.fit.model), terms)
+    return found.with_fit(here, fit, reviews), _fitted(weighed, fit)
 
 
 def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:
@@ -82,7 +107,11 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     base = fit_terms(found.data.at(found.fit.model), named)
     had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
-    gram = ProcessData.behind(_gathered(data, base, chosen), base.layout.total, base.precision, 3 * len(data))
+    deviation = base.model.geometry.vector() - data.model.nominal.vector()
+    columns = list(base.identification.estimated.columns)
+    values = np.concatenate([deviation[columns], base.identification.effect_values])
+    normal = _gathered(data, base, chosen).about(np.pad(values, (0, sum(len(one.columns) for one in chosen))))
+    gram = ProcessData.behind(normal, base.layout.total, base.precision, 3 * len(data))
     start = Hyperparameters(
         tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
         tuple(_length(one, had.get(one.slug)) for one in chosen),
@@ -114,35 +143,25 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
     return found
 
 
-def _gathered(
-    data: ArmData, fit: JointFit, further: Sequence[Component] = (), gram: Array | None = None
-) -> NormalMatrix:
-    """Accumulate the normal matrix of a fit and of further components over all readings, linearised there.
+def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> NormalMatrix:
+    """Accumulate X^T X, X^T r and r^T r of a fit and of further components over all readings, linearised there.
 
-    ``gram`` is X^T X of a nearby model, None if unknown: it takes most of the time and hardly changes.
+    r are the residuals of ``fit.model``; what it predicts is not added to them.
     """
-    count = sum(len(one.columns) for one in further)
-    total = fit.layout.total + count
-    products: Array = np.zeros((total, total)) if gram is None else gram
-    moment, square = np.zeros(total), 0.0
-    geometric = np.array(fit.identification.estimated.columns, dtype=np.intp)
-    deviation = fit.model.geometry.vector()[geometric] - data.model.nominal.vector()[geometric]
-    values = np.concatenate([deviation, fit.identification.effect_values, np.zeros(count)])
+    total = fit.layout.total + sum(len(one.columns) for one in further)
+    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
     for chunk in _chunks(data):
         q, R_M_S, white = chunk.readings.q, chunk.conditions.R_M_S, whitening(chunk.sigma)
         of_terms = chunk.term_columns(fit.terms)
         columns = [*of_terms, *_columns(chunk, further)]
+        moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
+        q = q + moved.joints
         linear = LinearModel.of(fit.model.geometry, q, white, fit.identification.estimated.columns, R_M_S=R_M_S)
         split = SplitColumns.of(linear, columns, white)
-        moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
-        predicted = smr_positions(fit.model.geometry, q + moved.joints, R_M_S) + moved.shift_M
+        predicted = smr_positions(fit.model.geometry, q, R_M_S) + moved.shift_M
         left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
-        if gram is None:
-            products += split.gram()
-        moment += split.moment(left)
-        square += float(np.vdot(left, left))
-    of_values = products @ values
-    return NormalMatrix(products, moment + of_values, square + float(values @ (2.0 * moment + of_values)))
+        found += NormalMatrix(split.gram(), split.moment(left), float(np.vdot(left, left)))
+    return found
 
 
 def _chunks(data: ArmData) -> Iterator[ArmData]:
@@ -151,30 +170,81 @@ def _chunks(data: ArmData) -> Iterator[ArmData]:
         yield data.take(np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp))
 
 
-def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
-    """Return the model with values and uncertainty from all readings."""
-    model, flat = fit.model, fit.layout.geometric
-    columns = list(fit.identification.estimated.columns)
-    gram = None
-    for _ in range(_STEPS):
-        equations = _gathered(data, fit, gram=gram).with_priors(fit.precision)
-        values, gram = equations.solution, equations.normal.gram
-        vector = model.geometry.vector()
-        vector[columns] = data.model.nominal.vector()[columns] + values[:flat]
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A fit, its residuals and normal equations linearised there; ``values`` (p,) are deviations from nominal."""
+
+    fit: JointFit
+    data: ArmData
+    values: Array
+    normal: NormalMatrix
+
+
+@dataclass(frozen=True, eq=False)
+class _AllReadings:
+    """Least squares over all readings with priors, for ``gauss_newton.minimise``: a step is in standard errors."""
+
+    nominal: Array
+    start: JointFit
+    data: ArmData
+
+    def at_start(self) -> _Point:
+        found = self.start.identification
+        columns = list(found.estimated.columns)
+        deviation = self.start.model.geometry.vector()[columns] - self.nominal
+        return self._at(np.concatenate([deviation, found.effect_values]))
+
+    def _at(self, values: Array) -> _Point:
+        """Linearise at some values: the columns of the effects, too, are those at this model."""
+        fit = self.start
+        columns, flat = list(fit.identification.estimated.columns), fit.layout.geometric
+        vector = fit.model.geometry.vector()
+        vector[columns] = self.nominal + values[:flat]
         effects = tuple(
-            replace(term, values=values[fit.layout.parameters(number)]) for number, term in enumerate(model.effects)
+            replace(term, values=values[fit.layout.parameters(number)]) for number, term in enumerate(fit.model.effects)
         )
-        model = replace(model, geometry=model.geometry.with_vector(vector), effects=effects)
+        model = replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects)
         fit = replace(fit, model=model, identification=replace(fit.identification, effect_values=values[flat:]))
-        data = data.at(model)
+        data = self.data.at(model)
+        return _Point(fit, data, values, _gathered(data, fit))
+
+    def reweighted(self, point: _Point) -> _Point:
+        return point
+
+    def step(self, point: _Point, damping: float) -> tuple[Array, Array]:
+        gram = point.normal.gram
+        solver = point.normal.with_priors(self.start.precision + damping * np.diag(gram))
+        step = solver.solve(point.normal.moment - self.start.precision * point.values)
+        return step, solver.in_standard_errors(step)
+
+    def promise(self, point: _Point, step: Array) -> float:
+        return float(step @ (point.normal.moment - self.start.precision * point.values))
+
+    def moved(self, point: _Point, step: Array) -> _Point:
+        return self._at(point.values + step)
+
+    def objective(self, point: _Point) -> float:
+        return point.normal.square + float(self.start.precision @ point.values**2)
+
+
+def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
+    """Return the model with values and uncertainty from all readings.
+
+    Raises ``NotConverged``.
+    """
+    columns = fit.identification.estimated.columns
+    problem = _AllReadings(data.model.nominal.vector()[list(columns)], fit, data)
+    found = minimise(problem, problem.at_start(), tolerance=_TOLERANCE, max_iterations=_MOST_STEPS)
+    if not found.converged:
+        raise NotConverged.of("effects to all readings", found.message)
     draws = PosteriorDraws.of_covariance(
-        columns=tuple(columns),
+        columns=columns,
         sizes=[term.size for term in fit.terms],
-        covariance=equations.covariance,
+        covariance=found.point.normal.with_priors(fit.precision).covariance,
         noise=noise_of(data),
         seed=(data.profile.seed, _DRAW_SEED),
     )
-    return replace(model, posterior=draws)
+    return replace(found.point.fit.model, posterior=draws)
 
 
 # -- Whitened columns of many readings, with those of joint offsets kept as scalar functions of the reading -----------

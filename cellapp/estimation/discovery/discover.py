@@ -26,7 +26,7 @@ from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
-from cellapp.estimation.discovery.all_readings import fit_to_all
+from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.held_out import HeldOut
@@ -43,13 +43,14 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
-from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
+from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.structure import structure_left
-from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
-from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
+from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
+from cellapp.estimation.discovery.verdict import verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
+from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.threads import give_back
@@ -188,9 +189,11 @@ def discover_arm(
     conditions = conditions or measurement_conditions(readings)
     wrong = _gross_errors(model, readings)
     held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
-    result = _without_harm(
-        _search_and_refit(profile, model, readings, conditions, wrong, cancel, report, prior_sigma), held_out
-    )
+    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+    rows = rows[~wrong[rows]]
+    found = search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
+    left_out = tuple(sorted({*readings.configuration[wrong].tolist(), *found.left_out}))
+    result = _judged_by_held_out(replace(found, left_out=left_out), held_out)
     return _evaluated(name, model, result, held_out, started)
 
 
@@ -229,7 +232,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
         heldout_orientation_mrad=held_out.turned_before_after(found.geometry_only.model, fitted_model),
         seconds=time.perf_counter() - started,
-        steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
+        steps=_gap_steps(found, held_out, before.rms, after.rms, None if result.only_some else result.fitted),
         threshold=found.threshold,
         omnibus_p=None if left is None else left.p_value,
         scatter=None if left is None else left.ratio,
@@ -262,45 +265,38 @@ def _noise(data: ArmData) -> Noise:
 class Searched:
     """Outcome of a search, and the model fitted to all readings.
 
-    ``judged`` is the result on the searched readings, ``found`` that of the final fit. ``fitted`` is the number of all
-    readings, None if all were searched. ``left_out`` are the configurations of gross errors. ``harmful`` are effects
-    that were found but made the prediction of held-out readings worse than geometry alone.
+    ``search`` is the result of the search, ``judged`` the one that is judged, ``found`` that of the final fit; ``data``
+    are all readings. ``fitted`` is their number, None if all were searched. ``left_out`` are the configurations of
+    gross errors. ``harmful`` are effects that were found but predicted held-out readings worse than without them.
+    ``only_some`` says why the model rests on the searched readings only; empty if it rests on all.
     """
 
+    search: SearchResult
     judged: SearchResult
     found: SearchResult
     model: ArmModel
+    data: ArmData
     fitted: int | None
     left_out: tuple[int, ...] = ()
     harmful: tuple[str, ...] = ()
+    only_some: str = ""
 
+    @classmethod
+    def of_search(cls, found: SearchResult, data: ArmData, only_some: str = "") -> Searched:
+        """Return the outcome whose model rests on the searched readings."""
+        fitted = None if len(found.data) == len(data) else len(data)
+        return cls(found, found, found, with_posterior(found.data, found.fit), data, fitted, only_some=only_some)
 
-def _search_and_refit(
-    profile: Profile,
-    model: ArmModel,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    gross: NDArray[np.bool_],
-    cancel: CancelToken,
-    report: Report,
-    prior_sigma: Mapping[str, float] | None,
-) -> Searched:
-    """Search at most ``_MOST_SEARCHED`` readings of the identify and train splits, then fit to all of these readings.
-
-    ``gross`` (n,) masks the gross errors of the geometry. Further ones, which show only beside the effects found, are
-    removed in rounds.
-    """
-    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-    rows = rows[~gross[rows]]
-    gross = gross.copy()
-    for _ in range(ROUNDS):
-        result = search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
-        wrong = gross_errors_of_model(result.model, readings.take(rows), conditions.take(rows))
-        if not wrong.any():
-            break
-        gross[rows[wrong]] = True
-        rows = rows[~wrong]
-    return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
+    def without(self, number: int) -> Searched:
+        """Return the outcome without a term, the others fitted again; raises ``NotConverged``."""
+        found, slug = self.found, self.found.fit.terms[number].slug
+        reviews = (*found.reviews[:number], *found.reviews[number + 1 :])
+        data = found.data if self.only_some else self.data
+        rest, model = fit_terms_to_all(found, data, without_term(found.fit.terms, number), reviews)
+        geometry_only = found.geometry_only if rest.fit.terms else rest.fit
+        rest = replace(rest, dropped=(*rest.dropped, slug), geometry_only=geometry_only)
+        harmful = tuple(dict.fromkeys((slug, *self.harmful)))
+        return replace(self, judged=rest, found=rest, model=model, harmful=harmful)
 
 
 def search_rows(
@@ -312,50 +308,66 @@ def search_rows(
     report: Report = ignore_report,
     prior_sigma: Mapping[str, float] | None = None,
 ) -> Searched:
-    """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, and fit to all of them.
+    """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, then fit to all of them.
 
-    ``prior_sigma`` as for ``discover_arm``.
+    Gross errors that show only beside the effects found are removed in rounds; the search is repeated only if some of
+    them were searched. ``prior_sigma`` as for ``discover_arm``.
     """
-    rows = np.arange(len(readings), dtype=np.intp)
-    some = rows
-    if len(rows) > _MOST_SEARCHED and not in_sockets(readings):  # a subset would hardly determine the points
-        generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
-        some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
+    order = np.arange(len(readings), dtype=np.intp)
+    if len(order) > _MOST_SEARCHED:
+        order = np.random.default_rng([profile.seed, _SUBSET_SEED]).permutation(order)
+    gross, searched, found = np.zeros(len(readings), dtype=np.bool_), order[:0], None
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
-    searched = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
-    found = search(searched, slugs, cancel, report)
-    if len(some) == len(rows) or not found.fit.terms:
-        return Searched(found, found, with_posterior(found.data, found.fit), None)
+    for _ in range(ROUNDS):
+        kept = order[~gross[order]]
+        some, every = np.sort(kept[:_MOST_SEARCHED]), np.sort(kept)
+        if found is None or not np.array_equal(some, searched):
+            data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
+            found, searched = search(data, slugs, cancel, report), some
+        data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+        result = _fitted_to_all(found, data, cancel, report)
+        fitted = some if result.only_some else every  # others may be far off because they were not fitted
+        wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]
+        if not len(wrong):
+            break
+        gross[wrong] = True
+    return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
+
+
+def _fitted_to_all(found: SearchResult, data: ArmData, cancel: CancelToken, report: Report) -> Searched:
+    """Fit what a search found to all readings; if that fails, the model of the search stays, with the reason."""
+    if len(found.data) == len(data) or not found.fit.terms:
+        return Searched.of_search(found, data)
     cancel.check()
-    report(SEARCH_STEPS - 1, f"fit to all {counted(len(rows), 'reading')}")
+    report(SEARCH_STEPS - 1, f"fit to all {counted(len(data), 'reading')}")
     give_back()  # memory of the search
-    everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
-    if smoothness_of(found.fit.terms) is None:
-        to_all = refit_to_all(found, everything)
-        return Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
-    to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
-    return Searched(to_all, to_all, fitted_model, len(rows))
+    try:
+        to_all, model = fit_to_all(found, data, max(found.threshold, SCORE_MARGIN))
+    except NotConverged as error:
+        return Searched.of_search(found, data, str(error))
+    judged = to_all if smoothness_of(found.fit.terms) is not None else found
+    return Searched(found, judged, to_all, model, data, len(data))
 
 
-def _without_harm(result: Searched, held_out: HeldOut) -> Searched:
-    """Remove all terms if they predict held-out readings worse than geometry alone does.
+def _judged_by_held_out(result: Searched, held_out: HeldOut) -> Searched:
+    """Return what predicts held-out readings: the model of the search where that of all readings does it worse, and no
+    terms without which they are predicted better than with them, if the whole is worse than the geometry alone.
 
-    Effects that are not there can fit few readings. The error must rise by more than sampling explains.
+    Effects that are not there can fit few readings. Such terms are removed one by one, the last first.
     """
-    found = result.found
-    if not found.fit.terms or not len(held_out):
+    if not result.found.fit.terms or not len(held_out):
         return result
-    allowed = sampling_allowance(len(held_out))
-    if held_out.rms_mm(result.model) <= allowed * held_out.rms_mm(found.geometry_only.model):
-        return result
-    bare = found.without_terms()
-    return replace(
-        result,
-        judged=bare,
-        found=bare,
-        model=with_posterior(bare.data, bare.fit),
-        harmful=tuple(dict.fromkeys(term.slug for term in found.fit.terms)),
-    )
+    if result.fitted is not None and not result.only_some:
+        by_search = Searched.of_search(result.search, result.data, "the fit to all predicts held-out readings worse")
+        if held_out.predicts_worse(result.model, by_search.model):
+            result = replace(by_search, left_out=result.left_out)
+    geometry = result.found.geometry_only.model
+    while (terms := result.found.fit.terms) and held_out.predicts_worse(result.model, geometry):
+        with_all = held_out.rms_mm(result.model)
+        shorter = (result.without(number) for number in reversed(range(len(terms))))
+        better = (one for one in shorter if held_out.rms_mm(one.model) < with_all)
+        result = next(better, None) or result.without(len(terms) - 1)
+    return result
 
 
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:
@@ -365,10 +377,14 @@ def _with_what_was_left_out(sentence: str, result: Searched) -> str:
     if improbable:
         odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in improbable.items())
         sentence = f"{sentence}; more probably not there than there, and left out: {odds}"
+    if result.only_some:
+        count = f"{len(result.search.data)} of {counted(len(result.data), 'reading')}"
+        sentence = f"{sentence}; the model rests on {count}: {result.only_some}"
     if result.harmful:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
         )
+    sentence = with_not_fitted(sentence, result.judged.not_fitted)
     return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
 
 

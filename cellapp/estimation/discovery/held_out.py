@@ -19,6 +19,9 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
+_SAMPLING_ERRORS = 2.5
+"""Standard errors of the mean difference of squares beyond which a model predicts worse: a probability of 0.6 %."""
+
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -43,6 +46,11 @@ class HeldOut:
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
         """Return statistics of the position error of a model [mm]."""
         return _statistics(self.errors_m(model) * 1e3)
+
+    def predicts_worse(self, model: ArmModel, other: ArmModel) -> bool:
+        """Return whether a model predicts worse than another one by more than sampling explains, reading by reading."""
+        more = self.errors_m(model) ** 2 - self.errors_m(other) ** 2
+        return bool(more.mean() > _SAMPLING_ERRORS * more.std() / math.sqrt(len(more)))
 
     def errors_m(self, model: ArmModel) -> Array:
         """Return the position errors (n,) of a model [m]."""

@@ -383,7 +383,7 @@ def _identify(
         effects=effects if data.points is None else data.points.after(effects),
         tolerance=max(settings.tolerance, TOLERANCE),
         max_iterations=settings.max_iterations,
-    )
+    ).settled("fit of geometry and effects")
     return _reordered(found, np.argsort(order)), columns
 
 

@@ -47,6 +47,12 @@ class NormalMatrix:
         """Return the equations of some of the columns."""
         return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
 
+    def about(self, values: Array) -> NormalMatrix:
+        """Add what ``values`` (p,) predict to the residual: priors about zero concern the sum of both."""
+        of_values = self.gram @ values
+        square = self.square + float(values @ (2.0 * self.moment + of_values))
+        return NormalMatrix(self.gram, self.moment + of_values, square)
+
     def log_occam(self, variance: Array) -> float:
         """Return ``ln det(I + V^1/2 X^T X V^1/2)`` for prior variances V (p,): the Occam factor of the columns."""
         root = np.sqrt(variance)
@@ -112,6 +118,13 @@ class Solver:
     def solve(self, rhs: Array) -> Array:
         """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
         return self.factored.solve(rhs)
+
+    def in_standard_errors(self, step: Array) -> Array:
+        """Return a vector (p,) as long as a step (p,) in standard errors: its square is the change of the objective."""
+        scaled, factored = step / self.scale, self.factored
+        if factored.is_factor:
+            return np.asarray(factored.matrix.T @ scaled)
+        return np.sqrt(np.abs(scaled * (factored.matrix @ scaled)))
 
     @cached_property
     def factored(self) -> Factored:

@@ -41,6 +41,7 @@ from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import joined
+from cellapp.ground.errors import with_not_fitted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report, ignore_words
 from cellapp.ground.results import Estimate
@@ -107,7 +108,9 @@ class SearchWithRecordings:
         found = searched()
         kept = (*found.result.pictures, *at_rest.pictures)
         shown = at_rest.result(seconds, used=False)
-        return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
+        sentence = with_not_fitted(found.result.sentence, at_rest.motion.not_fitted)
+        changes = {"motion": shown, "pictures": kept, "sentence": sentence}
+        return replace(found, result=found.result.model_copy(update=changes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +224,10 @@ class MotionAtRest:
             self.held_out,
             steps=(*steps, *result.steps[1:]),
             verdict="explained" if result.verdict == "nothing missing" else result.verdict,
-            sentence=f"{its}{names}, by its recordings of motion; of the rest: {result.sentence.removeprefix(its)}",
+            sentence=with_not_fitted(
+                f"{its}{names}, by its recordings of motion; of the rest: {result.sentence.removeprefix(its)}",
+                self.motion.not_fitted,
+            ),
             uncertainty_mm=None,
         )
 

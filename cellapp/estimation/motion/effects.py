@@ -15,9 +15,11 @@ the sense of a spring lags by a time constant. Vibration is searched when no oth
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 import scipy
@@ -60,11 +62,14 @@ from cellapp.estimation.motion.steps import (
     with_step,
 )
 from cellapp.estimation.motion.terms import JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
+from cellapp.ground.errors import tried
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.effects.joint_compliance import SOFTER
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
+
+Found = TypeVar("Found")
 
 _CHANCE = 1e-3
 """Corrected p-value below which a law enters."""
@@ -90,7 +95,8 @@ class MotionDiscovery:
     """Fit with all effects found, in the order in which they entered, and the held-out errors before and after.
 
     ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are the
-    loops of the joints that show lost motion; ``laws`` are the laws of the joints with effects.
+    loops of the joints that show lost motion; ``laws`` are the laws of the joints with effects. ``not_fitted`` are
+    candidates whose fit did not converge, in words.
     """
 
     fit: MotionFit
@@ -100,6 +106,7 @@ class MotionDiscovery:
     covariance: Array = field(repr=False)
     laws: JointLaws = field(repr=False)
     loops: tuple[Loop, ...] = ()
+    not_fitted: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
@@ -121,6 +128,8 @@ class _Search:
     """Laws of plug-ins that depend on speeds."""
     to_its_end: bool = False
     """Whether fits iterate to full convergence, as in ``solve``."""
+    not_fitted: list[str] = field(default_factory=list)
+    """Candidates whose fit did not converge, in words: they were dropped without a judgement."""
 
     @property
     def _patient(self) -> _Search:
@@ -139,22 +148,42 @@ class _Search:
         first_mm, steps = state.heldout_mm, list[Step]()
         loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
-        tried: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
+        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
         while True:
-            found = self._law(state, tried, steps) or self._lines(state, steps) or self._vibration(state, steps)
+            found = (
+                self._law(state, laws, steps)
+                or self._tried("lines", partial(self._lines, state, steps))
+                or self._tried("vibration of a joint", partial(self._vibration, state, steps))
+            )
             if found is None:
                 break
             state, step = found
             steps = with_step(steps, step)
-            while step.law is Law.LINE and (more := self._lines(state, steps)):  # laws were tried just before
+            while step.law is Law.LINE:  # laws were tried just before
+                more = self._tried("lines", partial(self._lines, state, steps))
+                if more is None:
+                    break
                 state, step = more
                 steps = with_step(steps, step)
-            state, steps = self._with_best_constants(self._judged_to_its_end(state), steps, step.law)
+            state = self._judged_to_its_end(state)
+            better = self._tried("constants", partial(self._with_best_constants, state, steps, step.law))
+            state, steps = better or (state, steps)
             if step.law is Law.INERTIA:
-                state, steps = self._with_time_constants(state, steps)
-        state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
-        state, steps = self._with_sides(state, steps)
-        state, steps = self._simpler(*self._without_chance(state, steps))
+                better = self._tried("time constants", partial(self._with_time_constants, state, steps))
+                state, steps = better or (state, steps)
+        for what, change in (
+            ("one lag", self._with_one_lag),
+            ("exact counts of lines", self._with_exact_counts),
+            ("lines beside lines", self._with_sides),
+            ("", self._without_chance),
+            ("fewer terms", self._simpler),
+        ):
+            changed = self._tried(what, partial(change, state, steps)) if what else change(state, steps)
+            state, steps = changed or (state, steps)
+        return self._concluded(state, steps, first_mm)
+
+    def _concluded(self, state: State, steps: list[Step], first_mm: float) -> MotionDiscovery:
+        """Fit the final model without filters, and state its effects."""
         steps = [step if step.law is Law.LINE else beside_others(state, step) for step in steps]
         final, steps = self._settled(self._patient._unwhitened(state, self._patient._plain(state)), steps)
         # with lags only the sum of an offset and their mean is known: leave it as it is
@@ -177,7 +206,11 @@ class _Search:
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
         laws = JointLaws(stays, moves, final.problem.masses)
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, drawn)
+        missed = tuple(dict.fromkeys(self.not_fitted))
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, drawn, missed)
+
+    def _tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
+        return tried(what, candidate, self.not_fitted)
 
     def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Move lines to the counts that fit best beside all other terms: early lines entered before these were known.
@@ -307,18 +340,26 @@ class _Search:
         return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
 
     def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Repeat the fit with updated shapes of ``steps`` until these settle."""
+        """Repeat the fit with updated shapes of ``steps`` until these settle.
+
+        Shapes that the recordings hardly determine may not: the round with the least held-out error counts then, and
+        what was not settled is noted.
+        """
+        best = state, steps
         for _ in range(_SHAPED_ROUNDS):
             before = [step.terms for step in steps]
             after = [reshaped(terms, values_of(state, terms)[0].tolist()) for terms in before]
             if all(settled(new, old) for new, old in zip(after, before)):
-                break
+                return state, steps
             steps = [replace(step, terms=terms) for step, terms in zip(steps, after)]
             renamed = {old: new for step, terms in zip(steps, before) for old, new in zip(terms, step.terms)}
             terms = tuple(renamed.get(term, term) for term in state.problem.layout.terms)
             self.told("shapes of laws")
             state = self._state(state.problem.with_shapes(terms), started(state, terms))
-        return state, steps
+            best = min(best, (state, steps), key=lambda one: one[0].heldout_mm)
+        shaped = dict.fromkeys(step.law.value for step in steps if any(term.shape for term in step.terms))
+        self.not_fitted.append(f"exact shape of {', '.join(shaped)}")
+        return best
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Remove laws, and refining parts of laws, that entered early and that chance explains beside all others."""
@@ -425,21 +466,26 @@ class _Search:
 
     def _law(self, state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]) -> tuple[State, Step] | None:
         """Return the law of all joints that is least likely chance and lowers the held-out error; None if none."""
-        tried = []
+        likely = []
         for law in laws:
             for terms, chances in self._terms_to_try(state, law, steps):
-                trials = [self._extended(state, terms)]
-                if law in _OF_POSTURE:
-                    trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
+                bare = replace(state, problem=replace(state.problem, whitening=None))
+                starts = [state, bare] if law in _OF_POSTURE else [state]
+                each = [self._tried(law.value, partial(self._extended, one, terms)) for one in starts]
+                trials = [one for one in each if one is not None]
+                if not trials:
+                    continue
                 statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
                 log_p = log_chance(statistic, len(terms), chances)
                 if log_p < math.log(_CHANCE):
-                    tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
+                    likely.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
         # laws of motion only come last: they absorb the residuals of lost motion and springs
-        for _, trial, step in sorted(tried, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
-            judged = self._judged(trial)
+        for _, trial, step in sorted(likely, key=lambda each: (each[2].law in ONLY_MOTION, each[0])):
+            judged = self._tried(step.law.value, partial(self._judged, trial))
+            if judged is None:
+                continue
             if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
-                rivals = [one.log_p for _, _, one in tried if {one.law, step.law} == set(LOOK_ALIKES)]
+                rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(LOOK_ALIKES)]
                 return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
         return None
 

@@ -13,11 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from statistics import median_high, median_low
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.linear import inverse_diagonal, solve_psd
 from cellapp.estimation.calibration.parameters import (
@@ -41,17 +43,17 @@ from cellapp.estimation.motion.observe import (
 )
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
+from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 
+_FIT = "fit of recordings of motion"
 _FIRST_POINTS = 5000
 """Number of points of the first fit."""
 _FIRST_STEPS = 40
-_STEPS = 4
-"""Largest number of steps with all points."""
-_MORE_STEPS = 12
-"""Largest number of steps with all points of a fit to full convergence."""
+_STEPS = 20
+"""Largest number of steps with all points: one to three are usual, nine in fits to full convergence."""
 _SETTLED_M = 1e-6
 """Step size [rms, m] that ends the first fit."""
 _LAST_M = 5e-5
@@ -140,7 +142,6 @@ class Solution:
     precision: Array = field(repr=False)
     sources: tuple[Source, ...]
     steps: tuple[float, ...]
-    converged: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +217,12 @@ def solve(
     """Fit a subset with robust weights, then all points without gross errors; with ``start``, skip the subset.
 
     ``to_its_end``: iterate until weights and parameters are consistent with each other, which small effects need;
-    clocks and geometry settle before.
+    clocks and geometry settle before. A step that displaces the points by more than ``_LAST_M`` does not raise the
+    sum of squares, priors included. Raise ``NotConverged`` if the steps do not end.
     """
     values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
-    precision, converged = problem.precision, False
-    for number in range(_MORE_STEPS if to_its_end else _STEPS):
+    precision = problem.precision
+    for number in range(_STEPS):
         told(f"step {number + 1} with all points")
         model = problem.model(values)
         sources = _all_points(problem, model, stop_rows)
@@ -228,17 +230,18 @@ def solve(
         step, noise, worths, information, precision = _weighed_step(
             problem, values, sums, _seconds_per_worth(problem, sources)
         )
-        values = values + step
         steps.append(_size(step, information, problem.translation))
-        converged = steps[-1] < (_END_M if to_its_end else _LAST_M)
-        if converged:
-            break
-    sources = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
-    return Solution(values, noise, information, precision, sources, tuple(steps), converged)
+        weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
+        if not steps[-1] < _LAST_M:
+            step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, None))
+        values = values + step
+        if steps[-1] < (_END_M if to_its_end else _LAST_M):
+            return Solution(values, noise, information, precision, weighed, tuple(steps))
+    raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last moved the points by {steps[-1]:.1e} m")
 
 
 def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
-    """Fit a subset robustly; return the values and the sizes of the steps."""
+    """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
     rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
     values, steps = problem.mean.copy(), []
@@ -247,12 +250,37 @@ def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tup
         model = problem.model(values)
         sources, robust = _with_robust_weights(problem, model, rows, stop_rows)
         sums, most = _sums(problem, model, sources, robust), _seconds_per_worth(problem, sources)
-        step, _, _, information, _ = _weighed_step(problem, values, sums, most)
-        values = values + step
+        step, _, worths, information, precision = _weighed_step(problem, values, sums, most)
+        weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
         steps.append(_size(step, information, problem.translation))
+        if not steps[-1] < _LAST_M:
+            step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, robust))
+        values = values + step
         if steps[-1] < _SETTLED_M:
             break
     return values, steps
+
+
+def _loss(
+    problem: Problem,
+    values: Array,
+    sources: Sequence[Source],
+    precision: Array,
+    robust: Sequence[Array] | None,
+    step: Array,
+) -> float:
+    """Compute the weighted sum of squares, priors included, a ``step`` beyond ``values``."""
+    from scipy.signal import lfilter  # as in ``track_sums``
+
+    model = problem.model(values + step)
+    total = float(precision @ (values + step - problem.mean) ** 2)
+    lefts = _misses(problem, model, [one.rows for one in sources[: len(problem.tracks)]], sources[-1].rows)
+    for number, (source, left) in enumerate(zip(sources, lefts)):
+        white = left.T * source.root(None if robust is None else robust[number])
+        if number < len(problem.tracks) and problem.whitening is not None and robust is None:
+            white = lfilter(problem.whitening[number], [1.0], white)
+        total += float(np.vdot(white, white))
+    return total
 
 
 def normal_equations(problem: Problem, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:

@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.nests.stop_groups import StopGroups
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import Array
 
-_ROUNDS = 6
-"""Rounds of registration and averaging; few are enough, as the start from medians is within the noise already."""
+_ROUNDS = 200
+"""Most rounds of registration and averaging; few are enough, as the start from medians is within the noise already."""
+_SETTLED_M = 1e-8
+"""Motion of a nest in the last round [m]."""
 _FLAT = 1e-3
 """Ratio of the second to the first singular value of the figure below which the nests are on one line."""
 _OUTLYING = 8.0
@@ -69,7 +72,7 @@ class NestShape:
 def fit_shape(groups: StopGroups) -> tuple[NestShape, Array]:
     """Fit the figure of the nests; also return its misfit at each stop (S,) [m], NaN with fewer than three nests.
 
-    Raise ``UnseenPair`` if two nests were never measured at the same stop.
+    Raise ``UnseenPair`` if two nests were never measured at the same stop, ``NotConverged`` if it does not settle.
     """
     points = _from_distances(groups)
     enough = groups.seen.sum(axis=1) >= 3
@@ -80,7 +83,12 @@ def fit_shape(groups: StopGroups) -> tuple[NestShape, Array]:
         rotation, origin = laid_on(points, p_M)
         in_S = np.einsum("sba,skb->ska", rotation, p_M - origin[:, None])
         fits = ~outlying(_rms(in_S - points))
-        points = np.nanmean(in_S[fits], axis=0)
+        before, points = points, np.nanmean(in_S[fits], axis=0)
+        if np.abs(points - before).max() < _SETTLED_M:
+            break
+    else:
+        if len(p_M):
+            raise NotConverged.of("fit of the nests on a flange", f"{_ROUNDS} rounds were not enough")
     misfit = np.full(len(enough), np.nan)
     noise_m = float("nan")
     if len(p_M):

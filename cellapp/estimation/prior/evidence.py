@@ -22,6 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.records import SignaturePart
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import Array
 
 _NO_DRIFT = 1e-7
@@ -35,8 +36,8 @@ _SCATTER_M = (1e-7, 1e-2)
 """Least and largest scatter of a coordinate beyond the stated one [m, rad]."""
 _FIRST_SCATTER = (2e-5, 1e-4)
 """Start values of the scatter, of a coordinate [m] and of a component of an orientation [rad]."""
-_EVALUATIONS = 160
-"""Most evaluations of the likelihood for two to four hyperparameters; it settles after some 80."""
+_EVALUATIONS = 1000
+"""Most evaluations of the likelihood for two to four hyperparameters; it settles after some 80, rarely after 200."""
 _DEPENDENT = 1e-9
 """Share of the largest pivot below which a column of base and tool counts as dependent on the others."""
 _TOLERANCE = 0.01
@@ -128,7 +129,10 @@ class Evidence:
         return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
-        """Return the drifts and the scatter that maximise the likelihood, searched from ``start``."""
+        """Return the drifts and the scatter that maximise the likelihood, searched from ``start``; never a worse point.
+
+        Raise ``NotConverged`` if the search does not end.
+        """
         parts, kinds = list(self.drift), 1 if self.of_turns is None else 2
         bounds = [
             *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),
@@ -145,6 +149,8 @@ class Evidence:
         simplex = np.vstack([x0, x0 + 1.5 * np.eye(len(x0))])
         options = {"maxfev": _EVALUATIONS, "xatol": _TOLERANCE, "fatol": _TOLERANCE, "initial_simplex": simplex}
         found = scipy.optimize.minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
+        if not found.success:
+            raise NotConverged.of("search of the drifts since an earlier calibration", found.message)
         sizes = np.exp(found.x).tolist()
         of_parts = dict(zip(parts, sizes[:-kinds], strict=True))
         return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)

@@ -8,22 +8,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
+from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.prior.linear_model import Measured, normal_matrix, values_of, with_values
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import Contacts, in_sockets
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
-_STEPS = 12
-"""Most Gauss-Newton steps, each with the scatter of the one before; three to five are usual."""
+_FIT = "fit of an arm with an earlier calibration or belief"
+_STEPS = 100
+"""Most Gauss-Newton steps, each with the scatter of the one before; three to five are usual, 30 with few readings."""
 _SETTLED = 1e-3
 """Change of the values in the last step, as a share of their standard errors."""
 _SCATTER_SETTLED = 0.01
@@ -68,7 +73,10 @@ class Posterior:
 
 
 def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: float | None = None) -> Posterior:
-    """Compute the posterior from a start ``model``, whose effects the values have; a given ``scatter_m`` is fixed."""
+    """Compute the posterior from a start ``model``, whose effects the values have; a given ``scatter_m`` is fixed.
+
+    No step raises the sum of squares, priors included. Raise ``NotConverged`` if values and scatter do not settle.
+    """
     scatter = (_FIRST_SCATTER_M if scatter_m is None else scatter_m, _FIRST_SCATTER_RAD)
     values = values_of(model.geometry, model.effects, prior.columns, prior.reference)
     for _ in range(_STEPS):
@@ -76,8 +84,11 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
         normal = normal_matrix(model, measured, prior.columns, prior.reference)
         found, covariance = solution(normal, prior)
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        moved = float(np.max(np.abs(found - values) / errors))
-        values = found
+        step = found - values
+        moved = float(np.max(np.abs(step) / errors))
+        if moved >= _SETTLED:
+            step = shortened(_FIT, step, partial(_loss, model, measured, prior, values))
+        values = values + step
         model = with_values(model, prior.columns, prior.reference, values)
         left_M = measured.left(model)
         before = scatter
@@ -86,8 +97,19 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
         settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
         if moved < _SETTLED and settled:
             break
+    else:
+        raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last was {moved:.1e} standard errors long")
     of_turns = 0.0 if measured.turned is None else before[1]
     return Posterior(prior, values, covariance, model, measured, before[0], left_M, of_turns)
+
+
+def _loss(model: ArmModel, measured: Measured, prior: Prior, values: Array, step: Array) -> float:
+    """Compute the sum of squares, priors included, a ``step`` (p,) beyond ``values``."""
+    after = values + step
+    left_M = measured.left(with_values(model, prior.columns, prior.reference, after))
+    white = np.einsum("acn,nc->an", whitening(measured.sigma), left_M)
+    off = after - prior.mean
+    return float(np.vdot(white, white) + off @ prior.precision @ off)
 
 
 def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:

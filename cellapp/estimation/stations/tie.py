@@ -1,8 +1,8 @@
 """Poses of tracker stations in the frame of the first one, from reference nests, all in one fit.
 
 The unknowns are the nest positions x (3 each) in the frame of the first station and the pose T of every other station.
-A nest that a station measured at p gives x - T p = 0, whitened by the uncertainty of p. Gauss-Newton starts from
-pairwise fits.
+A nest that a station measured at p gives x - T p = 0, whitened by the uncertainty of p. The fit starts from pairwise
+ones.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, twist_columns
 
 FEWEST_NESTS = 3
 """Least number of common nests that fix a station's pose, if they are not on one line."""
-_STEPS = 8
-_SETTLED = 1e-12
+
+_Places = tuple[dict[str, Array], Array]
+"""Poses (4, 4) of all stations, and nests (k, 3) [m] in the first frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +70,7 @@ class TooFewNests(ValueError):
 
 
 def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTie]:
-    """Fit the pose of every station but the first. Raise ``TooFewNests`` if one cannot be tied."""
+    """Fit the pose of every station but the first. Raise ``TooFewNests`` if one cannot be tied, or ``NotConverged``."""
     stations = [first, *(one for one in dict.fromkeys(p.station for p in points) if one != first)]
     T = _pairwise(stations, points)
     nests = list(dict.fromkeys(one.nest for one in points))
@@ -77,20 +79,20 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
         [np.mean([p for one, p in zip(points, placed, strict=True) if one.nest == n], axis=0) for n in nests]
     )
     free = 6 * (len(stations) - 1)
-    for _ in range(_STEPS):
-        A, b = _equations(stations, nests, points, T, x)
-        normal = A.T @ A
-        step = np.linalg.solve(normal, A.T @ b)
-        for number, name in enumerate(stations[1:]):
-            shift, turn = np.split(step[6 * number : 6 * number + 6], 2)
-            T[name] = transform(rotation_from_vector(turn), shift) @ T[name]
-        x = x + step[free:].reshape(-1, 3)
-        if float(np.abs(step).max()) < _SETTLED:
-            break
-    _, b = _equations(stations, nests, points, T, x)
+
+    def linearised(one: _Places) -> tuple[Array, Array]:
+        return _equations(stations, nests, points, *one)
+
+    def after(one: _Places, step: Array) -> _Places:
+        twists = step[:free].reshape(-1, 2, 3)
+        moved = {n: transform(rotation_from_vector(w), v) @ one[0][n] for n, (v, w) in zip(stations[1:], twists)}
+        return {**one[0], **moved}, one[1] + step[free:].reshape(-1, 3)
+
+    best = LeastSquares(linearised, after).best("fit of the tracker's stations to reference nests", (T, x)).point
+    (T, x), b, A = best.state, best.r, best.A
     left = len(b) - A.shape[1]
     scatter = max(1.0, math.sqrt(float(b @ b) / left)) if left > 0 else 1.0
-    covariance: Array = np.asarray(np.linalg.inv(normal) * scatter**2, dtype=np.float64)
+    covariance: Array = np.asarray(np.linalg.inv(A.T @ A) * scatter**2, dtype=np.float64)
     places: dict[str, Array] = {nest: np.asarray(at, dtype=np.float64) for nest, at in zip(nests, x, strict=True)}
     return {
         name: _tie(name, T[name], covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], points, places)
@@ -124,7 +126,7 @@ def _spans(p: Array) -> bool:
 def _equations(
     stations: Sequence[str], nests: Sequence[str], points: Sequence[NestPoint], T: dict[str, Array], x: Array
 ) -> tuple[Array, Array]:
-    """Compute the whitened Jacobian rows (3 m, k) and residuals (3 m,) of m points."""
+    """Compute the whitened residuals (3 m,) of m points and their derivatives (3 m, k)."""
     free = 6 * (len(stations) - 1)
     A = np.zeros((len(points), 3, free + 3 * len(nests)))
     b = np.zeros((len(points), 3))
@@ -137,7 +139,7 @@ def _equations(
             A[row, :, k : k + 6] = twist_columns(place)
         b[row] = x[nests.index(one.nest)] - place
         A[row], b[row] = A[row] / one.sigma_m, b[row] / one.sigma_m
-    return A.reshape(-1, A.shape[2]), b.ravel()
+    return b.ravel(), A.reshape(-1, A.shape[2])
 
 
 def _tie(name: str, T: Array, covariance: Array, points: Sequence[NestPoint], x: dict[str, Array]) -> StationTie:

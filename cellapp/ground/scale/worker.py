@@ -12,12 +12,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from cellapp.ground.errors import CellappError, CheckFailed
 from cellapp.ground.results import Record
 from cellapp.ground.scale.program import Program, this_program
 from cellapp.ground.scale.task import TaskKind, as_json, load_kind
+from cellapp.ground.threads import one_blas_thread
 
 _MOST_PREPARED = 2
 """Batches whose shared part a process keeps ready."""
@@ -62,7 +61,7 @@ def perform(kind: str, common: str, parameters: str, program: str) -> str:
     if asked != this_program():
         here = f"the worker on {platform.node()} runs {this_program().words}, this program is {asked.words}"
         return as_json(Answer(failure=f"{here}; install the same on both", refused=True))
-    with _ONE_AT_A_TIME, threadpool_limits(1):
+    with _ONE_AT_A_TIME, one_blas_thread():
         return as_json(_answer(kind, common, parameters))
 
 

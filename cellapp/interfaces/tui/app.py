@@ -49,8 +49,8 @@ from cellapp.interfaces.tui.offers import (
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.slow_collections import SlowCollections
+from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
-from cellapp.interfaces.tui.urgent_keys import driver_that_stops
 from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 

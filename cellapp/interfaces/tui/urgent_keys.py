@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import os
 import select
-import sys
 import time
 from codecs import getincrementaldecoder
 from typing import cast
 
 from textual import constants, events
 from textual._xterm_parser import BRACKETED_PASTE_END, BRACKETED_PASTE_START, XTermParser
-from textual.driver import Driver
 from textual.drivers.linux_driver import LinuxDriver
 from textual.message import Message
 
@@ -109,17 +107,3 @@ class UrgentDriver(LinuxDriver):
 def presses_stop(key: str) -> bool:
     """Return whether a key, with Textual's name, is STOP: Escape with any modifier, or Ctrl-C."""
     return key in _CTRL_C or key.rpartition("+")[2] in _ESCAPES
-
-
-# -- Choice of Textual's driver for the terminal ----------------------------------------------------------------------
-
-
-def driver_that_stops(usual: type[Driver]) -> type[Driver]:
-    """Return the driver whose thread handles STOP itself, if ``usual`` is that of a POSIX terminal; else ``usual``."""
-    if sys.platform == "win32":
-        return usual
-    from textual.drivers.linux_driver import LinuxDriver  # which Windows cannot load
-
-    from cellapp.interfaces.tui.urgent_keys import UrgentDriver
-
-    return UrgentDriver if usual is LinuxDriver else usual

@@ -63,7 +63,8 @@ def followed(path: CartesianPath, sent: Trajectory, time_s: Array, p_M: Array) -
 
     near = min(np.arange(*_DELAYS_S, _STEP_S).tolist(), key=cost)
     bounds = (near - _STEP_S, near + _STEP_S)
-    delay = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)
+    refined = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)
+    delay = min(near, refined, key=cost)
     when = time_s - delay
     within = (when > 0.0) & (when < sent.duration_s)
     if np.count_nonzero(within) < _FEWEST:

@@ -13,11 +13,11 @@ import pytest
 
 from cellapp.cell.driving.cell import Cell, arm_context, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.controllers import ControllerIdentity, check_controllers, recorded_controllers
+from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
+from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ControllerIdentity, recorded_controllers
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.controller_table import ControllerTable

@@ -12,9 +12,9 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.profile.controller_file import controller_file_text, controller_table
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.correct.run import correct_run
 from cellapp.commands.plan.run import new_planned_run

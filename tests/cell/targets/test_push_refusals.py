@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell_checks import require_same_arms
-from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.driving.push import push
 from cellapp.cell.driving.verification import Agreement
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.cell.driving.controllers import ControllerIdentity
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, arm_identities
+from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.fleet.reading import read_record
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import read_stages

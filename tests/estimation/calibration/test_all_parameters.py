@@ -182,7 +182,8 @@ def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     p_M = smr_positions(truth, q + 0.5e-3 * np.sin(5.0 * q)) + rng.normal(0.0, 30e-6, (60, 3))
     plain = [identify(at_station(UR10, np.array([0.0, 0.0, z])), q, p_M) for z in (0.1, -0.3)]
     both, _ = identify_with_excess(nominal, q, p_M, sigma=None)
-    assert abs(plain[0].geometry.tool[2] - plain[1].geometry.tool[2]) > 0.05
+    assert all(found.converged for found in (both, *plain))
+    assert abs(both.geometry.tool[2] - plain[0].geometry.tool[2]) > 0.05
     rms = [np.sqrt(np.mean(found.residuals**2)) for found in (both, *plain)]
     assert rms[0] <= min(rms[1:]) * 1.001
 

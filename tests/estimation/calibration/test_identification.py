@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import TooFewReadings, identify, start_from_nominal
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, with_gradient
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery.terms import ModelTerm
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import NotConverged
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
 from drivers.plant import GeometryErrors
 from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
+from tests.series import series
+from tests.twin import PROFILES
 
 pytestmark = pytest.mark.fast
 
@@ -241,7 +256,7 @@ def test_failure_to_converge_is_reported():
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     found = identify(start, q, p_M, max_iterations=1)
     assert not found.converged
-    assert found.message == "not converged after 1 iterations"
+    assert found.message.startswith("1 steps were not enough; the next step, ")
 
 
 def test_observability_falls_when_a_joint_hardly_moves():
@@ -308,3 +323,63 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=18, n=300)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
     assert identify_with_excess(start, q, p_M, sigma=np.full(300, SIGMA))[1] == 0.0
+
+
+def weighted_square(geometry, nominal, q, p_M, prior):
+    """The objective of an identification with stated priors and uncertainty."""
+    off = (geometry.vector() - nominal.vector()) / prior
+    return float(np.sum((p_M - smr_positions(geometry, q)) ** 2) / SIGMA**2 + off @ off)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("steps", [1, 3, 50])
+def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, steps):
+    # 0.3 m and 1 rad beside the base, the tool and every length: with steps of any size no end is worse than the start
+    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=seed, n=60)
+    rng = np.random.default_rng(seed)
+    chosen = paper_set(nominal)
+    prior = np.full(len(nominal.vector()), 0.5)
+    vector = nominal.vector()
+    vector[list(chosen.columns)] += [rng.normal(0.0, 0.3 if unit == "m" else 1.0) for unit in chosen.units]
+    start = nominal.with_vector(vector)
+    sigmas = dict.fromkeys(chosen.names, 0.5)
+    found = identify(
+        start, q, p_M, sigma=np.full(60, SIGMA), parameter_set=chosen, prior_sigma=sigmas, prior_mean=nominal,
+        max_iterations=steps,
+    )  # fmt: skip
+    before, after = (weighted_square(one, nominal, q, p_M, prior) for one in (start, found.geometry))
+    assert after <= before
+    if found.converged:
+        assert found.scale < 3.0
+    else:
+        with pytest.raises(NotConverged, match=r"the fit did not converge: .*calibration\.max_iterations"):
+            found.settled("fit")
+
+
+def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():
+    profile = load_profile(PROFILES / "twin-small.yaml")
+    one = series(1, 60)["left"]
+    readings = Readings(
+        configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M,
+        split=tuple("identify" if k % 3 else "validate" for k in range(60)),
+    )  # fmt: skip
+    few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
+    with pytest.raises(NotConverged, match="arm 'left': the identification did not converge: 1 steps were not enough"):
+        calibrate_arm(few, "left", readings)
+
+
+def test_a_joint_fit_that_did_not_converge_is_no_model():
+    profile = load_profile(PROFILES / "twin-small.yaml")
+    arm = profile.arms["left"]
+    one = series(1, 60)["left"]
+    readings = Readings(
+        configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M
+    )
+    geometry = start_from_nominal(nominal_arm(arm), one.q, one.p_M, tool_unknown=False)
+    model = ArmModel(geometry, geometry, bodies_of(arm), up_in_tracker(profile))
+    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
+    few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
+    law = EFFECTS["joint_compliance"].laws(data.context)[0]
+    terms = (ModelTerm("joint_compliance", law, tuple(one.name for one in data.columns("joint_compliance", law))),)
+    with pytest.raises(NotConverged, match="the fit of geometry and effects did not converge: 1 steps"):
+        fit_terms(replace(data, profile=few), terms)

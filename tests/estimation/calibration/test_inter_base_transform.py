@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.estimation.calibration import inter_base_transform
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.inter_base_transform import distances, identify_pair
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_zyx, transform
 
 pytestmark = pytest.mark.fast
@@ -27,7 +29,6 @@ def test_exact_distances_give_the_exact_transform(seed):
     rng, T_R_L, p_L, p_R, measured = cell(seed)
     start = transform(rotation_from_vector(rng.normal(0, 0.02, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + 0.02)
     found = identify_pair(start, p_L, p_R, measured)
-    assert found.converged
     np.testing.assert_allclose(found.T_R_L, T_R_L, atol=1e-9)
     x, y, z, theta, beta, alpha = found.values
     np.testing.assert_allclose(transform(rotation_zyx(theta, beta, alpha), [x, y, z]), T_R_L, atol=1e-8)
@@ -49,3 +50,18 @@ def test_six_stops_are_refused():
     _, T_R_L, p_L, p_R, measured = cell(0, n=6)
     with pytest.raises(TooFewReadings, match="at least 7"):
         identify_pair(T_R_L, p_L, p_R, measured)
+
+
+def square(T_R_L, p_L, p_R, measured):
+    return float(np.sum((measured**2 - distances(T_R_L, p_L, p_R) ** 2) ** 2))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, monkeypatch):
+    rng, T_R_L, p_L, p_R, measured = cell(seed, noise=2e-5)
+    start = transform(rotation_from_vector(rng.normal(0, 1.0, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + rng.normal(0, 0.3, 3))
+    found = identify_pair(start, p_L, p_R, measured)
+    assert square(found.T_R_L, p_L, p_R, measured) <= square(start, p_L, p_R, measured)
+    monkeypatch.setattr(inter_base_transform, "_MOST_ITERATIONS", 1)
+    with pytest.raises(NotConverged, match="inter-base transform from distances did not converge: 1 steps"):
+        identify_pair(start, p_L, p_R, measured)

@@ -190,3 +190,20 @@ def test_robust_weights_and_the_full_set_are_those_of_the_profile(readings):
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
     with pytest.raises(InputError, match=r"arm 'iiwa': calibration\.parameter_set: .* use 'auto'"):
         OnlineFit("iiwa", at_station(SEVEN, OFF_AXIS), np.zeros((3, 7)), parameter_set="paper")
+
+
+@pytest.mark.fast
+def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_reading(readings, monkeypatch):
+    one = readings["left"]
+    fit = online_fit(twin(), "left", one.q)
+    monkeypatch.setattr("cellapp.estimation.calibration.online._STEPS", 1)
+    reports = [fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop]) for stop in range(5)]
+    assert reports == [None] * 5
+    assert not fit.ready
+    assert (fit.geometry, fit.scatter_m, fit.residuals(), fit.innovation) == (None, None, None, None)
+    assert fit.predict(9, one.q[9]) is None
+    monkeypatch.undo()
+    for stop in range(5, 20):
+        fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+    assert fit.ready
+    assert error_m(fit, one.q, one.true_M) < 2e-3

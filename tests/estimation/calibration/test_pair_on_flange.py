@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.pair_on_flange import (
+    FlangeFit,
     FlangeRows,
     doubtful_touches,
     fit_on_flange,
@@ -101,3 +102,14 @@ def test_touches_with_another_name_lie_far_off() -> None:
     off_m = doubtful_touches(replace(rows, socket=wrong), START)
     assert off_m is not None
     assert set(np.flatnonzero(off_m > 0.03).tolist()) == {7, 20}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_from_a_start_that_is_far_off_the_tie_is_no_worse_than_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    far = transform(rotation_zyx(*rng.normal(0.0, 1.0, 3)) @ TRUE[:3, :3], TRUE[:3, 3] + rng.normal(0.0, 0.3, 3))
+    rows = touches(seed)
+    found = fit_on_flange(rows, far)
+    assert found is not None
+    r, start = (rows.linearised(one)[0] for one in (found, FlangeFit(far, np.zeros((2, 3)))))
+    assert r @ r <= start @ start

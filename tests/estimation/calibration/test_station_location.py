@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partialmethod
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
@@ -17,7 +19,7 @@ from cellapp.estimation.calibration.station_location import (
     possible_causes,
     predicted_points,
 )
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import BASE_NAMES, JointAngles, base_twists, jacobian, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
@@ -306,3 +308,27 @@ def test_the_other_arm_is_where_it_was_while_a_point_was_measured():
     at_home = {name: replace(own, other=("right", np.zeros((2, 7)))) for name, own in points.items() if name == "left"}
     expected = predicted_points(relocated(model, MOVED), {**points, **at_home})
     np.testing.assert_allclose(expected["left"], apply(MOVED, model.predict("left", points["left"].q)), atol=1e-12)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("seed", range(5))
+def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
+    model, rng = certain_cell(), np.random.default_rng(seed)
+    points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
+    one, other = (fit_station(model, points, near(MOVED, rng, *size), excess_m=EXCESS) for size in ((0, 0), (0.3, 1.0)))
+    np.testing.assert_allclose(other.T_new_old, one.T_new_old, atol=1e-8)
+    assert other.chi_squared <= one.chi_squared * (1.0 + 1e-6)
+
+
+@pytest.mark.fast
+def test_a_station_that_did_not_converge_is_an_error_and_a_cause_left_out(monkeypatch):
+    model, rng = certain_cell(), np.random.default_rng(0)
+    points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
+    monkeypatch.setattr(LeastSquares, "best", partialmethod(LeastSquares.best, max_iterations=1))
+    far = near(MOVED, rng, 0.3, 1.0)
+    with pytest.raises(NotConverged, match="the fit of the tracker's station did not converge: 1 steps"):
+        fit_station(model, points, far, excess_m=EXCESS)
+    said: list[str] = []
+    assert possible_causes(model, points, far, excess_m=EXCESS, still_m=1e-4, told=said.append) == ()
+    assert len(said) == 4
+    assert "station and the smr of arm left did not converge" in said[1]

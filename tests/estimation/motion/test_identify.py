@@ -10,10 +10,10 @@ import pytest
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_fit, motion_problem
-from cellapp.estimation.motion.observe import Stops
+from cellapp.estimation.motion.observe import Stops, residuals
 from cellapp.estimation.motion.stamps import read_stamps
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.estimation.motion.simulated import SEVEN, UR10, record, sweep, true_arm
@@ -348,3 +348,25 @@ def test_a_regular_clock_is_found_although_stamps_jitter_and_samples_are_lost_or
     assert read.regular
     assert np.std(left) < 0.3e-3
     assert np.mean(left) == pytest.approx(2e-3, abs=0.3e-3)
+
+
+def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too_few_steps_are_an_error(
+    case, monkeypatch
+):
+    recording = case[2]
+    problem, stop_rows = motion_problem(
+        RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
+    )
+    near = solve(problem, stop_rows)
+    far = near.values.copy()
+    base = [problem.layout.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
+    far[base] += [0.3, -0.2, 0.2, 0.6, -0.5, 0.6]
+
+    def square(values):
+        return float(np.sum(residuals(problem.model(values), problem.tracks[0], 0, near.sources[0].rows) ** 2))
+
+    values = solve(problem, stop_rows, far).values
+    assert square(values) <= square(far)
+    monkeypatch.setattr("cellapp.estimation.motion.fit._STEPS", 1)
+    with pytest.raises(NotConverged, match="fit of recordings of motion did not converge: 1 steps were not enough"):
+        solve(problem, stop_rows, far)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.estimation.nests import StopGroups, by_stop, fit_shape
 from cellapp.estimation.nests.shape import UnseenPair, better_names, outlying
 from cellapp.estimation.readings import Readings, coordinate_uncertainty
+from cellapp.ground.errors import NotConverged
 
 pytestmark = pytest.mark.fast
 NAMES = ("A", "B", "C")
@@ -121,3 +122,9 @@ def test_readings_without_a_stated_uncertainty_take_that_of_the_figure() -> None
     assert one.sigma_rad is not None
     assert stated.sigma_rad is not None
     np.testing.assert_allclose(one.sigma_rad, stated.sigma_rad, rtol=0.15)
+
+
+def test_a_figure_that_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cellapp.estimation.nests.shape._ROUNDS", 1)
+    with pytest.raises(NotConverged, match="fit of the nests on a flange did not converge"):
+        fit_shape(StopGroups.of(measured(60), NAMES))

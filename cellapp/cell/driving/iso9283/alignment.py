@@ -128,6 +128,7 @@ def align(profile: Profile, name: str, q: Array, p_M: Array, R_M_S: Array | None
     start = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
     columns = base_and_tool(start.joints)
     found = identify(start, q, p_M, parameter_set=ParameterSet("base and SMR", start.joints, columns))
+    found = found.settled(f"fit of the base and SMR of arm {name}")
     geometry = with_probe(found.geometry, q, R_M_S)
     model = replace(nominal_model(profile, name), geometry=geometry, nominal=geometry)
     rms_m = float(np.sqrt(np.mean(np.sum(found.residuals**2, axis=1))))

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
+from cellapp.estimation.discovery.joint_fit import JointFit, refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan, corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.ground.errors import tried
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.contradiction import is_contradiction
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+
+Found = TypeVar("Found")
 
 SCORE_MARGIN = 10.0
 """Difference of scores that counts as very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773: twice the
@@ -82,6 +86,8 @@ class SearchProblem:
     cancel : CancelToken
     say : callable
         Callback for a short message on the current activity.
+    not_fitted : list of str
+        Candidates whose fit did not converge, in words: they were dropped without a judgement.
     """
 
     data: ArmData
@@ -90,6 +96,11 @@ class SearchProblem:
     threshold: float
     cancel: CancelToken
     say: Callable[[str], None]
+    not_fitted: list[str] = field(default_factory=list)
+
+    def tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
+        """Return what a ``candidate`` leads to; None, and ``what`` is noted, if a fit of it does not converge."""
+        return tried(what, candidate, self.not_fitted)
 
     def p_value(self, score: float) -> float:
         """Return the probability of a score at least this large without effects, corrected for the whole scan."""
@@ -146,6 +157,8 @@ class SearchResult:
         Effects that were found but dropped as more probably absent than present, with their probabilities.
     posteriors : Posteriors or None
         The probabilities; None if ``fit`` is not the one in which the search ended.
+    not_fitted : tuple of str
+        Candidates whose fit did not converge, in words: nothing is known of them.
     """
 
     data: ArmData
@@ -157,6 +170,7 @@ class SearchResult:
     threshold: float
     improbable: Mapping[str, float] = field(default_factory=dict)
     posteriors: Posteriors | None = None
+    not_fitted: tuple[str, ...] = ()
 
     @property
     def absent(self) -> list[str]:
@@ -167,13 +181,6 @@ class SearchResult:
     def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
         """Return this result with another fit of the final model."""
         return replace(self, data=data, fit=fit, reviews=reviews, posteriors=None)
-
-    def without_terms(self) -> SearchResult:
-        """Return this result with the geometry alone; all terms count as dropped."""
-        dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        # the geometry fit of the search may have used only some of the readings
-        bare = fit_terms(self.data, ())
-        return replace(self.with_fit(self.data, bare, ()), geometry_only=bare, dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:

@@ -96,7 +96,8 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     progress.step("effects of the library")
     best = _best_model(problem, start, progress)
     progress.finish("review and rivals")
-    return _probable(problem, _result(problem, best, fit), best)
+    found = _probable(problem, _result(problem, best, fit), best)
+    return replace(found, not_fitted=tuple(dict.fromkeys(problem.not_fitted)))
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
@@ -183,12 +184,6 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
     return problem, rest
 
 
-def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
-    """Fit the outcome of a search on some readings to all of them."""
-    here, fit = refit(data.at(found.fit.model), found.fit.terms)
-    return found.with_fit(here, fit, found.reviews)
-
-
 @dataclass
 class _SearchProgress:
     """Counter of the steps of a search that passes on messages; steps that are not needed are counted at the end."""
@@ -217,13 +212,13 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
         return reviewed(problem, with_effects_in_sockets(problem, start))
     named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
-    before_names = cache(partial(with_smooth_terms, problem, start))
+    before_names = cache(partial(_smooth, problem, start))
     beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
     if not beaten and not floor_reached(named):
         named = _with_contradictions(problem, start, named)
-    drift = with_one_drift(problem, named)
+    drift = problem.tried("one drift", partial(with_one_drift, problem, named))
     named = named if drift is None else best_state([named, drift])  # one common cause is one unknown effect
-    instead = in_place_of_names(problem, start, named)
+    instead = problem.tried("a data-driven term", partial(in_place_of_names, problem, start, named))
     best = named if instead is None else best_state([named, reviewed(problem, instead)])
     if floor_reached(best):  # a law of few parameters explains all
         return best
@@ -235,14 +230,18 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
         return best
     # if one unknown law replaces all names, names beside it would only share its signal
     bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
-    driven = [with_data_driven_terms(problem, one, criterion(one.fit) - criterion(best.fit)) for one in bases]
+    leads = [(one, criterion(one.fit) - criterion(best.fit)) for one in bases]
+    driven = [
+        problem.tried("a data-driven term", partial(with_data_driven_terms, problem, *one_and_lead))
+        for one_and_lead in leads
+    ]
     return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
 
 
 def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
     """Return the better of the named model and one with a law of impossible values, beside or before names."""
     for state in dict.fromkeys((named, start)):
-        found = with_contradiction(problem, state)
+        found = problem.tried("a law of impossible values", partial(with_contradiction, problem, state))
         if found is not None:
             return best_state([named, _reviewed_again(problem, found)])
     return named
@@ -269,8 +268,12 @@ def _with_free_functions(problem: SearchProblem, first: SearchState | None, name
         first = reviewed(problem, _with_library_effects(problem, first))
         if best_state([named, first]) is first:
             return first
-    beside = with_smooth_terms(problem, named) if named.fit.terms else None
+    beside = _smooth(problem, named) if named.fit.terms else None
     return named if beside is None else best_state([named, reviewed(problem, beside)])
+
+
+def _smooth(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    return problem.tried("smooth free functions", partial(with_smooth_terms, problem, state))
 
 
 def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
@@ -287,7 +290,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchS
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
-            free = None if freed else with_free_parts(problem, state)
+            free = None if freed else problem.tried("free parts of laws", partial(with_free_parts, problem, state))
             if free is not None:  # the free parts hold the errors of the laws: search once more
                 state.give_up_scan()
                 state, freed = free, True
@@ -295,10 +298,13 @@ def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchS
             if step is None:
                 break
         try:
-            after = apply_step(problem, state, step)
+            after = problem.tried(step.what, partial(apply_step, problem, state, step))
         except TooFewReadings:  # too few for the parameters of the step
             break
-        if step.slug in state.slugs and best_state([after, state]) is state:
+        if after is None and step.slug not in state.slugs:
+            problem = replace(problem, slugs=tuple(slug for slug in problem.slugs if slug != step.slug))
+            continue
+        if after is None or (step.slug in state.slugs and best_state([after, state]) is state):
             refining = False  # the refinement was better only in the linear scan
             continue
         state.give_up_scan()
@@ -324,13 +330,17 @@ def _next_step(
     # beside smooth functions laws are seldom off and their refinement is costly: try it last
     late = has_smooth_terms(fit.terms)
     if refining and not late:
-        step = refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
+        step = _refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
         if step is not None:
             return step
     step = None if len(state.slugs) >= _MOST_EFFECTS else _next_addition(problem, state, scores, refused)
     if step is None and refining and late:
-        step = refinement(problem, state, _needed_gain(problem, -math.inf))
+        step = _refinement(problem, state, _needed_gain(problem, -math.inf))
     return step
+
+
+def _refinement(problem: SearchProblem, state: SearchState, needed: float) -> SearchStep | None:
+    return problem.tried("refinements of the effects", partial(refinement, problem, state, needed))
 
 
 def _next_addition(
@@ -342,7 +352,7 @@ def _next_addition(
             break
         if score.key in refused:
             continue
-        step = addition(problem, state, score)
+        step = problem.tried(f"{EFFECTS[score.slug].title} added", partial(addition, problem, state, score))
         if step is not None:
             return step
         refused.add(score.key)

@@ -21,6 +21,7 @@ from cellapp.estimation.monitoring.check.linear import Moments, StopRows, twists
 from cellapp.estimation.monitoring.check.model import LENGTH_M, CheckBelief
 from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY, MinPValueTest, after, solved
 from cellapp.estimation.prior.changes import SURE
+from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import (
     Array,
     apply,
@@ -273,8 +274,11 @@ def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative)
 
 LARGE_M = 5e-4
 """Errors above this are registered first: a turn of that size leaves second-order errors below a micrometre."""
-_STEPS = 8
+_STEPS = 9
 """Gauss-Newton steps at most; two to four are usual."""
+_UNRESOLVED = 0.1, 1e-6
+"""Rise of chi-squared, and share of it, that no reading resolves. Along a motion that K leaves free, as that of a
+tracker that was set up anew, it is flat, and the second order of a step raises it by some thousandths."""
 _SMALL = 1e-4
 """Change in steps of what has to be detected that ends them: 5 nm."""
 
@@ -309,6 +313,11 @@ def solve_motions(
         Points of the arm whose base moved.
     linear : sequence of int
         Directions that changed besides.
+
+    Raises
+    ------
+    NotConverged
+        If the steps do not end, or make chi-squared larger than at the start.
     """
     every = np.ones(len(stops.measured), dtype=np.bool_)
     own = every & False if base is None else base
@@ -316,16 +325,23 @@ def solve_motions(
     columns = twists(stops.expected - centre, ~stops.points)
     whole = [(columns * points[:, None, None]).reshape(-1, 6).T for points in parts]
     rows = np.concatenate([*whole, stops.rows[list(linear)]])
+    count = 6 * len(parts)
     T, M = _registered(stops, tracker, own)
+    first, size = math.inf, math.inf
     for _ in range(_STEPS):
         moments = Moments.of(replace(_without(stops, T, M, own), rows=rows, free=0))
-        step = solved(moments, range(len(rows)))[0][: 6 * len(parts)]
+        left = float(np.sum(after(moments, range(count, len(rows))).white ** 2))
+        first = min(first, left + _UNRESOLVED[0] + _UNRESOLVED[1] * left)
+        if size < _SMALL * LENGTH_M or not left <= first:
+            break
+        step = solved(moments, range(len(rows)))[0][:count]
         if tracker:
             T = T @ _small(step[:6], centre)
         if base is not None:
             M = M @ _small(step[-6:], centre)
-        if float(np.abs(step).max(initial=0.0)) < _SMALL * LENGTH_M:
-            break
+        size = float(np.abs(step).max(initial=0.0))
+    if not (size < _SMALL * LENGTH_M and left <= first):
+        raise NotConverged.of("fit of motions to the stops", f"the last of at most {_STEPS} steps was {size:.1e} long")
     return Motions(T, M, _without(stops, T, M, own))
 
 

@@ -11,7 +11,7 @@ from cellapp.estimation.monitoring.check import Conclusion, SequentialTest, choo
 from cellapp.estimation.monitoring.check.alternatives import GROWTH
 from cellapp.estimation.monitoring.check.model import Power
 from cellapp.estimation.prior.linear_model import Measured
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import InputError, NotConverged
 from cellapp.robot.kinematics.chain import Geometry, parameter_names
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from tests.estimation.monitoring.check.conftest import SimulatedCell, free, moved_base, with_parameter
@@ -262,3 +262,12 @@ def test_a_warmer_arm_has_grown(pair: SimulatedCell) -> None:
     assert found.verdict == "arm changed"
     assert found.changes[0].what == GROWTH
     assert found.changes[0].value == pytest.approx(1.2e-4, rel=0.3)
+
+
+def test_motions_that_do_not_converge_are_an_error_and_no_verdict(
+    pair: SimulatedCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = moved_base(pair.true["right"], [0.3, -0.2, 0.1], [1.0, -0.5, 0.5])
+    monkeypatch.setattr("cellapp.estimation.monitoring.check.naming._STEPS", 1)
+    with pytest.raises(NotConverged, match="fit of motions to the stops did not converge: the last of at most 1 steps"):
+        checked(pair, {"right": changed})
