@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from drivers.arms.path_end import slowed
@@ -45,9 +45,10 @@ class PathSupervisor(Supervisor):
         self._motion = self._streamed = Motion(rows[-1], -1, self._now())
         return {}
 
-    def followed(self) -> dict[str, Any]:
-        """Return the recorded joint positions of the last path."""
-        return {"time_s": [], "q": []} if self._stream is None else self._stream.answer()
+    def reached(self) -> dict[str, Any]:
+        """Return the row at which the last path was ended early; empty if it was not."""
+        reached = None if self._stream is None else self._stream.reached
+        return {} if reached is None else {"reached": reached}
 
     def end_path(self) -> dict[str, Any]:
         """Slow down along the path and rest on it; harmless when no path is being followed."""
@@ -119,7 +120,6 @@ class PathSupervisor(Supervisor):
             return
         if not news or self._application.braked:
             return
-        stream.note_state(sample)
         behind = stream.behind(sample)
         problem = failed(behind) if behind else None
         if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:
@@ -168,8 +168,6 @@ class Stream:
         Number of positions sent; the last one is repeated until the arm is there.
     reached : float or None
         Row of the path at which ``slow_down`` ends it; None if it was not called.
-    trace : list
-        Controller time [s] and joint positions of every state since the first position was sent.
     """
 
     rows: Sequence[Sequence[float]]
@@ -181,7 +179,6 @@ class Stream:
     sent: int = 0
     ended_s: float | None = None
     reached: float | None = None
-    trace: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     @property
     def goal(self) -> Sequence[float]:
@@ -200,11 +197,6 @@ class Stream:
         if self.reached is None and self.ended_s is None:
             tail, self.reached = slowed(self.rows, self.sent, self.period_s)
             self.rows = [*self.rows[: self.sent], *tail]
-
-    def note_state(self, sample: UrSample) -> None:
-        """Record a new state of the arm."""
-        if self.sent:
-            self.trace.append((sample.time_s, sample.q))
 
     def arrived(self, sample: UrSample, now: float, rest_speed: float) -> bool:
         """Return whether the arm is at the last position, or has had enough time to get there."""
@@ -227,9 +219,3 @@ class Stream:
                 away = max(low - value, value - high)
                 return f"joint {joint + 1} was {away:.3f} rad away from the path that it was to follow"
         return ""
-
-    def answer(self) -> dict[str, Any]:
-        """Return the trace: time since its first state [s] and joint positions [rad]."""
-        start_s = self.trace[0][0] if self.trace else 0.0
-        trace = {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}
-        return trace if self.reached is None else {**trace, "reached": self.reached}

@@ -29,8 +29,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     UNHURRIED,
     driven,
     emulated_cell,
-    until,
 )
+from tests.waiting import until
 
 
 class Brakes:

@@ -26,7 +26,7 @@ from tests.benchmarks.reference_time import loop_s, processor
 PROFILE = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 SLOW_TO_LOAD = (
     *("torch", "matplotlib", "pandas", "dask", "distributed", "plotly", "playwright", "textual", "scipy.stats"),
-    *("scipy.optimize", "scipy.spatial", "scipy.interpolate", "numpy", "pydantic", "jinja2", "cryptography", "rich"),
+    *("scipy.optimize", "scipy.spatial", "scipy.interpolate", "numpy", "pydantic", "jinja2", "rich"),
 )
 _HELP_ROUNDS = 5
 """Of which the fastest counts: the others waited for something else."""

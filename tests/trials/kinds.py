@@ -2,22 +2,16 @@
 
     python -m tests.trials.kinds --stops 100 --seeds 3
     python -m tests.trials.kinds --data FOLDER --profile profiles/ur10-6d.yaml
-    python -m tests.trials.kinds --data FOLDER --profile profiles/panda-sockets.yaml
 
 The arm is elastic and encoder 1 is eccentric; errors are those of predictions at 300 other configurations against the
-truth. From sockets the base is not seen: these predictions are laid onto the truth first. "Further out" is a point
-200 mm beyond the SMR on the flange's axis. After the earlier calibration the zero of joint 3 changes by 0.5 mrad; what
-ten touches of one socket find of it is taken into the model.
-Of real arms the folder has readings, a file for each: with orientation, of which held-out ones stand for the truth; or
-in sockets, with ``NAME-distances.csv`` beside ``NAME.csv``, where errors are those of the ball at held-out placements.
-Three SMRs on a real flange were not measured: they are made from the measured poses, each with noise of its own, so
-that only what the arm does is real. An earlier calibration is that of the arm with most readings, of which ten touches
-of the other one find the ball.
+truth. "Further out" is a point 200 mm beyond the SMR on the flange's axis.
+Of real arms the folder has readings with orientation, a file for each; held-out ones stand for the truth. Three SMRs on
+a real flange were not measured: they are made from the measured poses, each with noise of its own, so that only what
+the arm does is real.
 """
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -32,23 +26,16 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv, read_readings_csv
-from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
+from cellapp.cell.run import RunFile, read_readings_csv
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.check.run import check_by_touches
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
-from cellapp.estimation.readings import Distance, Readings, joined
-from cellapp.estimation.sockets import Contacts
-from cellapp.estimation.sockets.plausibility import with_ball
+from cellapp.estimation.readings import Readings, joined
+from cellapp.estimation.readings.several_smrs import one_pose_a_stop
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Nest, Smr
-from cellapp.robot.kinematics.transforms import register
+from cellapp.ground.profile.smr import Smr
 from cellapp.robot.model import ArmModel, CellModel
-from drivers.plant import Plant
-from drivers.plant.changes import zero_shifted
-from drivers.plant.sockets import touches
 from tests.twin import small_twin
 
 Array = NDArray[np.float64]
@@ -59,21 +46,16 @@ EFFECTS: dict[str, Any] = {
     "encoder_eccentricity": {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase": [0.3]},
 }
 OFFSET = (0.045, 0.020, 0.060)
-NESTS = {"B": {"offset": (-0.055, 0.020, 0.060)}, "C": {"offset": (-0.005, 0.110, 0.060)}}
 PROBE: dict[str, Any] = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
-KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
+KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "6-D probe": {"probe": PROBE}}
 """What the tracker measures, and the keys of the SMR for it."""
 FURTHER_M = 0.2
-SEATING_M = 2e-5
-GAUGE_M = 0.3
-TOUCHES, CHANGED_JOINT, CHANGE_RAD = 10, 3, 5e-4
-MADE_NESTS_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
-"""Where SMRs that are made from measured poses stand in the probe's frame [m]."""
-NEST_NOISE_M = 1.5e-5
+PLACES_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
+"""Where three SMRs stand in the probe's frame [m]."""
+MADE_NOISE_M = 1.5e-5
+"""Of the two SMRs that are made from a measured pose, in each coordinate."""
 _RANGE_RAD = 2.2
 _TRUE = 300
-PLACES_B = np.array([[0.5, 0.5, 0.1], [0.5, -0.5, 0.2], [-0.5, 0.6, 0.4], [0.8, 0.0, 0.5], [-0.5, -0.5, 0.7]])
-"""Of sockets in the frame of the base [m]."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +78,9 @@ class Truth:
     p_M: Array
     R_M_F: Array
 
-    def errors(self, arm: ArmModel, *, lay: bool = False) -> Errors:
-        """Errors of a model; with ``lay`` its predictions are laid onto the truth first."""
+    def errors(self, arm: ArmModel) -> Errors:
+        """Errors of a model."""
         p_M, R_M_F = arm.predict(self.q), arm.flange(self.q)[0]
-        if lay:
-            T = register(self.p_M, p_M)
-            p_M, R_M_F = p_M @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ R_M_F
         found, true = Rotation.from_matrix(R_M_F), Rotation.from_matrix(self.R_M_F)
         mounted = (true.inv() * found).mean()
         turned = found * mounted.inv() * true.inv()
@@ -130,16 +109,12 @@ class Bench:
         """Joint positions (count, 6) [rad]."""
         return np.random.default_rng([self.seed, stream]).uniform(-_RANGE_RAD, _RANGE_RAD, (count, 6))
 
-    def truth(self, change_rad: float = 0.0, profile: Profile | None = None) -> Truth:
-        """The true arm at configurations that no reading is of, with the changed zero of a joint.
-
-        ``profile`` is that of a cell with other errors.
-        """
+    def truth(self, profile: Profile | None = None) -> Truth:
+        """The true arm at configurations that no reading is of; ``profile`` is that of a cell with other errors."""
         probed = self.profile(probe=PROBE)
         if profile is not None:
             probed = probed.model_copy(update={"plant": profile.plant})
         plant, q = build_plant(probed), self.q(_TRUE, 9)
-        plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, change_rad))
         at_rest = np.zeros_like(q)
         return Truth(
             q,
@@ -148,41 +123,29 @@ class Bench:
         )
 
     def measured(self, profile: Profile) -> Readings:
-        """What the tracker measures: the SMR, further nests, the orientation of a probe."""
-        plant, q, smr = build_plant(profile), self.q(self.stops, 1), profile.arms["left"].smr
+        """What the tracker measures: the SMR, and the orientation of a probe."""
+        plant, q, probe = build_plant(profile), self.q(self.stops, 1), profile.arms["left"].smr.probe
         rng, at_rest = np.random.default_rng([self.seed, 2]), np.zeros_like(q)
-        parts = []
-        for name in smr.names:
-            nest = "" if name == smr.name else name
-            exact = plant.smr_positions("left", q, approach=at_rest, nest=nest)
-            points, covariance = plant.measure_positions(exact, rng)
-            more: dict[str, Any] = {"smr": (name,) * len(q)} if smr.nests else {}
-            if smr.probe is not None:
-                turns = Rotation.from_matrix(plant.probe_rotations("left", q, approach=at_rest))
-                noise = Rotation.from_rotvec(smr.probe.sigma * rng.standard_normal((len(q), 3)))
-                more["quaternion_M"] = np.roll((noise * turns).as_quat(), 1, axis=1)
-                more["sigma_rad"] = np.full(len(q), smr.probe.sigma)
-            parts.append(rows(q, p_M=points, covariance_M=covariance, **more))
-        return joined(parts)
+        points, covariance = plant.measure_positions(plant.smr_positions("left", q, approach=at_rest), rng)
+        more: dict[str, Any] = {}
+        if probe is not None:
+            turns = Rotation.from_matrix(plant.probe_rotations("left", q, approach=at_rest))
+            noise = Rotation.from_rotvec(probe.sigma * rng.standard_normal((len(q), 3)))
+            more["quaternion_M"] = np.roll((noise * turns).as_quat(), 1, axis=1)
+            more["sigma_rad"] = np.full(len(q), probe.sigma)
+        return rows(q, p_M=points, covariance_M=covariance, **more)
 
-    def touched(self, plant: Plant, places: Array, each: int) -> Readings:
-        """Touches of two sockets at each place, a known distance apart; the last place is held out."""
-        rng = np.random.default_rng([self.seed, 3])
-        parts, distances = [], []
-        T_M_B = plant.true_T_M_B("left")
-        for number, place in enumerate(places):
-            aside = rng.normal(size=3)
-            ends = place, place + GAUGE_M * aside / np.linalg.norm(aside)
-            for end, at_B in zip("ab", ends, strict=True):
-                starts = rng.uniform(-_RANGE_RAD, _RANGE_RAD, (4 * each, 6))
-                point_M = T_M_B[:3, :3] @ at_B + T_M_B[:3, 3]
-                q = touches(plant, "left", point_M, starts, seating_m=SEATING_M, rng=rng)[:each]
-                split = "validate" if number == len(places) - 1 else "identify"
-                name = f"place {number} {end}"
-                parts.append(rows(q, p_M=np.full((len(q), 3), np.nan), point=(name,) * len(q), split=(split,) * len(q)))
-            distances.append(Distance(f"place {number} a", f"place {number} b", GAUGE_M, 2e-5))
-        found = joined(parts)
-        return replace(found, configuration=np.arange(len(found)), distances=tuple(distances))
+    def of_three_smrs(self) -> Readings:
+        """What an import makes of three SMRs on the flange, which the tracker measures one after another."""
+        plant, q = build_plant(self.profile(probe=PROBE)), self.q(self.stops, 1)
+        rng, at_rest = np.random.default_rng([self.seed, 2]), np.zeros_like(q)
+        p_M, R_M_S = (f("left", q, approach=at_rest) for f in (plant.smr_positions, plant.probe_rotations))
+        found = [plant.measure_positions(p_M + R_M_S @ np.array(place), rng) for place in PLACES_S]
+        parts = [
+            rows(q, p_M=points, covariance_M=covariance, smr=(name,) * len(q))
+            for name, (points, covariance) in zip("ABC", found, strict=True)
+        ]
+        return one_pose_a_stop(joined(parts))[0]
 
 
 def rows(q: Array, **quantities: Any) -> Readings:
@@ -195,12 +158,10 @@ def rows(q: Array, **quantities: Any) -> Readings:
 
 @contextmanager
 def run_of(profile: Profile, measured: Readings) -> Iterator[RunFile]:
-    """A run, in a folder of its own, with the readings of the only arm and their known distances."""
+    """A run, in a folder of its own, with the readings of the only arm."""
     (name,) = profile.arms
     with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         run.add_readings(name, measured)
-        if measured.distances:
-            run.write_result(DISTANCES_RESULT, distances_text({name: measured}))
         yield run
 
 
@@ -226,47 +187,12 @@ def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, E
     for kind, smr in KINDS.items():
         profile = bench.profile(**smr)
         yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
-    profile = bench.profile()
-    plant = build_plant(profile)
-    touched = bench.touched(plant, PLACES_B, stops // (2 * len(PLACES_B)))
-    yield "sockets only", truth.errors(calibrated(profile, touched, discover=discover), lay=True)
-    yield from after_a_change(bench, profile, discover=discover)
-
-
-def after_a_change(bench: Bench, profile: Profile, *, discover: bool) -> Iterator[tuple[str, Errors]]:
-    """An earlier calibration with one SMR after a joint's zero changed, as it is and as ten touches correct it."""
-    plant, now = build_plant(profile), bench.truth(CHANGE_RAD)
-    plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, CHANGE_RAD))
-    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
-        run.add_readings("left", bench.measured(profile))
-        arm = fitted(run, discover=discover).arms["left"]
-        yield "earlier calibration, joint 3 changed", now.errors(arm)
-        T_M_B, rng = plant.true_T_M_B("left"), np.random.default_rng([bench.seed, 5])
-        socket_M = T_M_B[:3, :3] @ PLACES_B[0] + T_M_B[:3, 3]
-        q = touches(plant, "left", socket_M, bench.q(8 * TOUCHES, 6), seating_m=SEATING_M, rng=rng)[:TOUCHES]
-        path = Path(folder) / "touches.csv"
-        path.write_text("\n".join(csv_lines(q)), "utf-8")
-        found = check_by_touches(run, path)
-        by_name = dict(zip(arm.geometry.names, arm.geometry.vector().tolist(), strict=True))
-        for change in found.changes:
-            joint = re.fullmatch(r"zero of joint ([0-9])", change.what)
-            if joint is not None and change.value is not None:
-                by_name[f"theta{joint[1]}"] += change.value
-        corrected = replace(arm, geometry=arm.geometry.with_vector(np.array(list(by_name.values()))))
-        yield "the same after ten touches of a socket", now.errors(corrected)
-
-
-def csv_lines(q: Array) -> Iterator[str]:
-    """Touches ``q`` (n, N) [rad] of one socket as a file has them."""
-    yield ",".join(("configuration", "arm", *(f"q{joint}" for joint in range(1, q.shape[1] + 1)), "point"))
-    for number, one in enumerate(q.tolist()):
-        yield ",".join((str(number), "left", *map(repr, one), "socket"))
+    yield "three SMRs", truth.errors(calibrated(bench.profile(), bench.of_three_smrs(), discover=discover))
 
 
 def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tuple[str, Errors]]:
     """The same of readings with orientation of a real arm: positions alone, and both; a quarter is the truth."""
     assert measured.quaternion_M is not None
-    (name,) = profile.arms
     measured = replace(measured, split=None)
     drawn = np.random.default_rng(profile.seed).permutation(len(measured))
     held_out = measured.take(np.sort(drawn[: len(measured) // 4]))
@@ -274,60 +200,26 @@ def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tu
     assert held_out.quaternion_M is not None
     turns = Rotation.from_quat(np.roll(held_out.quaternion_M, -1, axis=1)).as_matrix()
     truth = Truth(held_out.q, held_out.p_M, turns)
-    nests = profile.arms[name].smr.model_copy(
-        update={"name": "A", "nests": {nest: Nest(offset="unknown") for nest in "BC"}}
-    )
-    of_nests = profile.model_copy(update={"arms": {name: profile.arms[name].model_copy(update={"smr": nests})}})
-    made = nests_of_poses(learn, np.random.default_rng([profile.seed, 7]))
+    made, _, _ = one_pose_a_stop(smrs_of_poses(learn, np.random.default_rng([profile.seed, 7])))
     yield (
         "one SMR",
         truth.errors(calibrated(profile, replace(learn, quaternion_M=None, sigma_rad=None), discover=discover)),
     )
-    yield "three SMRs, made from poses", truth.errors(calibrated(of_nests, made, discover=discover))
+    yield "three SMRs, made from poses", truth.errors(calibrated(profile, made, discover=discover))
     yield "6-D probe", truth.errors(calibrated(profile, learn, discover=discover))
 
 
-def nests_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
+def smrs_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
     """Three SMRs made from measured poses: one where the probe is, two beside it, with noise of their own."""
     assert measured.quaternion_M is not None
     turns = Rotation.from_quat(np.roll(measured.quaternion_M, -1, axis=1))
     plain = replace(measured, quaternion_M=None, sigma_rad=None)
     parts = []
-    for name, offset_S in zip("ABC", MADE_NESTS_S, strict=True):
-        noise = NEST_NOISE_M * rng.standard_normal(measured.p_M.shape) if any(offset_S) else 0.0
+    for name, offset_S in zip("ABC", PLACES_S, strict=True):
+        noise = MADE_NOISE_M * rng.standard_normal(measured.p_M.shape) if any(offset_S) else 0.0
         p_M = measured.p_M + turns.apply(offset_S) + noise
         parts.append(replace(plain, p_M=p_M, smr=(name,) * len(p_M)))
     return joined(parts)
-
-
-def led_arms(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tuple[str, Errors]]:
-    """Real arms led into sockets: each from its own touches, and the others from those of the arm with most."""
-    models: dict[str, tuple[ArmModel, Readings]] = {}
-    (name,) = profile.arms
-    for known in sorted(folder.glob("*-distances.csv")):
-        path = known.with_name(known.name.replace("-distances", ""))
-        with (
-            tempfile.TemporaryDirectory() as place,
-            import_csv(profile, path, Path(place) / "run", distances=known) as run,
-        ):
-            arm, its = fitted(run, discover=discover).arms[name], run.readings(name)
-        models[path.stem] = arm, its
-        yield f"sockets only, {path.stem}", at_held_out(arm, its)
-    first = max(models, key=lambda one: len(models[one][1]))
-    earlier, _ = models[first]
-    for other, (_, its) in models.items():
-        if other != first:
-            learned = its.in_split("identify")
-            touched = its.take(learned[:: max(len(learned) // TOUCHES, 1)])
-            ball = with_ball(earlier.geometry, touched, unknown=True)
-            yield f"{other} after a calibration of {first}", at_held_out(replace(earlier, geometry=ball), its)
-
-
-def at_held_out(arm: ArmModel, readings: Readings) -> Errors:
-    """Mean distance of the ball from the mean of its point at held-out placements [mm]; no more is known of it."""
-    its = readings.take(readings.in_split("validate"))
-    p_M, contacts = arm.predict(its.q), Contacts.of(its)
-    return Errors(_mean_mm(p_M - contacts.centres(p_M)[contacts.index]), np.nan, np.nan)
 
 
 def lines(found: Mapping[str, list[Errors]]) -> Iterator[str]:
@@ -344,9 +236,6 @@ def _mean_mm(vectors: Array) -> float:
 
 def of_folder(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tuple[str, Errors]]:
     """Each kind with its errors, of the real arms in a folder."""
-    if any(folder.glob("*-distances.csv")):
-        yield from led_arms(profile, folder, discover=discover)
-        return
     (name,) = profile.arms
     for path in sorted(folder.glob("*.csv")):
         readings, _ = read_readings_csv(path, {name: len(profile.arms[name].type.joints)})

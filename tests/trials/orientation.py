@@ -20,15 +20,11 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run.nests import has_nests, nest_stops
 from cellapp.cell.targets.prediction import predicted_turns
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.nests import poses
-from cellapp.estimation.nests.shape import laid_on
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
@@ -41,8 +37,7 @@ _TWO_SIDED_95 = 1.959964
 
 def found_in(profile: Profile, measured: Readings) -> Discovery:
     """What ``calibrate`` and ``discover`` find of the arm."""
-    one = nest_stops(profile, "left", measured).readings if has_nests(measured) else measured
-    one = replace(one, split=profile_splits(profile, {"left": one})[0]["left"])
+    one = replace(measured, split=profile_splits(profile, {"left": measured})[0]["left"])
     arm, _ = calibrate_arm(profile, "left", one)
     return discover_arm(profile, "left", arm.model, one)
 
@@ -57,9 +52,7 @@ def trial(seed: int, kind: str, stops: int) -> dict[str, Any]:
     truth = bench.truth()
     held: dict[str, float] = {}
     if found.model.geometry.probe is not None:
-        rng = np.random.default_rng([seed, 31])
-        turns = figure_turns(profile, measured, truth.q, rng) if has_nests(measured) else probe_turns(truth, rng)
-        held = bounds(truth.q, *turns, found.model)
+        held = bounds(truth.q, *probe_turns(truth, np.random.default_rng([seed, 31])), found.model)
     return {"seed": seed, "kind": kind, "names": names, **vars(truth.errors(found.model)), **held}
 
 
@@ -67,19 +60,6 @@ def probe_turns(truth: Truth, rng: np.random.Generator) -> tuple[Array, Array]:
     """True and measured orientations (n, 3, 3) of the probe."""
     noise = Rotation.from_rotvec(PROBE["sigma"] * rng.standard_normal((len(truth.q), 3)))
     return truth.R_M_F, noise.as_matrix() @ truth.R_M_F
-
-
-def figure_turns(profile: Profile, measured: Readings, q: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True and measured orientations (n, 3, 3) of the figure that the readings show, at ``q`` (n, 6) [rad]."""
-    shape, plant = nest_stops(profile, "left", measured).shape, build_plant(profile)
-    assert shape is not None
-    at_rest, first = np.zeros_like(q), profile.arms["left"].smr.name
-    names = ["" if name == first else name for name in shape.names]
-    exact = [plant.smr_positions("left", q, approach=at_rest, nest=name) for name in names]
-    noisy = [plant.measure_positions(places, rng) for places in exact]
-    information = np.stack([np.linalg.inv(covariance) for _, covariance in noisy], axis=1)
-    turns, _, _ = poses(shape.points_S, np.stack([places for places, _ in noisy], axis=1), information)
-    return laid_on(shape.points_S, np.stack(exact, axis=1))[0], turns
 
 
 def bounds(q: Array, R_M_S: Array, measured: Array, model: ArmModel) -> dict[str, float]:

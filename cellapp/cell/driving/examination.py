@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import platform
-import shutil
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -15,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
-from cellapp.cell.driving.nest_findings import nest_findings, reference_nest_findings
+from cellapp.cell.run.stations import read_reference_nests, tie_sentences
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import ObstacleClearance, cell_bodies, cover, obstacle_clearances
-from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
+from cellapp.cell.safety.gate import CellBodies, clear_alone, predicted_smr, refuse_stop, visible
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -33,6 +32,8 @@ _DRAWS = 2000
 """Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
 """Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
+_LOOSE_MM = 0.05
+"""Uncertainty [mm] above which a tie is reported as loose: the tracker's own is some 40 µm at 4 m."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
@@ -45,7 +46,7 @@ def examine(profile: Profile, reference_nests: Path | None = None) -> list[Findi
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile, reference_nests)
-        findings = [_python(profile), *_notify(profile), *_found(profile, probes)]
+        findings = [_python(profile), *_found(profile, probes)]
     return findings + placement
 
 
@@ -105,16 +106,6 @@ def _python(profile: Profile) -> Finding:
     return Finding("python", "failed" if failed else "ok", ", ".join(texts))
 
 
-def _notify(profile: Profile) -> list[Finding]:
-    """Check that the command of section ``notify`` exists; a job runs without it, too."""
-    if profile.notify is None:
-        return []
-    program = profile.notify.command[0]
-    if shutil.which(program) is None:
-        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a halt")]
-    return [Finding("notify", "ok", f"{program} is run on: {', '.join(profile.notify.events)}")]
-
-
 def _shared_address(profile: Profile, name: str) -> list[Finding]:
     """Report other arms with the same controller address."""
     address = profile.arms[name].driver.controller_address
@@ -133,11 +124,11 @@ def _shared_address(profile: Profile, name: str) -> list[Finding]:
 
 
 def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
-    """Check that the arms are safe at home, and that the tracker sees enough of them and of their nests."""
+    """Check that the arms are safe at home, and that the tracker sees enough of them."""
     placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
     has_arms = any(arm.driver.has_device for arm in profile.arms.values())
     if not has_arms or not placed or profile.tracker.pose is None:
-        return [] if reference_nests is None else list(reference_nest_findings(reference_nests, None, {}))
+        return [] if reference_nests is None else list(_reference_nests(reference_nests, None, {}))
     findings = [] if profile.plant is None else [_plant(profile)]
     bare = [name for name, arm in placed.items() if not arm.type.capsules]
     if bare:
@@ -157,9 +148,25 @@ def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
     else:
         findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))
     findings += [_visibility(cell, profile, name) for name in placed]
-    findings += nest_findings(cell, profile, homes)
-    tied = () if reference_nests is None else reference_nest_findings(reference_nests, cell, homes)
+    tied = () if reference_nests is None else _reference_nests(reference_nests, cell, homes)
     return [*findings, *tied]
+
+
+def _reference_nests(path: Path, cell: CellBodies | None, homes: Mapping[str, Array]) -> Iterator[Finding]:
+    """Report how well the nests of a file tie each station to the first one, at the SMR of each arm at home."""
+    subject = "reference nests"
+    try:
+        first, ties = read_reference_nests(path, {})
+    except InputError as error:
+        yield Finding(subject, "failed", str(error))
+        return
+    at = {} if cell is None else {arm: predicted_smr(cell, arm, q[None]) for arm, q in homes.items()}
+    for (name, tie), sentence in zip(ties.items(), tie_sentences(first, ties, {}), strict=True):
+        known_mm = {arm: 1e3 * float(tie.uncertainty(p_M)[0]) for arm, p_M in at.items()}
+        words = "".join(f"; a coordinate of arm {arm} at home to {mm:.3f} mm" for arm, mm in known_mm.items())
+        loose = max(known_mm.values(), default=0.0) > _LOOSE_MM
+        advice = "; more nests, farther apart and around the arms, tie it better" if loose else ""
+        yield Finding(f"{subject}: station {name}", "warning" if loose else "ok", f"{sentence}{words}{advice}")
 
 
 def _plant(profile: Profile) -> Finding:

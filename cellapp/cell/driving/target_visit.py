@@ -9,7 +9,6 @@ import numpy as np
 
 from cellapp.cell.driving.driving_targets import Driver, arrival
 from cellapp.cell.driving.motion import MotionRefused, Vector
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.verification import (
     CommandKind,
     Findings,
@@ -51,7 +50,6 @@ class TargetVisit:
     verify: bool
     rounds: int
     repeatability_m: Mapping[str, float]
-    nests: NestPoses
 
     def to(self, commands: Sequence[Command]) -> Findings:
         """Visit one target with the command of each of its arms.
@@ -136,7 +134,7 @@ class TargetVisit:
             if dwell_s is not None:
                 mover.rest(name, dwell_s, self.control)
             try:
-                point = self.nests.measure(mover, name, states[name].q)
+                point = mover.measure(name, states[name].q)
             except TrackerError as error:
                 found.note([name], str(error))
                 if isinstance(error, TargetLost | WrongTarget):

@@ -19,13 +19,13 @@ verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that 
 measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
 measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
 readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
-that. 10: torques and currents are no longer read."""
+that. 10: covariance of a rotation; torques and currents are no longer read."""
 FORMER_COLUMNS = {"tau_nm": "tau", "current_a": "current"}
 """Quantities per joint in files of schemas 8 and 9 -> the stem of their columns in a CSV file. They are kept, and given
 as the unknown columns of an imported file are."""
 
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
-"""Unique key: an arm has one reading per stop, nest and station. Before schema 8 this was the table's primary key."""
+"""Unique key: an arm has one row per stop, SMR and station. Before schema 8 this was the table's primary key."""
 _EXTRAS = "extras TEXT"
 """Unknown columns of an imported file, as one JSON object per reading."""
 

@@ -1,0 +1,260 @@
+"""A run in which another process works: its state is shown, requests reach its job, and leaving it stops nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Static
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.ground.asking import JOB_FILE, ask_running_job
+from cellapp.ground.errors import HardwareError
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.widgets.header import DayHeader
+from tests.cell.run.small_runs import collected_run
+from tests.commands.emulated_cell import patiently
+from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, until
+from tests.interfaces.tui.planned_day import planned_day
+from tests.interfaces.tui.terminal import PATIENT, ROOT, Terminal, cellapp
+from tests.trials.polling import comes_about
+from tests.trials.storm_cell import StormCell, emulated_cell
+from tests.waiting import WAIT_S, within
+
+pytestmark = pytest.mark.waits
+
+LOGS = Path("logs")
+RUN = LOGS / "day"
+OTHER = LOGS / "other"
+
+
+@pytest.fixture(autouse=True)
+def _runs(tmp_path: Path) -> None:
+    for folder in (RUN, OTHER):
+        collected_run(tmp_path / folder, None)
+
+
+@contextlib.contextmanager
+def other_job(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+    """A job in a process of its own; it has begun to move."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.interfaces.tui.other_job", str(folder.absolute()), *words],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert said(process) == "ready"
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=WAIT_S)
+
+
+def said(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return within(process.stdout.readline, "the next line of the job").strip()
+
+
+async def watched(pilot: Pilot[None], app: CellApp, offers: bool = True) -> None:
+    """Wait until the application shows the job; at its start it offers that."""
+    await opened(pilot, app)
+    if offers:
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
+        says = "Another process works in logs/day"
+        await until(pilot, lambda: says in " ".join(shown_text(app).split()), says)
+        await pilot.press("o")
+    await until(pilot, lambda: app.jobs.watched, "the job of another process")
+
+
+def badge(app: CellApp) -> str:
+    return str(app.day_screen.query_one(DayHeader).query_one(".badge").render())
+
+
+async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -> None:
+    app = CellApp(PROFILES)
+    with other_job(RUN) as job:
+        async with app.run_test(size=(120, 40)) as pilot:
+            await watched(pilot, app)
+            await until(pilot, lambda: badge(app) == " WATCHED · NO ARMS ", "the badge")
+            assert f"Process {job.pid} runs 'collect' in logs/day: its state is shown" in log_text(app)
+            await until(pilot, lambda: "RUNNING" in shown_text(app), "the state")
+            await until(pilot, lambda: "collect 2/30" in shown_text(app), "how far it is")
+            for key, state in (("p", "paused"), ("c", "running"), ("escape", "stopped"), ("c", "running")):
+                await pilot.press(key)
+                await until(pilot, lambda: app.record.state == state, f"{state} after {key}")  # noqa: B023
+            assert said(job).startswith("brake stop")
+            ask_running_job(RUN, "pause")  # somebody else
+            await until(pilot, lambda: app.record.state == "paused", "what others ask")
+            await pilot.press("x")
+            assert said(job).startswith("brake abort")
+            await ended(pilot, app)
+            assert job.wait(WAIT_S) == 4
+            assert app.message.startswith("Aborted; ")
+            await until(pilot, lambda: "INTERRUPTED, 2 of 4 stops" in shown_text(app), "the run as it is now")
+            assert "WATCHED" not in badge(app)
+
+
+async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await opened(pilot, app)
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer to resume")
+        await pilot.press("o")
+        await until(pilot, lambda: app.workspace.folder is not None, "the run")
+        folder = app.workspace.folder
+        assert folder is not None
+        with other_job(folder, "batch") as job:
+            await watched(pilot, app, offers=False)
+            assert job.stdin is not None
+            job.stdin.close()
+            job.stdin = None
+            await ended(pilot, app)
+            assert app.message.startswith(f"collect: process {job.pid} has ended it; the run is in {folder}")
+        with other_job(folder, "batch") as job:
+            await watched(pilot, app, offers=False)
+            job.kill()
+            await ended(pilot, app)
+            assert f"process {job.pid}, which ran 'collect' in {folder}, is gone without a word" in app.message
+
+
+async def test_what_is_not_watched_any_more_goes_on() -> None:
+    app = CellApp(PROFILES)
+    with other_job(RUN) as job:
+        async with app.run_test(size=(120, 40)) as pilot:
+            await watched(pilot, app)
+            app.open_run(OTHER)
+            await until(pilot, lambda: app.workspace.folder == OTHER and not app.jobs.running, "the other run")
+            assert f"'collect' goes on in process {job.pid}" in log_text(app)
+            app.open_run(RUN)
+            await watched(pilot, app, offers=False)
+            await pilot.press("q")
+            await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+            says = "'collect' runs in another process and goes on; its arms are not stopped."
+            assert says in " ".join(str(line.render()) for line in app.screen.query(Static))
+            await pilot.press("y")
+            await until(pilot, lambda: app.return_code is not None, "the end of the application")
+        assert app.return_code == 0
+        assert job.poll() is None
+        assert "all arms brake" in ask_running_job(RUN, "stop"), "it goes on, and was not stopped before"
+        assert said(job).startswith("brake stop")
+
+
+async def test_a_job_that_hangs_is_said() -> None:
+    app = CellApp(PROFILES)
+    with other_job(RUN) as job:
+        async with app.run_test(size=(120, 40)) as pilot:
+            await watched(pilot, app)
+            job.send_signal(signal.SIGSTOP)
+            await until(pilot, lambda: "did not answer within 2 s" in app.message, "the silence")
+            await pilot.press("escape")
+            await asyncio.sleep(0.1)
+            job.send_signal(signal.SIGCONT)
+            assert said(job).startswith("brake stop"), "it waited on the way"
+
+
+async def test_a_job_on_another_computer_is_named_and_nothing_is_begun(tmp_path: Path) -> None:
+    with other_job(RUN):
+        address = json.loads((RUN / JOB_FILE).read_text())
+    (RUN / JOB_FILE).write_text(json.dumps({**address, "computer": "cell-pc"}))
+    shutil.rmtree(OTHER)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: "in use by a job on computer 'cell-pc'" in app.message, "where it runs")
+        await pilot.press("3")
+        await until(pilot, lambda: "IN USE by a job on computer" in " ".join(shown_text(app).split()), "the headline")
+        await pilot.press("b")
+        assert not isinstance(app.screen, Choice)
+        assert not app.jobs.running
+        (RUN / JOB_FILE).unlink()
+        await until(pilot, lambda: "INTERRUPTED, 2 of 4 stops" in shown_text(app), "the end of it")
+
+
+# -- on emulated arms, in a real terminal -----------------------------------------------------------------------------
+
+STOPS = 8
+PACE = 1.0
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return planned_day(tmp_path_factory.mktemp("watched"), STOPS, 71)
+
+
+@pytest.fixture
+def cell(planned: Path) -> Iterator[StormCell]:
+    with emulated_cell(load_profile(planned / "profiles" / "twin-rtde.yaml"), PACE) as emulated:
+        yield emulated
+
+
+@pytest.fixture
+def collecting(planned: Path, cell: StormCell, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``cellapp collect logs/day`` as a process, with the arms on their first ways."""
+
+    def begun(attempt: int) -> subprocess.Popen[bytes]:
+        shutil.copytree(planned, tmp_path / "cell")
+        process = collect(tmp_path / "cell", tmp_path / "said")
+        assert comes_about(lambda: moves(cell) or process.poll() is not None, time.monotonic() + WAIT_S)
+        if process.poll() is not None:
+            shutil.rmtree(tmp_path / "cell")
+            raise HardwareError((tmp_path / "said").read_text("utf-8"))
+        return process
+
+    process = patiently(begun)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait(WAIT_S)
+
+
+def collect(folder: Path, said: Path) -> subprocess.Popen[bytes]:
+    with said.open("wb") as file:
+        return subprocess.Popen(
+            [sys.executable, "-m", PATIENT, "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=file, stderr=file, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+
+
+def moves(cell: StormCell) -> bool:
+    return any(one["moving"] for one in cell.status().values())
+
+
+def shows(terminal: Terminal, *texts: str) -> None:
+    """Wait until the terminal shows all of this."""
+    terminal.until(lambda shown: all(text in " ".join(shown.split()) for text in texts), f"{texts}")
+
+
+def test_stop_in_a_second_window_stops_the_arms_of_the_first(
+    collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
+) -> None:
+    with cellapp(tmp_path / "cell", PATIENT) as terminal:
+        shows(terminal, "Open the run of the job that runs now?")
+        terminal.send("o")
+        shows(terminal, "WATCHED · EMULATED", "RUNNING")
+        terminal.send("\x1b")
+        assert collecting.wait(WAIT_S) == 4
+        assert cell.wait_at_rest(0.0), "the program waits for the arms"
+        with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:
+            (session,) = run.sessions()
+            assert [kind for _, kind, _ in session.requests] == ["stop"]
+            done = len(run.stops_done())
+        assert done < STOPS
+        shows(
+            terminal, "Stopped; keys 3, b go on", f"INTERRUPTED, {done} of {STOPS} stops" if done else f"READY, {STOPS}"
+        )
+        terminal.send("q")
+        terminal.process.wait(WAIT_S)
