@@ -11,6 +11,7 @@ import numpy as np
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measured_again import replaced_counts
+from cellapp.cell.run.readings_table import former_arrays
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.results import Record, StageName
@@ -90,10 +91,10 @@ def counted_basis(run: RunFile) -> Basis:
 def readings_digest(readings: Readings) -> str:
     """Hash the names and little-endian values of all measured arrays of one arm, and its splits (SHA-256)."""
     digest = hashlib.sha256()
-    for entry in fields(readings):
-        values = getattr(readings, entry.name)
+    arrays = {entry.name: getattr(readings, entry.name) for entry in fields(readings)}
+    for name, values in (arrays | former_arrays(readings)).items():
         if isinstance(values, np.ndarray):
-            digest.update(f"{entry.name} {values.shape}\n".encode())
+            digest.update(f"{name} {values.shape}\n".encode())
             digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
     digest.update(json.dumps(readings.split).encode())
     return digest.hexdigest()

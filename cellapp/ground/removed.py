@@ -29,6 +29,7 @@ COMMANDS: Mapping[str, str] = {
 }
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {
+    "plant.torques": "leave it out; masses are those that the profile states",
     "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
     **{
         f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from contextlib import AbstractContextManager
 
 from threadpoolctl import threadpool_limits
@@ -14,3 +15,18 @@ def one_blas_thread() -> AbstractContextManager[object]:
 
     limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
     return limits
+
+
+# -- Memory of this process -------------------------------------------------------------------------------------------
+
+
+def give_back() -> None:
+    """Return what was freed to the operating system, where the C library can do that (glibc).
+
+    Between the stages of a long job: the pages of one stage would else stay beside those of the next.
+    """
+    try:
+        trim = ctypes.CDLL(None).malloc_trim
+    except (OSError, AttributeError, TypeError):  # another C library; Windows takes no None
+        return
+    trim(0)

@@ -94,8 +94,6 @@ class ArmState:
         When the arm came to rest, on the cell's clock [s]; None if not reported.
     speed_fraction : float or None
         Speed slider of the controller, 0 to 1: it scales every motion; None if not reported.
-    tau_nm, current_a : array, shape (N,), or None
-        Torques of the drives at rest [Nm], against gravity; their currents [A]; None if not reported.
     """
 
     q: NDArray[np.float64]
@@ -110,8 +108,6 @@ class ArmState:
     program: str = ""
     rest_since_s: float | None = None
     speed_fraction: float | None = None
-    tau_nm: NDArray[np.float64] | None = None
-    current_a: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

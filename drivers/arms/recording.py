@@ -21,8 +21,8 @@ class JointRecord:
         Joint positions [rad] and speeds [rad/s].
     period_s : float
         Time between two samples [s].
-    current_a, torque_nm, temperature_c : arrays, shape (n, N), or None
-        Motor currents [A], joint torques [Nm], joint temperatures [degC]; None if not reported.
+    temperature_c : array, shape (n, N), or None
+        Joint temperatures [degC]; None if not reported.
     triggers_s : array, shape (k,)
         Timestamps of the samples in which a pulse to the tracker began [s].
     """
@@ -31,8 +31,6 @@ class JointRecord:
     q: NDArray[np.float64]
     qd: NDArray[np.float64]
     period_s: float
-    current_a: NDArray[np.float64] | None = None
-    torque_nm: NDArray[np.float64] | None = None
     temperature_c: NDArray[np.float64] | None = None
     triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 

@@ -148,7 +148,6 @@ class SimulatedArm:
         return self._plant.moving(self._name) or self._stream is not None
 
     def _now(self) -> ArmState:
-        tau_nm, current_a = (None, None) if self._moving else self._plant.drive_torques(self._name)
         return ArmState(
             q=self._plant.q(self._name),
             time_s=self._plant.clock_s,
@@ -159,8 +158,6 @@ class SimulatedArm:
             joint_temperature_c=self._plant.joint_temperatures_c(self._name),
             rest_since_s=None if self._moving else self._plant.rest_s(self._name),
             speed_fraction=1.0,
-            tau_nm=tau_nm,
-            current_a=current_a,
         )
 
     def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:

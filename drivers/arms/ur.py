@@ -13,29 +13,36 @@ After a fault or a brake nothing moves until ``connect`` is called again. The dr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.arms.path_checks import checked_path
 from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
     JointLimits,
+    LimitExceeded,
     LinkLost,
     MotionStopped,
     Tool,
     WrongRobot,
     stale,
 )
-from drivers.arms.ur_answers import arm_error, arm_state
-from drivers.arms.ur_checks import Check, UrExpectation, checks, load_checks
-from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink
-from drivers.arms.ur_motion import OPTIONAL_VARIABLES
+from drivers.arms.recording import JointRecord, counts_so_far
+from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks
+from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink, arm_error, arm_state
+from drivers.arms.ur_links import RTDE_PORT, Connection, cause
+from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
-from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_rows, checked_speed, narrower
+from drivers.arms.ur_rtde_reader import Outputs
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
 from drivers.patience import Patience
 
@@ -333,3 +340,281 @@ class UrArm(GuardedLink):
         if self._probed is None:
             raise LinkLost(f"arm {self._name}: not connected; connect first")
         return self._probed
+
+
+# -- Checks of a motion request for a UR arm before anything is sent: goals, speeds, accelerations and their limits ---
+
+
+_ROUNDING_RAD = 1e-9
+_LIMIT_SLACK = 1e-6
+"""Relative tolerance of a speed or acceleration limit for rounding."""
+
+
+def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
+    """Check a goal of arm ``name``; return its joint positions (6,) [rad]. Raises ``LimitExceeded``."""
+    goal = _checked_vector(name, "position", q)
+    low, high = limits.position.T
+    for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
+        raise LimitExceeded(
+            f"arm {name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
+            f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
+        )
+    return goal
+
+
+def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Check joint positions; return them, (n, 6) [rad]. Raises ``LimitExceeded``."""
+    rows = np.asarray(q, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != JOINTS:
+        raise LimitExceeded(f"arm {name}: positions have shape {rows.shape}, expected rows of {JOINTS} joints")
+    if not np.isfinite(rows).all():
+        raise LimitExceeded(f"arm {name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite numbers")
+    return rows
+
+
+def checked_speed(name: str, speed: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
+    """Check speeds; return them, (6,) [rad/s]. Raises ``LimitExceeded``."""
+    return _checked_rates(name, "speed", "rad/s", speed, limits.speed)
+
+
+def checked_acceleration(name: str, acceleration: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
+    """Check accelerations; return them, (6,) [rad/s^2]. Raises ``LimitExceeded``."""
+    return _checked_rates(name, "acceleration", "rad/s^2", acceleration, limits.acceleration)
+
+
+def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
+    """Return the intersection of the limits. They differ only by rounding: ``checks`` refuses anything more."""
+    if allowed is None:
+        return asked
+    position = np.column_stack(
+        [
+            np.maximum(asked.position[:, 0], allowed.position[:, 0]),
+            np.minimum(asked.position[:, 1], allowed.position[:, 1]),
+        ]
+    )
+    return replace(asked, position=position, speed=np.minimum(asked.speed, allowed.speed))
+
+
+def _checked_vector(name: str, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise LimitExceeded(f"arm {name}: {what}: expected {JOINTS} numbers") from None
+    if array.shape != (JOINTS,):
+        raise LimitExceeded(
+            f"arm {name}: {what} has shape {array.shape}, expected one number for each of {JOINTS} joints"
+        )
+    if not np.isfinite(array).all():
+        joint = int(np.argmin(np.isfinite(array))) + 1
+        raise LimitExceeded(f"arm {name}: {what} of joint {joint} is not a finite number")
+    return array
+
+
+def _checked_rates(
+    name: str, what: str, unit: str, value: NDArray[np.float64], limit: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    rate = _checked_vector(name, what, value)
+    for joint in np.flatnonzero((rate <= 0.0) | (rate > limit * (1.0 + _LIMIT_SLACK))):
+        raise LimitExceeded(
+            f"arm {name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
+            f" {limit[joint]:g} {unit}"
+        )
+    return rate
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Recorder of every state that a UR controller sends, over a separate RTDE connection; pulses of a digital output.
+#
+# The RTDE client that moves the arm keeps only the newest of several states that arrive together. Here a thread keeps
+# all. Lost states are counted by the controller's own clock. The connection claims only the digital output.
+
+
+_OPENS_WITHIN_S = 3.0
+_SILENT_S = 2.0
+"""A controller that sends nothing for this long has ended the recording."""
+_RECORDING_ENDS_WITHIN_S = 1.0
+_PULSE_S = 0.02
+_REQUIRED = ("timestamp", "actual_q", "actual_qd")
+_OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
+_INPUTS = ("standard_digital_output_mask", "standard_digital_output")
+
+Values = dict[str, tuple[float, ...]]
+
+
+class UrRecorder:
+    """Recorder from construction, which waits for the first state, until ``end``."""
+
+    def __init__(
+        self, name: str, host: str, period_s: float, trigger_output: int | None = None, *, port: int = RTDE_PORT
+    ) -> None:
+        """Connect. Raises ``LinkLost``."""
+        self._name, self._period_s, self._output = name, period_s, trigger_output
+        self._states: list[Values] = []
+        self._problem: LinkLost | None = None
+        self._ending = threading.Event()
+        self._first = threading.Event()
+        patience = Patience(_OPENS_WITHIN_S)
+        try:
+            self._link = Connection.to(host, port, patience)
+            try:
+                self._outputs = Outputs(self._link, patience, _REQUIRED, _OPTIONAL, 1.0 / period_s)
+                self._pulses = self._outputs.claim(_INPUTS) if trigger_output is not None else None
+            except BaseException:
+                self._link.close()
+                raise
+        except LinkLost as error:
+            raise LinkLost(f"arm {name}: its joints are not recorded: {cause(error)}") from error
+        self._thread = threading.Thread(target=self._record, name=f"recorder of {name}", daemon=True)
+        self._thread.start()
+        if not self._first.wait(_OPENS_WITHIN_S) or self._problem is not None:
+            self.close()
+            why = "no state came" if self._problem is None else cause(self._problem)
+            raise LinkLost(f"arm {name}: its joints are not recorded: {why}")
+
+    def pulse(self) -> bool:
+        """Switch the digital output on for a moment; return False if there is none. Raises ``LinkLost``."""
+        if self._pulses is None or self._output is None:
+            return False
+        bit = 1 << self._output
+        self._pulses((bit, bit))
+        time.sleep(_PULSE_S)
+        self._pulses((bit, 0))
+        return True
+
+    def so_far(self) -> tuple[int, int]:
+        """Return the numbers of received and lost states; from any thread."""
+        count = len(self._states)
+        first_s, latest_s = (self._states[row]["timestamp"][0] for row in (0, count - 1))
+        return counts_so_far(count, first_s, latest_s, self._period_s)
+
+    def end(self) -> JointRecord:
+        """Close the connection and return all samples. Raises ``LinkLost`` if the connection ended before."""
+        problem = self._problem
+        self.close()
+        if problem is not None:
+            raise LinkLost(f"arm {self._name}: the recording of its joints ended early: {cause(problem)}") from problem
+        states = self._states
+        output = self._output
+        bits = [int(state.get("actual_digital_output_bits", (0,))[0]) for state in states]
+        level = np.array([0 if output is None else (value >> output) & 1 for value in bits], dtype=np.int8)
+        time_s = _table(states, "timestamp")[:, 0]
+        temperature = _table(states, "joint_temperatures")
+        return JointRecord(
+            time_s=time_s,
+            q=_table(states, "actual_q"),
+            qd=_table(states, "actual_qd"),
+            period_s=self._period_s,
+            temperature_c=temperature if temperature.any() else None,
+            triggers_s=time_s[1:][np.diff(level) > 0],
+        )
+
+    def close(self) -> None:
+        """Close the connection; harmless when closed."""
+        self._ending.set()
+        self._link.shut_down()
+        self._thread.join(_RECORDING_ENDS_WITHIN_S)
+        self._link.close()
+
+    def _record(self) -> None:
+        """Store states until the connection is closed."""
+        try:
+            for values in self._outputs.states(lambda: Patience(_SILENT_S)):
+                if not math.isfinite(sum(values["actual_q"])):
+                    raise LinkLost("its state holds a value that is not a finite number")
+                self._states.append(values)
+                self._first.set()
+        except LinkLost as error:
+            if not self._ending.is_set():
+                self._problem = error
+            self._first.set()
+
+
+def _table(states: Sequence[Values], name: str) -> NDArray[np.float64]:
+    """Return an output of all states, (n, k); (n, 0) if it was not sent."""
+    return np.array([state.get(name, ()) for state in states], dtype=np.float64).reshape(len(states), -1)
+
+
+# -- A UR arm that also follows paths: its worker streams joint positions with ``servoj`` at the controller's rate ----
+
+
+_CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
+"""Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
+
+
+class UrPathArm(UrArm):
+    """One UR arm, see ``UrArm``. The worker receives the whole path and sends it by its own clock."""
+
+    _recorder: UrRecorder | None = None
+
+    @property
+    def path_period_s(self) -> float:
+        """Control cycle of the connected controller [s]."""
+        return _CB3_PERIOD_S if self._connected().series == "CB3" else _PERIOD_S
+
+    def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
+        """Stream joint positions ``q`` (m, 6) [rad]. The arm must rest at the first one; the worker checks this again.
+
+        Raises ``LimitExceeded`` before anything is sent, otherwise as ``start_move``.
+        """
+        controller_period_s = self.path_period_s
+        state = self.state()
+        if state.moving:  # before the checks of the path: the position of a moving arm means nothing
+            raise arm_error(self._name, "advised", STILL_MOVING)
+        path = checked_path(self._name, q, period_s, controller_period_s, self._limits, state.q)
+        self._program.started()
+        self._call(
+            "path",
+            self._settings.startup_timeout,
+            self._require_not_braked,
+            q=path.tolist(),
+            period_s=period_s,
+            lookahead_s=self._settings.servo_lookahead,
+            gain=self._settings.servo_gain,
+        )
+
+    def end_path(self) -> None:
+        """Slow down along the path and rest on it; from any thread. Raises ``LinkLost``."""
+        worker = self._worker
+        if worker is None:
+            return
+        try:
+            worker.call("end_path", ANSWER_WITHIN_S)
+        except (WorkerGone, WorkerRefusal) as error:
+            raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
+
+    def reached(self) -> float:
+        """Return the row at which ``end_path`` ended the last path; inf if it did not."""
+        return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
+
+    # -- recording -----------------------------------------------------------------------------------------------------
+
+    def start_recording(self) -> None:
+        """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
+        self._end_recorder()
+        self._recorder = UrRecorder(self._name, self._host, self.path_period_s, self._settings.trigger_output)
+
+    def pulse(self) -> bool:
+        """Send a pulse at the controller's output; return False if there is none."""
+        return self._recorder is not None and self._recorder.pulse()
+
+    def recorded(self) -> tuple[int, int]:
+        """Return the numbers of received and lost samples."""
+        recorder = self._recorder
+        return (0, 0) if recorder is None else recorder.so_far()
+
+    def end_recording(self) -> JointRecord:
+        """Return all samples. Raises ``LinkLost`` if the connection ended before."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            raise LinkLost(f"arm {self._name}: it is not being recorded")
+        return recorder.end()
+
+    def disconnect(self) -> None:
+        """Stop the arm and close all connections."""
+        self._end_recorder()
+        super().disconnect()
+
+    def _end_recorder(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()

@@ -22,8 +22,7 @@ from drivers.arms.protocol import (
     stale,
 )
 from drivers.arms.ur_probe import UrProbe
-from drivers.arms.ur_rtde_reader import SLIDER_DOWN
-from drivers.arms.ur_safety import safety_error, safety_remedy
+from drivers.arms.ur_rtde_reader import SLIDER_DOWN, safety_error, safety_remedy
 from drivers.findings import Status
 
 JOINTS = 6

@@ -33,7 +33,7 @@ _ASKED_WITHIN_S = 0.15
 
 
 class Refusal(Exception):
-    """A request that cannot be served: its kind, one of ``drivers.arms.ur_answers.REFUSALS``, and a sentence.
+    """A request that cannot be served: its kind, one of ``drivers.arms.ur_guarded_link.REFUSALS``, and a sentence.
 
     The sentence says what to do, unless ``_REMEDIES`` there has a remedy for the kind.
     """

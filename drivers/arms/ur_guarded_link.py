@@ -7,20 +7,34 @@ dashboard connection, and the arm is monitored over a separate RTDE connection u
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import suppress
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
-from drivers.arms.protocol import ArmError, DoubtListener, LinkLost, LiveArm, MotionStopped
-from drivers.arms.ur_answers import arm_error
-from drivers.arms.ur_doubt import FirstDoubt
-from drivers.arms.ur_latch import StopLatch
-from drivers.arms.ur_links import cause
+import numpy as np
+
+from drivers.arms.protocol import (
+    ArmError,
+    ArmState,
+    ArmTimeout,
+    DoubtListener,
+    EmergencyStop,
+    HostStalled,
+    LinkLost,
+    LiveArm,
+    MotionStopped,
+    NotInRemoteControl,
+    ProtectiveStop,
+)
+from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, cause, require_stopped, stop_program
 from drivers.arms.ur_options import UrOptions
-from drivers.arms.ur_program import OwnProgram
-from drivers.arms.ur_stop_line import StopLine
+from drivers.arms.ur_rtde_reader import not_ready, wait_at_rest
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
-from drivers.patience import Patience
+from drivers.patience import SLICE_S, Patience, patient_get
 
 ANSWER_WITHIN_S = 2.0
 CONFIRM_WITHIN_S = 0.3
@@ -251,3 +265,455 @@ class GuardedLink:
             raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
         except WorkerGone as error:
             raise self._link_in_doubt(str(error), error.kind) from error
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Doubts about an arm since ``connect``: the first is stored, and the first of each kind is reported to a listener.
+
+
+class FirstDoubt:
+    """Store of the first doubt; reports the first of each kind. Any thread may call any method.
+
+    A later doubt of another kind matters: the first may be harmless, but a safety stop is not.
+
+    Attributes
+    ----------
+    error : ArmError or None
+        The first doubt since ``clear``; None if there is none.
+    text, kind : str
+        What was found, without the arm's name and the remedy; a key of ``REFUSALS``.
+    """
+
+    def __init__(self) -> None:
+        self._listener: DoubtListener = lambda error: None
+        self.error: ArmError | None = None
+        self.text, self.kind = "", ""
+        self._noted: dict[type[ArmError], ArmError] = {}
+        self._reporting = False
+        self._lock = threading.Lock()
+
+    def watch(self, listener: DoubtListener) -> None:
+        """Report to ``listener`` from now on; report doubts that are already noted at once."""
+        with self._lock:
+            self._listener = listener
+            noted = [*self._noted.values()] if self._reporting else []
+        for error in noted:
+            listener(error)
+
+    def note(self, error: ArmError, text: str, kind: str = "link") -> None:
+        """Store a doubt if it is the first; report it if it is the first of its kind and the arm is connected."""
+        with self._lock:
+            if type(error) in self._noted:
+                return
+            self._noted[type(error)] = error
+            if self.error is None:
+                self.error, self.text, self.kind = error, text, kind
+            reporting = self._reporting
+        if reporting:
+            self._listener(error)
+
+    def report(self) -> None:
+        """Report doubts from now on, and also those noted during ``connect``."""
+        with self._lock:
+            noted = [] if self._reporting else [*self._noted.values()]
+            self._reporting = True
+        for error in noted:
+            self._listener(error)
+
+    def mute(self) -> None:
+        """Report no more doubts: the link is being closed."""
+        with self._lock:
+            self._reporting = False
+
+    def clear(self) -> None:
+        """Forget all doubts."""
+        with self._lock:
+            self.error, self.text, self.kind = None, "", ""
+            self._noted.clear()
+
+
+# -- The stop latch of a UR arm: from a brake until the next ``connect`` all motions are refused ----------------------
+
+
+class StopLatch:
+    """Counter of brakes and of stops under way. Any thread may call any method.
+
+    Attributes
+    ----------
+    brakes : int
+        Number of brakes so far.
+    stops : int
+        Number of stops being commanded or waited for. They would also stop a program that is started meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self.brakes = 0
+        self.stops = 0
+        self._released = 0
+        self._changed = threading.Condition()
+
+    @property
+    def in_force(self) -> bool:
+        """Whether a brake has not been released."""
+        return self.brakes > self._released
+
+    def refuse(self) -> None:
+        """Count a brake; it may be commanded later."""
+        with self._changed:
+            self.brakes += 1
+            self._changed.notify_all()
+
+    @contextmanager
+    def stopping(self) -> Iterator[None]:
+        """Count a stop that is under way."""
+        with self._changed:
+            self.stops += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self.stops -= 1
+                self._changed.notify_all()
+
+    def wait_for_stops(self, brakes: int, timeout_s: float) -> None:
+        """Wait until no stop is under way, or until there are more than ``brakes`` brakes."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self.stops or self.brakes != brakes, timeout_s)
+
+    def release(self, brakes: int) -> None:
+        """Release all brakes up to number ``brakes``."""
+        with self._changed:
+            self._released = max(self._released, brakes)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Tracking of whether a program of this driver may run on a UR controller; stop of its arm over plain connections.
+
+
+_STOP_WITHIN_S = 1.0
+_QUICK_STOP_S, _QUICK_REST_S = 0.2, 0.25
+"""Time limits after an interrupted ``connect``, whose program has begun no motion."""
+
+
+class OwnProgram:
+    """Programs that this driver has started on one controller, which may run motions."""
+
+    def __init__(self, host: str, rest_s: float) -> None:
+        """``rest_s`` [s] is the longest time to wait for rest."""
+        self._host, self._rest_s = host, rest_s
+        self._started = self._ended = 0
+        """Counters, so that a program that starts while the previous one is brought to rest is not forgotten."""
+
+    @property
+    def may_run(self) -> bool:
+        """Whether a program, and with it a motion, may run."""
+        return self._started > self._ended
+
+    def started(self) -> None:
+        """Note that a program may run from now on."""
+        self._started += 1
+
+    def wait_at_rest(self) -> None:
+        """Monitor the arm until it rests. Raises ``LinkLost``."""
+        wait_at_rest(self._host, self._rest_s)
+
+    def bring_to_rest(self, *, quickly: bool = False, look: Callable[[], None] | None = None) -> None:
+        """Stop the controller's program and monitor the arm until it rests; ``look`` is called meanwhile and may raise.
+
+        Raises
+        ------
+        LinkLost
+            If it was not stopped, or not seen at rest.
+        """
+        started = self._started
+        not_stopped: LinkLost | None = None
+        try:
+            stop_program(self._host, _QUICK_STOP_S if quickly else _STOP_WITHIN_S, look=look)
+        except LinkLost as error:
+            not_stopped = error
+        try:
+            sample = wait_at_rest(self._host, _QUICK_REST_S if quickly else self._rest_s, look=look)
+        except LinkLost as error:
+            raise LinkLost(" and ".join(cause(one) for one in (not_stopped, error) if one is not None)) from error
+        if not_stopped is not None and sample.program == "PLAYING":
+            raise not_stopped
+        self._ended = max(self._ended, started)
+
+
+# -- The dashboard connection over which a UR arm is stopped. It stays open and is checked all the time ---------------
+#
+# Questions and stops share it. The controller answers in order, so a stop can be sent without waiting for the answer to
+# an earlier question. If the line fails when it is needed, a new one is tried for a short time.
+
+
+_QUESTION = "running"
+_ASK_EVERY_S = 0.1
+_SILENT_S = 0.35
+"""A dashboard that leaves a question unanswered for this long is lost."""
+_ANSWER_WITHIN_S = 0.04
+"""Time to wait for an open dashboard to answer a stop; after it a new connection is tried."""
+_RETRY_WITHIN_S = 0.25
+_OPEN_WITHIN_S = 0.25
+_AGAIN_S = 0.05
+_TRIES = 2
+"""A dashboard is lost if it closed its connection and this many attempts to open it again failed."""
+_END_WITHIN_S = 1.0
+_MOST_BYTES = 4096
+
+
+class _Line:
+    """One open connection. One thread calls ``pump`` and then ``close``; any thread may call the other methods."""
+
+    def __init__(self, host: str, port: int, patience: Patience) -> None:
+        """Connect and read the greeting. Raises ``LinkLost``."""
+        with ExitStack() as unfinished:
+            self._link = unfinished.enter_context(Connection.to(host, port, patience))
+            Dashboard(self._link, patience)
+            self._link.keep_alive()
+            unfinished.pop_all()
+        self._sending = threading.Lock()
+        self._waiting: deque[queue.SimpleQueue[str | None]] = deque()
+        self._received = bytearray()
+        self._ended = False
+
+    def send(self, text: str) -> queue.SimpleQueue[str | None]:
+        """Send a line and return the queue for its answer; the answer is None if the connection has ended."""
+        answer: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        with self._sending:
+            self._waiting.append(answer)
+            try:
+                if not self._ended:
+                    self._link.send_at_once(f"{text}\n".encode("ascii"))
+            except OSError:
+                self._ended = True
+            if self._ended:
+                answer.put(None)
+        return answer
+
+    def ask(self, text: str, patience: Patience) -> str:
+        """Send a line and return its answer. Raises ``LinkLost``."""
+        try:
+            answer = patient_get(self.send(text), patience)
+        except queue.Empty:
+            raise LinkLost(f"{self._link.where}: the dashboard did not answer '{text}' in time") from None
+        if answer is None:
+            raise LinkLost(f"{self._link.where}: the controller closed the dashboard's connection")
+        return answer
+
+    @property
+    def ended(self) -> bool:
+        """Whether the connection has ended."""
+        return self._ended
+
+    @property
+    def where(self) -> str:
+        """Host and port."""
+        return self._link.where
+
+    def pump(self, patience: Patience) -> None:
+        """Wait for bytes and pass complete lines to those who asked; detect the end of the connection."""
+        try:
+            more = self._link.receive(patience)
+        except OSError:
+            more = b""
+        if more is None:
+            return
+        self._received += more
+        while (end := self._received.find(b"\n")) >= 0:
+            line = self._received[:end].decode("utf-8", errors="replace").strip()
+            del self._received[: end + 1]
+            with self._sending:
+                if not self._waiting:  # a line that nobody asked for: the peer is no dashboard any more
+                    more = b""
+                    break
+                self._waiting.popleft().put(line)
+        if not more or len(self._received) > _MOST_BYTES:
+            self.end()
+
+    def end(self) -> None:
+        """End the connection; pending questions get the answer None."""
+        with self._sending:
+            self._ended = True
+            while self._waiting:
+                self._waiting.popleft().put(None)
+            self._link.shut_down()
+
+    def close(self) -> None:
+        """End the connection and free its socket."""
+        self.end()
+        self._link.close()
+
+
+class StopLine:
+    """Stops the program of one controller. Any thread may call any method.
+
+    A thread of this object calls ``lost`` when the controller no longer answers: within 0.2 s if it closed the
+    connection and refuses a new one, within 0.6 s if it is silent.
+    """
+
+    def __init__(self, host: str, lost: Callable[[str], object], *, port: int = DASHBOARD_PORT) -> None:
+        self._host, self._lost, self._port = host, lost, port
+        self._opening = threading.Lock()
+        self._line: _Line | None = None
+        self._closing = threading.Event()
+        self._keeper: threading.Thread | None = None
+
+    def open(self, look: Callable[[], None] = lambda: None) -> None:
+        """Open a new connection and keep it; ``look`` is called during waits and may raise. Raises ``LinkLost``."""
+        self.close()
+        self._closing = threading.Event()
+        self._reopened(Patience(_OPEN_WITHIN_S, look=look))
+        self._keeper = threading.Thread(
+            target=self._keep, args=(self._closing,), name=f"dashboard of {self._host}", daemon=True
+        )
+        self._keeper.start()
+
+    def _reopened(self, patience: Patience) -> _Line:
+        """Return the open connection, or a new one if it has ended. Raises ``LinkLost``."""
+        if not self._opening.acquire(timeout=_OPEN_WITHIN_S):
+            raise LinkLost(f"{self._host}:{self._port}: no connection to the UR dashboard in time")
+        try:
+            line = self._line
+            if line is None or line.ended:
+                line = self._line = _Line(self._host, self._port, patience)
+            return line
+        finally:
+            self._opening.release()
+
+    def confirm(self, patience: Patience) -> None:
+        """Ask a question that changes nothing; if the connection was closed, ask once more on a new one.
+
+        Raises
+        ------
+        LinkLost
+            If it was not answered.
+        """
+        line = self._reopened(patience)
+        try:
+            line.ask(_QUESTION, patience)
+        except LinkLost:
+            if not line.ended:
+                raise
+            self._reopened(patience).ask(_QUESTION, patience)
+
+    def stop(self) -> None:
+        """Stop the program with one line and wait for its answer; if the open connection fails, use a new one.
+
+        Raises
+        ------
+        LinkLost
+            If the controller did not confirm the stop; the message says if its pendant is in local control.
+        """
+        line, patience = self._line, Patience(_ANSWER_WITHIN_S)
+        if line is not None and not line.ended:
+            with suppress(LinkLost):
+                return require_stopped(lambda text: line.ask(text, patience), self._host)
+        stop_program(self._host, _RETRY_WITHIN_S, port=self._port)
+
+    def close(self) -> None:
+        """Close the connection; harmless when closed."""
+        self._closing.set()
+        keeper, self._keeper = self._keeper, None
+        line, self._line = self._line, None
+        if line is not None:
+            line.end()
+        if keeper is not None and keeper is not threading.current_thread():
+            keeper.join(_END_WITHIN_S)
+        if line is not None:
+            line.close()
+
+    # -- the thread that keeps it -------------------------------------------------------------------------------------
+
+    def _keep(self, closing: threading.Event) -> None:
+        failures = 0
+        while not closing.is_set():
+            try:
+                self._watch(self._reopened(Patience(_OPEN_WITHIN_S)), closing)
+                failures = 0
+                continue
+            except LinkLost as error:
+                why = cause(error)
+            failures += 1
+            if failures >= _TRIES and not closing.is_set():
+                self._lost(why)
+            closing.wait(_AGAIN_S)
+
+    def _watch(self, line: _Line, closing: threading.Event) -> None:
+        """Repeat the question until the connection ends. Report and end a silent connection.
+
+        Raises ``LinkLost`` if it ended before any answer.
+        """
+        until_next, silence, answers = Patience(_ASK_EVERY_S), Patience(_SILENT_S), 0
+        question: queue.SimpleQueue[str | None] | None = line.send(_QUESTION)
+        while not (line.ended or closing.is_set()):
+            line.pump(Patience(SLICE_S))
+            if question is not None and not question.empty():
+                question, until_next, answers = None, Patience(_ASK_EVERY_S), answers + (not line.ended)
+            elif question is None and until_next.left_s < SLICE_S:
+                question, silence = line.send(_QUESTION), Patience(_SILENT_S)
+            elif question is not None and silence.over:
+                line.end()
+                self._lost(f"{line.where}: it left a question unanswered for {_SILENT_S:g} s")
+        line.close()
+        if not (answers or closing.is_set()):
+            raise LinkLost(f"{line.where}: the controller closed the connection at once")
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Translation of a UR worker's answers to the terms of the arm's protocol: errors with their remedies, and states.
+
+
+REFUSALS: Mapping[str, type[ArmError]] = {
+    "protective": ProtectiveStop,
+    "emergency": EmergencyStop,
+    "local": NotInRemoteControl,
+    "link": LinkLost,
+    "driver": LinkLost,
+    "nonsense": LinkLost,
+    "timeout": ArmTimeout,
+    "stopped": MotionStopped,
+    "stalled": HostStalled,
+    "failed": ArmError,
+    "advised": ArmError,
+}
+"""Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
+_REMEDIES = {
+    "link": "see whether the controller is on and the network between works, then connect again",
+    "driver": "close other programs on this computer, then connect again",
+    "nonsense": "look at the pendant's log, restart the controller",
+    "timeout": "see what the pendant shows",
+    "stopped": "connect again when it may move",
+    "stalled": "nothing is wrong at the arm; close other programs on this computer",
+    "failed": "look at the arm and at the pendant's log, then connect again",
+}
+
+
+def arm_error(name: str, kind: str, text: str) -> ArmError:
+    """Return the exception for a refusal of arm ``name``; its message says what is wrong and what to do."""
+    remedy = _REMEDIES.get(kind, "")
+    return REFUSALS[kind](f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
+
+
+def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
+    """Return the state from a worker's answer; a joint faster than ``moving_rad_s`` counts as moving."""
+    mode, safety, fault = str(answer["robot_mode"]), str(answer["safety_mode"]), answer["fault"]
+    reason, problem = "", not_ready(mode, safety)
+    if problem is not None:
+        reason = ": ".join(problem)
+    elif fault is not None:
+        reason = f"{fault['text']}; connect again when the arm may move"
+    qd = np.array(answer["qd"], dtype=np.float64)
+    temperatures = answer["joints_c"]
+    return ArmState(
+        q=np.array(answer["q"], dtype=np.float64),
+        time_s=float(answer["time_s"]),
+        moving=bool(answer["moving"]) or float(np.abs(qd).max()) > moving_rad_s,
+        ready=not reason,
+        reason=reason,
+        payload_kg=answer["payload_kg"],
+        joint_temperature_c=np.array(temperatures, dtype=np.float64) if len(temperatures) == JOINTS else None,
+        robot_mode=mode,
+        safety_mode=safety,
+        program=str(answer["program"]),
+        speed_fraction=answer["speed_fraction"],
+    )

@@ -21,7 +21,7 @@ DECELERATES_WITHIN_S = 0.02
 the command reaches the program after 1 to 11 ms. Ending the program takes 0.4 ms but brakes less hard."""
 STILL_MOVING = "it is still moving; wait until it rests, or stop it"
 VARIABLES = (
-    *("timestamp", "actual_q", "actual_qd", "actual_current", "joint_temperatures"),
+    *("timestamp", "actual_q", "actual_qd", "joint_temperatures"),
     *("robot_mode", "safety_mode", "runtime_state"),
 )
 OPTIONAL_VARIABLES = ("target_speed_fraction", "payload", "payload_cog")
@@ -39,7 +39,6 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
         center = tuple(receive.getPayloadCog()) if "payload_cog" in optional else None
         fraction = receive.getTargetSpeedFraction() if "target_speed_fraction" in optional else None
         q, qd, temperatures = receive.getActualQ(), receive.getActualQd(), receive.getJointTemperatures()
-        current_a = receive.getActualCurrent()
         modes = receive.getRobotMode(), receive.getSafetyMode(), receive.getRuntimeState()
         if receive.getTimestamp() == stamp:
             break
@@ -48,7 +47,6 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
         q=tuple(q),
         qd=tuple(qd),
         joints_c=tuple(temperatures),
-        current_a=tuple(current_a),
         robot_mode=mode_name(ROBOT_MODES, modes[0]),
         safety_mode=mode_name(SAFETY_MODES, modes[1]),
         program=mode_name(PROGRAM_STATES, modes[2]),

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from drivers.arms.protocol import LinkLost
+from drivers.arms.protocol import ArmError, EmergencyStop, LinkLost, ProtectiveStop
 from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
@@ -71,7 +71,7 @@ SLIDER_DOWN = 0.005
 
 @dataclass(frozen=True)
 class UrSample:
-    """One state. ``q``, ``qd``, ``joints_c``, ``current_a``: six joints [rad, rad/s, degC, A]; None if not reported.
+    """One state. ``q``, ``qd``, ``joints_c``: six joints [rad, rad/s, degC]; None if not reported.
 
     ``robot_mode``, ``safety_mode`` and ``program`` are named as in the manual, e.g. RUNNING, NORMAL, PLAYING.
     """
@@ -86,7 +86,6 @@ class UrSample:
     payload_kg: float | None
     payload_center_m: tuple[float, ...] | None
     joints_c: tuple[float, ...] | None = None
-    current_a: tuple[float, ...] | None = None
 
     @property
     def at_rest(self) -> bool:
@@ -334,3 +333,41 @@ class _Packets:
         if not more:
             raise LinkLost(f"{self.where}: the controller closed the RTDE connection")
         self._received += more
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# What a person must do about the safety modes and robot modes of a UR arm. Loads no numpy: the worker uses it, too.
+
+
+_SAFETY_REMEDY = {
+    "REDUCED": "speeds and forces are limited: leave the area or clear the input that triggers it",
+    "PROTECTIVE_STOP": "go to the arm, see what stopped it, clear the cause, then enable the robot on the pendant",
+    "RECOVERY": "a limit is exceeded: jog the arm back inside on the pendant",
+    "SAFEGUARD_STOP": "close the guard or clear the light curtain, then reset the safeguard",
+    "SYSTEM_EMERGENCY_STOP": "an emergency stop of the cell is pressed: find out why, release it, power the arm on",
+    "ROBOT_EMERGENCY_STOP": "the pendant's emergency stop is pressed: find out why, release it, power the arm on",
+    "VIOLATION": "a safety limit was violated: read the pendant's log, then restart the safety system there",
+    "FAULT": "the safety system is at fault: read the pendant's log, then restart it there",
+}
+_NAMES = {ProtectiveStop: "protective stop", EmergencyStop: "emergency stop"}
+
+
+def safety_error(mode: str) -> type[ArmError]:
+    """Return the exception for a safety mode other than normal."""
+    if mode.endswith("EMERGENCY_STOP"):
+        return EmergencyStop
+    return ProtectiveStop if mode == "PROTECTIVE_STOP" else ArmError
+
+
+def safety_remedy(mode: str) -> str:
+    """Return what a person must do about a safety mode other than normal."""
+    return _SAFETY_REMEDY.get(mode, "look at the pendant")
+
+
+def not_ready(robot_mode: str, safety_mode: str) -> tuple[str, str] | None:
+    """Return why an arm in these modes accepts no motion, and the remedy; None if it accepts motions."""
+    if safety_mode != "NORMAL":
+        return _NAMES.get(safety_error(safety_mode), f"safety mode {safety_mode}"), safety_remedy(safety_mode)
+    if robot_mode != "RUNNING":
+        return f"robot mode {robot_mode}, needed is RUNNING", "power the arm on and release its brakes on the pendant"
+    return None

@@ -58,7 +58,7 @@ class UrSettings(UrOptions):
 
     def open(self, arm: ArmContext) -> Arm:
         """Return the driver, not connected yet. Raises ``SettingError``."""
-        from drivers.arms.ur_path import UrPathArm
+        from drivers.arms.ur import UrPathArm
 
         return UrPathArm(arm.name, self, self.expectation(arm))
 

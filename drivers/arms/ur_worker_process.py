@@ -69,7 +69,7 @@ class WorkerGone(Exception):
     Attributes
     ----------
     kind : str
-        A key of ``drivers.arms.ur_answers.REFUSALS``.
+        A key of ``drivers.arms.ur_guarded_link.REFUSALS``.
     """
 
     def __init__(self, reason: str, kind: str = "driver") -> None:

@@ -28,9 +28,8 @@ from numpy.typing import NDArray
 from drivers.plant import Plant
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import Link
-from drivers.trackers.bridge_server import TrackerService, is_loopback
+from drivers.trackers.bridge_server import Reply, TrackerService, is_loopback
 from drivers.trackers.bridge_wire import BadField, Line
-from drivers.trackers.bridge_worker import Reply
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import TrackerTimeout
 from drivers.trackers.simulated import SimulatedTracker

@@ -5,11 +5,10 @@ own equations. A calibration that fits this cell therefore does not merely repro
 """
 
 from drivers.plant.clearance import Clearance
-from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TorqueSensing, TrackerConfig
+from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
-from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest
-from drivers.plant.suggest_other import suggest_other_law
+from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest, suggest_other_law
 from drivers.plant.true_arm import Target
 
 __all__ = [
@@ -23,7 +22,6 @@ __all__ = [
     "Plant",
     "PlantConfig",
     "Target",
-    "TorqueSensing",
     "TrackerConfig",
     "gravity_torques",
     "suggest",

@@ -165,26 +165,13 @@ class GeometryErrors:
     probe: float = 0.0
 
 
-@dataclass(frozen=True)
-class TorqueSensing:
-    """How the drives of all arms measure their torques at rest.
-
-    ``noise_nm`` is its standard deviation, ``friction_nm`` the dry friction against which the last motion came to rest.
-    With ``constant_nm_per_a``, that of every motor at its joint, drives report currents [A] instead.
-    """
-
-    noise_nm: float
-    friction_nm: float
-    constant_nm_per_a: float | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class PlantConfig:
     """The whole simulated cell.
 
     ``repeatability`` [rad]: standard deviation of each joint's stop position. ``noise``: whether the tracker has noise.
     ``floor`` [m]: height in C of the floor plane of the collision monitor. ``holding_k`` [K]: steady-state rise of a
-    joint at rest above the air; 5 to 15 K on real arms. ``torques``: how drives measure them; None: they do not.
+    joint at rest above the air; 5 to 15 K on real arms.
     ``factory``: how well controllers know their arms' axes from the factory; None: they have the published rows.
     """
 
@@ -197,7 +184,6 @@ class PlantConfig:
     noise: bool = True
     floor: float = 0.0
     holding_k: float = 0.0
-    torques: TorqueSensing | None = None
     factory: GeometryErrors | None = None
 
     def __post_init__(self) -> None:

@@ -220,3 +220,15 @@ class Parameters:
         if not valid or any(isinstance(v, bool) or not isinstance(v, int) or not 1 <= v <= self.joints for v in value):
             raise self.error(key, f"must be a list of different joint numbers from 1 to {self.joints}, not {value!r}")
         return np.array(value, dtype=int) - 1
+
+
+# -- First-order lags of joints along a path --------------------------------------------------------------------------
+
+
+def lagging(q: Array, keep: Array) -> Array:
+    """Return positions (n, N) on an even time grid behind first-order lags, each at rest before the first position;
+    ``keep`` (N,) is the share of the distance that remains after one step."""
+    from scipy.signal import lfilter  # it loads scipy.stats: only for cells that record motion
+
+    lags = zip(q.T, keep.tolist(), strict=True)
+    return np.column_stack([lfilter([1.0 - left], [1.0, -left], own, zi=left * own[:1])[0] for own, left in lags])

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import heapq
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Unpack
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Protocol, TypedDict, Unpack
 
 import numpy as np
 
-from drivers.plant.clearance import Clearance
-from drivers.plant.climate import Air, joint_rise
-from drivers.plant.conditions import Conditions
+from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
-from drivers.plant.executed_clearance import Executed, executed_clearance
 from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Load, Mechanism, Posture, combined
-from drivers.plant.motion import braked, travel
+from drivers.plant.motion import AnyMotion, Phase, braked, note_phase, phase_of, travel
 from drivers.plant.optics import covariances, noise, why_hidden
-from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
-from drivers.plant.trail import Phase, note_phase, phase_of
 from drivers.plant.transforms import inverse, transform_points
 from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
 
@@ -50,7 +48,6 @@ class Plant:
         self._air_now = (np.nan, np.nan)
         """Cache: a time [s] and the air temperature at that time [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
-        self._torque_noise = np.random.default_rng([config.seed, 0x70])
         # one random stream per arm and purpose: draws from one do not change another
         self._arms = {
             arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
@@ -273,22 +270,6 @@ class Plant:
         if arm.motion is not None:
             arm.motion = arm.motion.scaled(self._clock_s, scale)
 
-    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
-        """Return torques [Nm] or currents [A] (N,) that an arm's drives report at rest, holding it up; one of both is
-        None.
-
-        Both are None while it moves, and if drives do not measure them.
-        """
-        arm, sensing = self._arm(name), self.config.torques
-        if sensing is None or arm.motion is not None:
-            return None, None
-        held = -Posture(arm.mechanism, arm.q[None], arm.gravity).torques[0]
-        torque = held + sensing.friction_nm * arm.approach
-        torque += sensing.noise_nm * self._torque_noise.standard_normal(len(torque))
-        if sensing.constant_nm_per_a is None:
-            return torque, None
-        return None, torque / sensing.constant_nm_per_a
-
     def rest_s(self, name: str) -> float:
         """Return when the arm comes or came to rest [s]."""
         arm = self._arm(name)
@@ -462,3 +443,267 @@ class Plant:
         """Update ``clearance`` at given times of the current motions."""
         if self.clearance is not None:
             watch(self.clearance, list(self._arms.values()), times_s, self.config.floor)
+
+
+# -- Distances between the arms over all executed motions: a collision check afterwards, with few samples -------------
+#
+# The bodies are placed at coarse times. Between two of them a distance can shrink only by the travel of both bodies.
+# Where that could bring them near each other, finer times are sampled.
+
+
+_COARSE_S = 0.1
+_FINE_S = 0.005
+"""Fine sampling step: arms travel some millimetres in this time."""
+_PAIRS_AT_ONCE = 100_000
+"""Pairs of bodies per batch, which limits memory to some ten MB."""
+
+
+class MovedArms(Protocol):
+    """The part of a plant's interface that motions of its arms need."""
+
+    config: PlantConfig
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arms."""
+
+    def true_mechanism(self, name: str) -> Mechanism:
+        """Return the true mechanism of an arm."""
+
+    def true_T_C_B(self, name: str) -> Array:
+        """Return the true pose of an arm's base."""
+
+
+@dataclass(frozen=True, eq=False)
+class Executed:
+    """The part of a motion until ``end_s`` [s] that an arm executed."""
+
+    motion: AnyMotion
+    end_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """Capsules (k) of an arm at times (n): ends (k, n, 3) in C, radii (k,), travel (k, n - 1) between the times [m]."""
+
+    starts: Array
+    ends: Array
+    radii: Array
+    ways: Array
+    movable: np.ndarray
+
+
+def executed_clearance(plant: MovedArms, executed: Mapping[str, Sequence[Executed]], below_m: float) -> Clearance:
+    """Return the smallest distances [m] during executed motions (arm -> in order); exact where below ``below_m``."""
+    clearance = Clearance()
+    times = _times(executed, _COARSE_S)
+    if len(times) > 1:
+        gaps = _watch(plant, executed, times, below_m, clearance)
+        fine = [_within(times[k], times[k + 1]) for k in np.flatnonzero(gaps)]
+        if fine:
+            _watch(plant, executed, np.unique(np.concatenate(fine)), below_m, clearance)
+    return clearance
+
+
+def _within(start_s: float, end_s: float) -> Array:
+    """Return times at most ``_FINE_S`` apart between two times, including both."""
+    return np.linspace(start_s, end_s, max(int(np.ceil((end_s - start_s) / _FINE_S)), 1) + 1)
+
+
+def _times(executed: Mapping[str, Sequence[Executed]], step_s: float) -> Array:
+    """Return the times at which any motion starts or ends, and times at most ``step_s`` apart during motion."""
+    spans = sorted((one.motion.start_s, one.end_s) for ways in executed.values() for one in ways)
+    changes = np.unique(np.array(spans))
+    if len(changes) < 2:
+        return changes
+    starts, latest = np.array([span[0] for span in spans]), np.maximum.accumulate([span[1] for span in spans])
+    moving = latest[np.searchsorted(starts, changes[:-1], side="right") - 1] > changes[:-1]
+    counts = np.where(moving, np.ceil(np.diff(changes) / step_s), 1).astype(int)
+    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(changes, changes[1:], counts, strict=False)]
+    return np.append(np.concatenate(parts), changes[-1])
+
+
+def _positions(executed: Sequence[Executed], home: Array, times: Array) -> Array:
+    """Return the joint angles (n, N) of an arm at ascending times (n,)."""
+    q = np.empty((len(times), len(home)))
+    bounds = np.searchsorted(times, [one.motion.start_s for one in executed])
+    q[: bounds[0] if len(bounds) else None] = home
+    for one, first, last in zip(executed, bounds, np.append(bounds[1:], len(times)), strict=True):
+        if first < last:
+            q[first:last] = one.motion.position(np.minimum(times[first:last], one.end_s))
+    return q
+
+
+def _levers(mechanism: Mechanism) -> Array:
+    """Return upper bounds (k, N) on the distance of any point of a capsule from each axis, for all joint angles [m].
+
+    Successive axis points lie on one body, so their distances are constant; the bound is the path length along them.
+    """
+    points, capsules = mechanism.points, mechanism.capsules
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    last = np.maximum(capsules.frames - 1, 0)
+    ends = np.stack([capsules.starts, capsules.ends])
+    reach = np.linalg.norm(ends - points[last], axis=2).max(axis=0) + capsules.radii + along[last]
+    carried = capsules.frames[:, None] > np.arange(len(points))
+    levers: Array = np.where(carried, reach[:, None] - along, 0.0)
+    return levers
+
+
+def _placed(plant: MovedArms, name: str, executed: Sequence[Executed], times: Array) -> _Bodies:
+    mechanism, T_C_B = plant.true_mechanism(name), plant.true_T_C_B(name)
+    home = next(arm.home for arm in plant.config.arms if arm.name == name)
+    assert home is not None
+    q = _positions(executed, home, times)
+    capsules = mechanism.capsules
+    starts, ends = (transform_points(T_C_B, end) for end in Posture(mechanism, q, np.zeros(3)).segments())
+    ways: Array = _levers(mechanism) @ np.abs(np.diff(q, axis=0)).T
+    return _Bodies(starts, ends, capsules.radii, ways, capsules.frames > 0)
+
+
+def _watch(
+    plant: MovedArms, executed: Mapping[str, Sequence[Executed]], times: Array, below_m: float, clearance: Clearance
+) -> np.ndarray:
+    """Update ``clearance`` at ascending times (n,); return a mask (n - 1,) of intervals possibly below ``below_m``."""
+    bodies = [_placed(plant, name, executed[name], times) for name in plant.names]
+    doubtful = np.zeros(len(times) - 1, dtype=bool)
+    for arm in bodies:
+        heights = np.minimum(arm.starts, arm.ends)[arm.movable, :, 2] - arm.radii[arm.movable, None]
+        heights -= plant.config.floor
+        clearance.update_floor(heights, times)
+        doubtful |= (_least(heights, arm.ways[arm.movable]) < below_m).any(axis=0)
+    for i, one in enumerate(bodies):
+        for other in bodies[i + 1 :]:
+            doubtful |= _between(one, other, times, below_m, clearance)
+    return doubtful
+
+
+def _least(distances: Array, ways: Array) -> Array:
+    """Return lower bounds (..., n - 1) of ``distances`` (..., n) between times, given changes of at most ``ways``."""
+    least: Array = 0.5 * (distances[..., :-1] + distances[..., 1:] - ways)
+    return least
+
+
+def _between(one: _Bodies, other: _Bodies, times: Array, below_m: float, clearance: Clearance) -> np.ndarray:
+    """Update ``clearance`` with the distances of two arms; return a mask (n - 1,) of where they may be too small."""
+    along = other.starts[0, 0] - one.starts[0, 0]
+    along = along / max(float(np.linalg.norm(along)), 1e-12)
+    reach = (np.maximum(one.starts @ along, one.ends @ along) + one.radii[:, None]).max(axis=0)
+    start = (np.minimum(other.starts @ along, other.ends @ along) - other.radii[:, None]).min(axis=0)
+    ways = one.ways.max(axis=0) + other.ways.max(axis=0)
+    near = np.flatnonzero(_least(start - reach, ways) < below_m)
+    doubtful = np.zeros(len(times) - 1, dtype=bool)
+    block = max(1, _PAIRS_AT_ONCE // (len(one.radii) * len(other.radii)))
+    for first in range(0, len(near), block):
+        chosen = near[first : first + block]
+        at = np.union1d(chosen, chosen + 1)
+        a, b, c, d = (ends[:, at] for ends in (one.starts, one.ends, other.starts, other.ends))
+        gaps = segment_distances(a[:, None], b[:, None], c[None], d[None])
+        gaps -= (one.radii[:, None] + other.radii)[..., None]
+        clearance.update_arms(gaps, times[at])
+        k = np.searchsorted(at, chosen)
+        least = 0.5 * (gaps[..., k] + gaps[..., k + 1] - one.ways[:, None, chosen] - other.ways[None, :, chosen])
+        doubtful[chosen] = (least < below_m).any(axis=(0, 1))
+    return doubtful
+
+
+# -- Actions at given times of a simulation ---------------------------------------------------------------------------
+
+
+class Schedule:
+    """Queue of actions, ordered by their times; at equal times, by the order in which they were added."""
+
+    def __init__(self) -> None:
+        self._actions: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = count()
+        self._next_s = math.inf
+
+    @property
+    def next_s(self) -> float:
+        """Time of the next action [s]; infinite if there is none."""
+        return self._next_s
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        """Add an action. If its time is past, it runs as soon as time advances."""
+        heapq.heappush(self._actions, (time_s, next(self._numbers), action))
+        self._next_s = self._actions[0][0]
+
+    def run_next(self) -> None:
+        """Remove the next action and call it; it may add others."""
+        _, _, action = heapq.heappop(self._actions)
+        self._next_s = self._actions[0][0] if self._actions else math.inf
+        action()
+
+
+# -- Conditions under which the simulated cell computes an arm at rest at given joint positions -----------------------
+
+
+class Conditions(TypedDict, total=False):
+    """Conditions of an arm at rest. Missing keys and None have the default.
+
+    Attributes
+    ----------
+    approach : array, shape (n, N)
+        Sign of each joint's last motion; 0: in the middle of any play. Default: that of ``last_step``.
+    others : mapping
+        Joint angles (n, N) of other arms, by name; default: as they are now.
+    other_payloads : mapping
+        Loads (n,) [kg] of other arms, by name; default: as they are now.
+    time_s : array, shape (n,)
+        The cell's clock [s]; default: now. Temperatures at different times are one history.
+    last_step : array, shape (n, N)
+        The last motion of each joint, with its sign [rad]; default: a long one.
+    since_rest_s : array, shape (n,)
+        Time at rest [s]; default: infinite.
+    payload, payload_center : arrays, shapes (n,), (n, 3) or (3,)
+        Load [kg] and its centre in the flange frame [m]; default: the current ones.
+    joints_c, air_c : arrays, shapes (n, N), (n,)
+        Temperatures [degC]; default: the air at ``time_s``, and joints with their current rise above it.
+    """
+
+    approach: Array | None
+    others: Mapping[str, Array] | None
+    other_payloads: Mapping[str, Array] | None
+    time_s: Array | None
+    last_step: Array | None
+    since_rest_s: Array | None
+    payload: Array | None
+    payload_center: Array | None
+    joints_c: Array | None
+    air_c: Array | None
+
+
+# -- Temperatures: slow drift of the air, joints that warm up by motion -----------------------------------------------
+
+
+_AIR_AMPLITUDE_K = 0.5
+_AIR_PERIODS_S = np.array([2.6, 5.3, 11.0]) * 3600.0
+_AIR_SHARES = np.array([0.2, 0.3, 0.5])
+
+JOINT_TIME_CONSTANT_S = 2400.0
+"""Time constant of a joint's warm-up, which takes about two hours, three time constants (an estimate)."""
+JOINT_RISE_K = 20.0
+"""Steady-state temperature difference of a joint that rotates at 1 rad/s without pause and one at rest [K]."""
+
+
+class Air:
+    """Air temperature: the configured mean plus three slow sine waves with seeded phases, at most 0.5 K."""
+
+    def __init__(self, mean_c: float, rng: np.random.Generator) -> None:
+        self._mean_c = mean_c
+        self._phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
+
+    def temperature_c(self, time_s: Array) -> Array:
+        """Return the temperature (n,) [degC] at times (n,) [s]."""
+        waves = np.sin(2.0 * np.pi * time_s[:, None] / _AIR_PERIODS_S + self._phases)
+        temperature: Array = self._mean_c + _AIR_AMPLITUDE_K * (waves * _AIR_SHARES).sum(axis=1)
+        return temperature
+
+
+def joint_rise(rise: Array, speed: Array, duration_s: float, holding_k: float = 0.0) -> Array:
+    """Return the rise above the air (N,) [K] after rotating at the mean ``speed`` (N,) [rad/s]: a first-order lag.
+
+    ``holding_k`` is the steady-state rise of a joint at rest, from electronics, brake and holding current.
+    """
+    end = holding_k + JOINT_RISE_K * speed
+    after: Array = end + (rise - end) * np.exp(-duration_s / JOINT_TIME_CONSTANT_S)
+    return after

@@ -13,8 +13,7 @@ from typing import Self
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.motion import AnyMotion
-from drivers.plant.trail import note_phase
+from drivers.plant.motion import AnyMotion, note_phase
 from drivers.plant.true_arm import TrueArm
 
 LOOKAHEAD_S = 0.03

@@ -22,8 +22,7 @@ from drivers.plant.mechanism import (
     with_errors,
     with_true_masses,
 )
-from drivers.plant.motion import AnyMotion
-from drivers.plant.trail import LONGEST, Phase
+from drivers.plant.motion import LONGEST, AnyMotion, Phase
 from drivers.plant.transforms import rigid, transform_points
 
 

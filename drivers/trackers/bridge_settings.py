@@ -82,7 +82,7 @@ class BridgeSettings(TrackerSettings):
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Create the driver, not connected yet; it prepares the tracker at every connect. Raises ``SettingError``."""
-        from drivers.trackers.bridge_tracks import StreamingBridgeTracker
+        from drivers.trackers.bridge import StreamingBridgeTracker
         from drivers.trackers.protocol import Preparation
 
         return StreamingBridgeTracker(

@@ -26,7 +26,7 @@ class LmfSettings(LmfOptions):
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Create the driver, not connected yet."""
-        from drivers.trackers.lmf_results import ErrorLaw
+        from drivers.trackers.lmf_objects import ErrorLaw
         from drivers.trackers.lmf_stream import LmfStreamTracker
 
         law = ErrorLaw(tracker.transverse, tracker.range)

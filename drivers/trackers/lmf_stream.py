@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 
 from drivers.trackers.lmf import LmfTracker, Vector
-from drivers.trackers.lmf_objects import describe, set_handler, to_si, unwrap
-from drivers.trackers.lmf_results import tracker_time_s
-from drivers.trackers.lmf_setup import set_quantity, set_value
+from drivers.trackers.lmf_objects import describe, set_handler, set_quantity, set_value, to_si, tracker_time_s, unwrap
 from drivers.trackers.protocol import (
     PACKETS_HZ,
     Packet,

@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from typing import NoReturn
+from dataclasses import dataclass, replace
+from typing import NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant import Plant
-from drivers.plant.sweep import DYNAMIC_M
-from drivers.plant.transforms import quaternion, rigid
+from drivers.plant.clearance import segment_distances
+from drivers.plant.mechanism import Posture, nominal
+from drivers.plant.optics import why_hidden
+from drivers.plant.sweep import DYNAMIC_M, recent_smr
+from drivers.plant.transforms import quaternion, rigid, transform_points
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
+    PACKETS_HZ,
     Face,
     Halted,
     Inclination,
@@ -34,8 +39,6 @@ from drivers.trackers.protocol import (
     no_packet,
     require_ready,
 )
-from drivers.trackers.simulated_sight import Sight, Smr
-from drivers.trackers.simulated_stream import STREAM_LIMITS, SimulatedStream
 
 Vector = NDArray[np.float64]
 
@@ -443,3 +446,217 @@ class SimulatedTracker:
     def bump(self, angle_rad: float) -> None:
         """Tilt the stand by an impact; the level reports it."""
         self._tilt_drift_rad += angle_rad
+
+
+# -- The view of the simulated tracker: SMRs of arms and nests, and the bodies between them and the tracker -----------
+
+
+@dataclass(frozen=True, eq=False)
+class Smr:
+    """An SMR: its owner in words, its arm (None for a nest), position (3,) [m] in M, why it is hidden ("" if visible).
+
+    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
+    """
+
+    owner: str
+    arm: str | None
+    p_M: Vector
+    hidden: str
+    moving: bool = False
+    R_M_S: Vector | None = None
+    sigma_rad: float = 0.0
+
+
+class Sight:
+    """The view of a tracker of ``plant``.
+
+    Attributes
+    ----------
+    covered : set of str
+        Arms or nests whose SMR is covered.
+    """
+
+    def __init__(self, plant: Plant, nests: Mapping[str, Vector] | None) -> None:
+        """``nests`` are SMRs at fixed places, name -> (3,) [m] in M."""
+        self._plant = plant
+        self._nests = {name: np.array(p, dtype=np.float64) for name, p in (nests or {}).items()}
+        self._bodies = {arm.name: nominal(arm) for arm in plant.config.arms}
+        self._placed: dict[str, tuple[bytes, tuple[Vector, Vector]]] = {}
+        """Cache: arm -> joint positions, and the ends of its capsules there."""
+        self.covered: set[str] = set()
+
+    def targets(self) -> list[Smr]:
+        """Return all SMRs of arms and nests, ignoring bodies in the beam."""
+        found = []
+        for target in self._plant.targets():
+            why = self._cover(target.arm) or target.hidden
+            probe = (target.R_M_S, target.sigma_rad)
+            found.append(Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving, *probe))
+        for name, p_M in self._nests.items():
+            facing = -p_M / np.linalg.norm(p_M)
+            why = self._cover(name) or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
+            found.append(Smr(f"nest {name}", None, p_M, why))
+        return found
+
+    def _cover(self, name: str) -> str:
+        """Return why the SMR of an arm or nest is covered; empty if it is not."""
+        return "something covers it" if name in self.covered else ""
+
+    def behind_bodies(self, target: Smr) -> Smr:
+        """Return the SMR, hidden if a body is in the beam."""
+        why = target.hidden or self._beam_obstacle(target.p_M, target.arm)
+        return replace(target, hidden=why)
+
+    def _beam_obstacle(self, p_M: Vector, owner: str | None) -> str:
+        """Return in words whose body is between the tracker and ``p_M``; empty if there is none.
+
+        Bodies fixed to the owner's flange are not checked: they hold the SMR, where the beam ends.
+        """
+        owners: list[str] = []
+        bodies: list[tuple[Vector, Vector, Vector]] = []
+        for name, mechanism in self._bodies.items():
+            capsules = mechanism.capsules
+            counted = capsules.frames < len(mechanism.masses) if name == owner else np.ones(len(capsules.frames), bool)
+            start, end = self._segments(name)
+            owners += [name] * int(counted.sum())
+            bodies.append((start[counted], end[counted], capsules.radii[counted]))
+        if not bodies:
+            return ""
+        start, end, radii = (np.concatenate(part) for part in zip(*bodies, strict=True))
+        gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
+        for row in np.flatnonzero(gaps < radii)[:1]:
+            return f"{'its own arm' if owners[row] == owner else f'arm {owners[row]}'} blocks the beam"
+        return ""
+
+    def _segments(self, name: str) -> tuple[Vector, Vector]:
+        """Return the ends (k, 3) of an arm's capsules in M, cached while the arm rests."""
+        q = self._plant.q(name)
+        key = q.tobytes()
+        if name not in self._placed or self._placed[name][0] != key:
+            posture = Posture(self._bodies[name], q[None], np.zeros(3))
+            T_M_B = self._plant.true_T_M_B(name)
+            start, end = (transform_points(T_M_B, ends[:, 0]) for ends in posture.segments())
+            self._placed[name] = (key, (start, end))
+        return self._placed[name][1]
+
+    def recent(self, locked: Smr, time_s: Vector) -> tuple[Vector, Vector]:
+        """Return positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
+        if locked.arm is not None:
+            return recent_smr(self._plant, locked.arm, time_s)
+        p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
+        return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
+
+    def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
+        """Return why an SMR at ``p_M`` (3,) is not visible now; empty if it is."""
+        if why := self._cover(locked.arm or locked.owner.removeprefix("nest ")):
+            return why
+        acceptance = math.pi
+        if locked.arm is not None:
+            acceptance = next(arm.smr_acceptance for arm in self._plant.config.arms if arm.name == locked.arm)
+        why = why_hidden(self._plant.config.tracker, p_M, normal_M, acceptance)
+        return why or self._beam_obstacle(p_M, locked.arm)
+
+
+# -- The stream of the simulated tracker: points of a moving SMR in packets, timestamped by the tracker's own clock ---
+
+
+STREAM_LIMITS = StreamLimits(1e-3, 1.0)
+_STILL_M = 1e-9
+"""Motion between two packets below which an SMR counts as resting."""
+TRIGGER_S = 5e-6
+"""Largest error of the timestamp of a pulse at the trigger input [s]."""
+
+
+class Measured(Protocol):
+    """Function that simulates measurements of true points (n, 3) [m]: points and standard uncertainties (n,)."""
+
+    def __call__(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
+        """Return the measured points."""
+
+
+class SimulatedStream:
+    """Stream of one SMR; the plant's schedule sends its packets while other calls advance the time."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        errors: Imperfections,
+        owner: str,
+        true_smr: Callable[[Vector], tuple[Vector, Vector]],
+        hidden: Callable[[Vector, Vector], str],
+        measured: Measured,
+        interval_s: float,
+        rng: np.random.Generator,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None],
+    ) -> None:
+        """``owner`` names the owner of the SMR. ``true_smr`` returns its positions and viewing directions (n, 3) at
+        recent times (n,). ``hidden`` returns why it is not visible at one of them; empty if it is."""
+        self._plant, self._errors, self._owner = plant, errors, owner
+        self._true_smr, self._hidden = true_smr, hidden
+        self._measured, self._interval_s, self._rng = measured, interval_s, rng
+        self._lost, self._received = lost, received
+        self._began_s = plant.clock_s
+        self._packet_s = max(interval_s, 1.0 / PACKETS_HZ)
+        self._taken = 0
+        self._packets: list[Packet] = []
+        self._triggers: list[float] = []
+        self._arrived_s = -math.inf
+        self._on = True
+
+    def begin(self) -> None:
+        """Take the first point, and schedule the first packet."""
+        self._send(0)
+
+    def end(self) -> Track:
+        """Return all points up to now."""
+        if self._on:
+            self._take(may_break=False)
+        self._on = False
+        return Track.of(self._packets)
+
+    def trigger(self) -> None:
+        """Store the timestamp of a pulse."""
+        error_s = self._rng.uniform(-TRIGGER_S, TRIGGER_S)
+        self._triggers.append(float(self._errors.own_time_s(np.array(self._plant.clock_s + error_s))))
+
+    def _send(self, number: int) -> None:
+        """Send one packet and schedule the next."""
+        if self._on and self._take(may_break=number > 0):
+            self._plant.schedule.at(self._began_s + (number + 1) * self._packet_s, lambda: self._send(number + 1))
+
+    def _take(self, *, may_break: bool) -> bool:
+        """Measure the points due since the last packet and send them; return False if the beam has broken."""
+        due = math.floor((self._plant.clock_s - self._began_s) / self._interval_s + 1e-6) + 1
+        time_s = self._began_s + self._interval_s * np.arange(self._taken, due, dtype=np.float64)
+        self._taken = due
+        true_M, normal_M = self._true_smr(np.append(time_s, self._plant.clock_s))
+        if why := self._broken(true_M[-1], normal_M[-1], may_break=may_break):
+            self._on = False
+            self._lost(TargetLost(f"tracker: the beam to the SMR of {self._owner} broke while it was followed: {why}"))
+            return False
+        triggers, self._triggers = np.array(self._triggers), []
+        if self._errors.saturated and self._rng.random() < self._errors.saturated:
+            time_s = time_s[:0]
+        if len(time_s) or len(triggers):
+            p_M, sigma_m = self._measured(true_M[: len(time_s)], moving=float(np.ptp(true_M, axis=0).max()) > _STILL_M)
+            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan, triggers))
+        return True
+
+    def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:
+        """Return why the beam is broken now; empty if it is not."""
+        often = self._errors.lost_beams_per_min * self._packet_s / 60.0
+        return self._hidden(p_M, normal_M) or (
+            "something crossed it" if may_break and self._rng.random() < often else ""
+        )
+
+    def _go(self, packet: Packet) -> None:
+        """Deliver a packet, delayed by the receiving computer's random delay."""
+        late_s = self._rng.uniform(0.0, self._errors.packet_jitter_s)
+        self._arrived_s = max(self._arrived_s, self._plant.clock_s + late_s)
+        packet = replace(packet, arrived_s=self._arrived_s)
+        self._packets.append(packet)
+        if late_s:
+            self._plant.schedule.at(self._arrived_s, lambda: self._received(packet))
+        else:
+            self._received(packet)

@@ -8,7 +8,7 @@ import pytest
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.targets import Target
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
-from cellapp.robot.kinematics.closed_form import closed_form_solutions
+from cellapp.robot.kinematics.inverse import closed_form_solutions
 from cellapp.robot.kinematics.transforms import zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker

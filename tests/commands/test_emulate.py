@@ -18,8 +18,7 @@ import pytest
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.method import make_stops
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult

@@ -12,7 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.import_.run import import_new_run
-from cellapp.estimation.calibration import batch_training
+from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recording_teaches_and_the_comparison_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(batch_training, "_FEWEST_STEPS", 60)
+    monkeypatch.setattr(learning, "_FEWEST_STEPS", 60)
     with RunFile.open(folder, write=True) as run:
         assert run.profile.network.kind == "none"
         result = calibrate_run(run, network="batches")

@@ -15,9 +15,15 @@ from hypothesis import strategies as st
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.cell.planning.planned_stops import PlannedStops, joined, straight_stops
-from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
-from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import (
+    PlannedStops,
+    joined,
+    proposed_stops,
+    read_planned_stops,
+    read_stop_conditions,
+    straight_stops,
+    write_planned_stops,
+)
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.collected import reference_drifts
 from cellapp.commands.plan.run import (

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.pulse import JobPulse
 from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
-from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
-from cellapp.cell.driving.unasked_tracker import UnaskedTracker
+from cellapp.cell.driving.tracker_watch import UnaskedTracker, Watch, monitored, unwatched, watched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -33,7 +32,6 @@ from drivers.plant import (
     GeometryErrors,
     Plant,
     PlantConfig,
-    TorqueSensing,
     TrackerConfig,
 )
 from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
@@ -286,7 +284,6 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
     if settings is None or tracker.pose is None:
         raise InputError(f"profile {profile.name}: a simulated cell needs the sections 'plant' and 'tracker.pose'")
     accuracy = tracker_context(profile)
-    torques = settings.torques
     try:
         config = PlantConfig(
             seed=settings.seed,
@@ -305,7 +302,6 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             temperature_c=settings.temperature,
             noise=settings.noise,
             floor=profile.plan.floor,
-            torques=None if torques is None else TorqueSensing(**torques.model_dump()),
             factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Protocol
 
 import numpy as np
@@ -16,15 +17,16 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.moving_cell import MovingCell, moving_cell
-from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
+from cellapp.cell.driving.smr_search import APART_M, FoundPoint, SmrSearch
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import last_motion_matters
-from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import HardwareError
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
@@ -238,3 +240,46 @@ class _Checking:
 
 def _first(values: Array | None) -> float | None:
     return None if values is None else float(values[0])
+
+
+# -- Stops at which a check can measure all arms together: stops of the calibration that are clear and visible --------
+
+
+def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
+    """Return joint positions of all arms, arm -> (n, N) [rad]; row k of all arms is one stop.
+
+    They are those of the readings, where the model is known, at which the arms are clear of each other and of
+    everything else, the tracker of ``model`` sees all SMRs, and no SMR can be mistaken for another. Readings that were
+    not taken at common stops are paired at random.
+
+    Raises
+    ------
+    InputError
+        If no stop is left.
+    """
+    stops = _together({name: readings[name] for name in model.arms}, profile.seed)
+    bodies = cell_bodies(profile, model)
+    usable = clear_stops(bodies, stops) & visible_stops(bodies, stops)
+    p_M = {name: model.predict(name, q) for name, q in stops.items()}
+    for one, other in combinations(p_M, 2):
+        usable &= np.linalg.norm(p_M[one] - p_M[other], axis=1) >= APART_M
+    if not usable.any():
+        raise InputError(
+            f"profile {profile.name}: at no stop of the calibration's readings are all arms clear and in the tracker's"
+            " sight; nothing was moved"
+        )
+    return {name: q[usable] for name, q in stops.items()}
+
+
+def _together(readings: Mapping[str, Readings], seed: int) -> dict[str, Array]:
+    """Return joint positions of all arms at the stops where all were measured; if there are none, in random pairs."""
+    numbers = [arm.configuration for arm in readings.values()]
+    common = numbers[0]
+    for one in numbers[1:]:
+        common = np.intersect1d(common, one)
+    if len(common):
+        rows = {name: np.isin(arm.configuration, common) for name, arm in readings.items()}
+        return {name: arm.q[rows[name]] for name, arm in readings.items()}
+    count = min(len(arm) for arm in readings.values())
+    rng = np.random.default_rng([seed, 0xC4EC])
+    return {name: arm.q[rng.permutation(len(arm))[:count]] for name, arm in readings.items()}

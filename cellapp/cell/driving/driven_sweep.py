@@ -25,8 +25,7 @@ from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover
 from cellapp.cell.driving.reaction import StopReaction, cause_of
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.ground.control import JobControl
-from cellapp.robot.kinematics.interpolation import rows_at
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import Arm, ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
-from cellapp.cell.driving.obstacle_findings import obstacle_findings
 from cellapp.cell.run.stations import read_reference_nests, tie_sentences
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.cell_bodies import ObstacleClearance, cell_bodies, cover, obstacle_clearances
 from cellapp.cell.safety.gate import CellBodies, clear_alone, predicted_smr, refuse_stop, visible
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
@@ -196,3 +196,36 @@ def _visibility(cell: CellBodies, profile: Profile, name: str) -> Finding:
         return Finding(subject, "ok", text)
     advice = "check smr.normal, smr.acceptance, arms.*.base, tracker.pose and the limits"
     return Finding(subject, "warning" if share > 0.0 else "failed", f"{text}; {advice}")
+
+
+# -- Findings of the doctor about obstacles: distances at home, arms standing on them, capsules of mounted ones -------
+
+
+def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield a finding for each obstacle of the cell, and for each obstacle mounted on an arm."""
+    found = list(obstacle_clearances(cell, homes))
+    for obstacle in cell.obstacles:
+        yield _standing(cell, obstacle.name, [one for one in found if one.obstacle == obstacle.name])
+    for name, arm in cell.arms.items():
+        for obstacle in arm.mounted:
+            capsules = cover(obstacle)
+            count = len(capsules.radius)
+            text = f"on the flange of arm {name}"
+            if capsules.excess > 0.0:
+                text += (
+                    f"; checks use {counted(count, 'capsule')} around it, which reach up to"
+                    f" {1e3 * capsules.excess:.0f} mm out of it"
+                )
+            yield Finding(f"obstacle {obstacle.name}", "ok", text)
+
+
+def _standing(cell: CellBodies, name: str, beside: list[ObstacleClearance]) -> Finding:
+    homes = ", ".join(f"arm {one.arm} {1e3 * one.moving:.0f} mm" for one in beside)
+    words = [f"distance at home: {homes}"]
+    on_it = [one.arm for one in beside if one.base < cell.clearance]
+    if on_it:
+        words.append(f"{', '.join(on_it)} on or beside it: base and first link are not checked against it")
+    refused = [f"arm {one.arm} must keep {1e3 * one.asked:.0f} mm" for one in beside if not one.moving >= one.asked]
+    if refused:
+        words += [*refused, f"change obstacles.{name}, arms.*.home, arms.*.base or plan.clearance"]
+    return Finding(f"obstacle {name}", "failed" if refused else "ok", "; ".join(words))

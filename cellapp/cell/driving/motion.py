@@ -14,9 +14,18 @@ from cellapp.cell.driving.step_reports import motion_ended, vectors
 from cellapp.cell.driving.together import answers_of_all
 from cellapp.cell.run.measurement_order import MOVED_RAD
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.safety.gate import CellBodies, predicted_smr
-from cellapp.cell.safety.path_gate import refuse_path, refuse_paths
-from cellapp.cell.safety.paths_at_once import LOOK_S, MOST_APART_M, PathsAtOnce, allowed_apart_m, equally_long, on_rows
+from cellapp.cell.safety.gate import (
+    LOOK_S,
+    MOST_APART_M,
+    CellBodies,
+    PathsAtOnce,
+    allowed_apart_m,
+    equally_long,
+    on_rows,
+    predicted_smr,
+    refuse_path,
+    refuse_paths,
+)
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun

@@ -382,8 +382,6 @@ class CollectSession:
             covariance_M=point.covariance_M,
             quaternion_M=point.quaternion_M,
             sigma_rad=point.sigma_rad,
-            tau_nm=state.tau_nm,
-            current_a=state.current_a,
             split=self.work.split,
         )
 

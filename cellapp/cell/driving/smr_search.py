@@ -26,7 +26,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.relocation import relocated
+from cellapp.robot.model.model import relocated
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, Unstable, WrongTarget
 

@@ -196,8 +196,6 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
         joints.time_s,
         q=joints.q,
         qd=joints.qd,
-        tau=joints.torque_nm,
-        current=joints.current_a,
         joint_temperature=joints.temperature_c,
         other_q=part.beside,
     )

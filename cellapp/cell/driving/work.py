@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, proposed_stops, read_planned_stops, read_stop_conditions
 from cellapp.cell.run import RunFile
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -7,16 +7,11 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from cellapp.cell.exports.cell_urdf import CELL_URDF
-from cellapp.cell.exports.command_table import COMMAND_TABLE
-from cellapp.cell.exports.dh_tables import DH, DH_PLAIN
+from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
+from cellapp.cell.exports.dh_tables import DH, DH_PLAIN, PARAMETERS, POE
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.parameters import PARAMETERS
-from cellapp.cell.exports.poe_table import POE
-from cellapp.cell.exports.ur_calibration import UR_CALIBRATION
-from cellapp.cell.exports.ur_description import UR_DESCRIPTION
-from cellapp.cell.exports.urdf import URDF
-from cellapp.cell.exports.urscript_commands import URSCRIPT
+from cellapp.cell.exports.ur_description import UR_CALIBRATION, UR_DESCRIPTION
+from cellapp.cell.exports.urdf import CELL_URDF, URDF
 from cellapp.ground.errors import InputError
 from drivers.plugins import Registry
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.cell.exports.joint_origins import joint_origins
+from cellapp.cell.exports.urdf import joint_origins
 from cellapp.ground.results import Record, Result
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of

@@ -14,7 +14,7 @@ import numpy as np
 
 from cellapp.cell.exports.arm_commands import first_rates
 from cellapp.cell.exports.arm_export import hashed
-from cellapp.cell.exports.urscript_commands import JOINTS, vector
+from cellapp.cell.exports.command_table import JOINTS, vector
 from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.plan_path import PathPlan
 from cellapp.ground.errors import InputError

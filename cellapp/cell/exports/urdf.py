@@ -7,16 +7,16 @@ rotates about z. A URDF needs an effort limit and inertia tensors, which a profi
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from cellapp.cell.exports.arm_export import ArmExport
-from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.cell.exports.joint_origins import dh_frames_in_links, joint_origins
-from cellapp.robot.kinematics.transforms import Array, rpy_of, transform
+from cellapp.cell.exports.export_format import CellFormat, ExportFormat
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_y, rotation_z, rpy_of, transform
 
 _EFFORT = "1000"
 """Effort limit [Nm], which the file must have: above that of any joint of such an arm, so that it never acts."""
@@ -92,3 +92,36 @@ def _comment(lines: Sequence[str]) -> str:
 
 
 URDF = ExportFormat("urdf", "URDF from tracker to SMR, limits, masses", ".urdf", urdf)
+
+
+# -- Export one URDF of the whole cell: every calibrated arm from its base in the tracker frame to its SMR ------------
+
+
+def cell_urdf(exports: Mapping[str, ArmExport], sentences: Sequence[str]) -> str:
+    """Return the URDF; its root is the link ``tracker``, names of links and joints begin with the name of their arm."""
+    return urdf_text("cell", list(exports.values()), sentences)
+
+
+CELL_URDF = CellFormat("urdf-cell", "URDF of the whole cell, its root the tracker", ".urdf", cell_urdf)
+
+
+# -- Convert a chain to origins of joints that rotate about their own z axes, as in URDF ------------------------------
+
+
+def joint_origins(geometry: Geometry) -> Array:
+    """Return poses (N + 1, 4, 4): each joint in the frame of the joint before (first the base), then the flange.
+
+    The base frame times ``origin_1 rot_z(q_1) ... origin_N rot_z(q_N) origin_flange`` is the flange. Theta and d of a
+    D-H row commute with the rotation of its joint and are applied before it; a, alpha and beta before the next joint.
+    This is exact for every row. UR's ``ur_description`` splits the rows in the same way.
+    """
+    before = np.array([transform(rotation_z(theta), [0.0, 0.0, d]) for theta, d in geometry.rows[:, :2]])
+    behind = dh_frames_in_links(geometry)
+    return np.array([before[0], *(behind[:-1] @ before[1:]), behind[-1]])
+
+
+def dh_frames_in_links(geometry: Geometry) -> Array:
+    """Return the poses (N, 4, 4) of D-H frame i in the frame of the link that joint i rotates."""
+    return np.array(
+        [transform(rotation_x(alpha) @ rotation_y(beta), [a, 0.0, 0.0]) for a, alpha, beta in geometry.rows[:, 2:]]
+    )

@@ -6,12 +6,16 @@ only drawn at random: they are changed, one at a time, until the largest correla
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.planning.design_records import FactorCorrelation, TravelTime
+from cellapp.cell.planning.duration import home_s, stop_times_of
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
+from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import frame_poses
@@ -170,3 +174,339 @@ def balanced_levels(
             break
         chosen[stop[best]], correlation = level[best], after[best]
     return np.asarray(chosen)
+
+
+# -- Planned factors of each stop: side and size of each joint's last motion, rest before the measurement -------------
+#
+# In the last motion all arms move at once from ``approach_from``: the stop minus a signed step of each joint. The
+# levels are balanced, and decorrelated from posture, time, block, the other arms and each other, so that the effect of
+# one factor is not mistaken for that of another. Repeats of a stop are approached from the other side of every joint.
+
+
+_GOAL = 0.06
+"""Correlation at which the search for levels ends: low, as some levels must change later where the gate refuses."""
+_OTHER_STEPS = 40
+"""Number of other sides and sizes that are drawn for a stop whose last motion the gate refuses."""
+_IMPROVED = 0.08
+"""Largest correlation left in the plan: below the accepted one, as times are only estimates."""
+_IMPROVEMENTS = 300
+"""Upper limit of changes of single steps; each takes about a millisecond."""
+_TRIED_CHANGES = 10
+"""Number of stops at which a change of one factor is tried before it is given up."""
+_SMALLEST_RAD = 1e-9
+"""Lower limit of spreads, in place of 0."""
+_SIDES = np.array([-1.0, 1.0])
+
+
+Accepts = Callable[[int, Mapping[str, Array]], bool]
+"""Callback: given a stop and new signed steps of its last motion, arm -> (N,) [rad], whether the gate accepts them."""
+
+
+class FactorPlan:
+    """Levels of the factors of n stops in their order, arm -> q (n, N) [rad]."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        cell: CellBodies,
+        q: Mapping[str, Array],
+        block: NDArray[np.intp],
+        repeat_of: NDArray[np.intp],
+        rng: np.random.Generator,
+    ) -> None:
+        self._profile, self._q, self._rng = profile, q, rng
+        self._limits = {name: cell.arms[name].limits for name in q}
+        self._sizes = np.unique(profile.plan.steps)
+        self._repeat_of = repeat_of
+        self._first = np.flatnonzero(repeat_of < 0)
+        """Stops whose levels are free; repeats take theirs from these."""
+        time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
+        postures = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
+        self._against = side_by_side((*postures, time)).values
+
+    def dwell_s(self, step: Mapping[str, Array]) -> dict[str, Array]:
+        """Choose the rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, as these wait."""
+        levels = np.unique(self._profile.plan.dwell)
+        n = len(self._repeat_of)
+        steps = _levels_of(np.concatenate(list(step.values()), axis=1))
+        against = _with_constant(np.concatenate([self._against, steps], axis=1))
+        chosen = balanced_levels(levels, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
+        return {name: levels[chosen].copy() for name in self._q}
+
+    def approaches(self) -> dict[str, Array]:
+        """Choose signed steps of the last motions, balanced in side and size, arm -> (n, N) [rad]; 0: the joint rests.
+
+        They begin inside the joint limits; nothing else is checked.
+        """
+        step = {name: np.zeros_like(q) for name, q in self._q.items()}
+        if len(self._sizes) == 0:
+            return step
+        against = self._against
+        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
+        sides: dict[tuple[str, int], Array] = {}
+        for name, j in joints:
+            allowed = self._allowed_sides(name, j)
+            side = _SIDES[self._levels(_SIDES, allowed, against, mirrored=True)]
+            sides[name, j] = self._of_all(np.where(allowed.any(axis=1), side, 0.0), mirrored=True)
+            against = np.column_stack([against, sides[name, j]])
+        for name, j in joints:
+            side = sides[name, j]
+            allowed = self._allowed_sizes(name, j, side)
+            if len(self._sizes) > 1:
+                both = np.concatenate([against, against * side[:, None]], axis=1)
+                size = self._sizes[self._levels(self._sizes, allowed, both, mirrored=False)]
+                against = np.column_stack(
+                    [against, standardised(("",), self._of_all(size, mirrored=False)[:, None]).values]
+                )
+            else:
+                size = np.full(len(self._first), self._sizes[0])
+            step[name][:, j] = side * self._of_all(np.where(allowed.any(axis=1), size, 0.0), mirrored=False)
+        return step
+
+    def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
+        """Draw other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
+        if len(self._sizes) == 0:
+            return {name: np.zeros((0, q.shape[1])) for name, q in self._q.items()}
+        own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
+        low, high = np.concatenate([self._limits[name] for name in self._q]).T
+        shape = _OTHER_STEPS, len(own)
+        drawn = _inside(q, self._rng.choice(_SIDES, shape) * self._rng.choice(self._sizes, shape), low, high)
+        present = np.concatenate(list(step.values()), axis=1)
+        scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), _SMALLEST_RAD)
+        correlation = self._against.T @ (present / scale) / len(present)
+        change = self._against[stop][:, None] * ((drawn - own) / scale)[:, None, :] / len(present)
+        ranked = drawn[np.argsort(np.sum(_sixth_power(correlation + change), axis=(1, 2)), kind="stable")]
+        ends = np.cumsum([rows.shape[1] for rows in self._q.values()])[:-1]
+        return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
+
+    def improve(self, step: Mapping[str, Array], changeable: NDArray[np.bool_], accepts: Accepts) -> None:
+        """Change steps of single joints, if the gate accepts, until no correlation exceeds ``_IMPROVED``.
+
+        Only stops that are ``changeable`` (n,) and are not visited twice are changed; ``step`` is changed in place.
+        """
+        twice = np.isin(np.arange(len(changeable)), self._repeat_of) | (self._repeat_of >= 0)
+        rows = np.flatnonzero(changeable & ~twice)
+        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
+        stuck: set[int] = set()
+        for _ in range(_IMPROVEMENTS if len(self._sizes) and len(rows) else 0):
+            levels = _levels_of(np.concatenate(list(step.values()), axis=1))
+            every, correlation = self._correlations(levels)
+            largest = np.abs(correlation).max(axis=0)
+            largest[list(stuck)] = 0.0
+            column = int(np.argmax(largest))
+            if largest[column] <= _IMPROVED:
+                break
+            name, joint = joints[column % len(joints)]
+            measure = _MEASURES[column // len(joints)]
+            if self._change_one(step, rows, name, joint, measure, every, correlation[:, column], accepts):
+                stuck.clear()
+            else:
+                stuck.add(column)
+
+    def _correlations(self, levels: Array) -> tuple[Array, Array]:
+        """Return all variables (n, q), and their correlations (q, 3 J) with the ``levels`` (n, 3 J) of the factors.
+
+        Signed steps are compared with posture, time and blocks alone, as they follow from sides and sizes.
+        """
+        every = np.concatenate([self._against, levels], axis=1)
+        correlation = every.T @ levels / len(levels)
+        own = correlation[self._against.shape[1] :]
+        np.fill_diagonal(own, 0.0)
+        signed = 2 * levels.shape[1] // 3
+        own[signed:], own[:, signed:] = 0.0, 0.0
+        return every, correlation
+
+    def _change_one(
+        self,
+        step: Mapping[str, Array],
+        rows: NDArray[np.intp],
+        name: str,
+        joint: int,
+        measure: Callable[[Array], Array],
+        every: Array,
+        correlation: Array,
+        accepts: Accepts,
+    ) -> bool:
+        """Change side or size of one joint at the accepted stop where that helps most; False if there is none."""
+        present = step[name][rows, joint]
+        scale = len(every) * max(float(np.std(measure(step[name][:, joint]))), _SMALLEST_RAD)
+        compared, found = np.where(correlation == 0.0, 0.0, every[rows]), []
+        for other in (-present, *(np.sign(present) * size for size in self._sizes.tolist())):
+            change = (measure(other) - measure(present)) / scale
+            after = correlation + change[:, None] * compared
+            total = np.where(change != 0.0, np.sum(_sixth_power(after), axis=1), np.inf)
+            found += list(zip(total.tolist(), rows.tolist(), other.tolist(), strict=True))
+        low, high = self._limits[name][joint]
+        for total_after, stop, value in sorted(found)[:_TRIED_CHANGES]:
+            if total_after >= np.sum(_sixth_power(correlation)):
+                return False
+            steps = {arm: one[stop].copy() for arm, one in step.items()}
+            steps[name][joint] = value
+            if low <= self._q[name][stop, joint] - value <= high and accepts(stop, steps):
+                step[name][stop, joint] = value
+                return True
+        return False
+
+    def _levels(self, levels: Array, allowed: NDArray[np.bool_], against: Array, *, mirrored: bool) -> NDArray[np.intp]:
+        """Choose levels of the free stops; a repeat gets the same one, or the opposite if ``mirrored``."""
+        fold = against[self._first].copy()
+        place = np.searchsorted(self._first, self._repeat_of)
+        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
+            fold[place[copy]] += -against[copy] if mirrored else against[copy]
+        repeated = np.isin(self._first, self._repeat_of)  # a repeat balances the side of its stop
+        fold = np.column_stack([fold, np.where(repeated & mirrored, 0.0, 1.0)])
+        usable = np.where(np.any(allowed, axis=1, keepdims=True), allowed, True)
+        return balanced_levels(levels, usable, fold, self._rng, _GOAL)
+
+    def _of_all(self, values: Array, *, mirrored: bool) -> Array:
+        """Expand the values (m,) of the free stops to all stops."""
+        every = np.zeros(len(self._repeat_of))
+        every[self._first] = values
+        copies = np.flatnonzero(self._repeat_of >= 0)
+        every[copies] = every[self._repeat_of[copies]] * (-1.0 if mirrored else 1.0)
+        return every
+
+    def _allowed_sides(self, name: str, joint: int) -> NDArray[np.bool_]:
+        """Mask (m, 2) of sides from which the largest, else the smallest step is within limits; repeats need both."""
+        low, high = self._limits[name][joint]
+        q = self._q[name][self._first, joint]
+        repeated = np.isin(self._first, self._repeat_of)
+
+        def inside(size: float) -> NDArray[np.bool_]:
+            start = q[:, None] - _SIDES * size
+            fits = (start >= low) & (start <= high)
+            return np.asarray(np.where(repeated[:, None], fits.all(axis=1, keepdims=True), fits))
+
+        largest, smallest = inside(float(self._sizes[-1])), inside(float(self._sizes[0]))
+        return np.asarray(np.where(largest.any(axis=1, keepdims=True), largest, smallest))
+
+    def _allowed_sizes(self, name: str, joint: int, side: Array) -> NDArray[np.bool_]:
+        """Return the sizes (m, L) with which the steps of a stop and of its repeat begin inside the limits."""
+        low, high = self._limits[name][joint]
+        start = self._q[name][:, joint, None] - side[:, None] * self._sizes
+        fits = (start >= low) & (start <= high) & (side != 0.0)[:, None]
+        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
+            fits[self._repeat_of[copy]] &= fits[copy]
+        return np.asarray(fits[self._first])
+
+
+def _sixth_power(values: Array) -> Array:
+    """Raise to the sixth power, so that the largest dominate a sum. Products are many times faster than powers."""
+    squares = values * values
+    return squares * squares * squares
+
+
+def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
+    """Reverse steps (m, N) that start outside the limits; 0 if that does not help."""
+    turned = np.where((q - step >= low) & (q - step <= high), step, -step)
+    return np.asarray(np.where((q - turned >= low) & (q - turned <= high), turned, 0.0))
+
+
+def _with_constant(values: Array) -> Array:
+    return np.column_stack([values, np.ones(len(values))])
+
+
+_MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)
+"""The levels of a signed step: the side, the size, both."""
+
+
+def _levels_of(step: Array) -> Array:
+    """Standardise sides, sizes and both of signed steps (n, J) to mean 0 and deviation 1, (n, 3 J); 0 if constant."""
+    levels = np.concatenate([measure(step) for measure in _MEASURES], axis=1)
+    centred = levels - levels.mean(axis=0)
+    spread = centred.std(axis=0)
+    return np.asarray(np.where(spread > _SMALLEST_RAD, centred / np.maximum(spread, _SMALLEST_RAD), 0.0))
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Correlations of a plan's factors with posture, time, block and each other; its time against that of random orders.
+
+
+_SAMPLED_WAYS = 80
+"""Upper limit of the motions between random stops that are searched for detours: about ten of them need one."""
+_SAMPLED_A_STOP = 2
+"""Such motions for each stop: in a small plan they say as much as all of its motions."""
+_RANDOM_ORDERS = 20
+"""Number of random orders whose time is averaged: the standard deviation is then a few tenths of a percent."""
+
+
+def correlations(
+    profile: Profile, cell: CellBodies, stops: PlannedStops, start: Configuration | None = None
+) -> tuple[FactorCorrelation, ...]:
+    """Find the largest correlation of each factor that a plan chooses: of each arm, and of all (arm "all").
+
+    ``start`` is where the arms are before the first stop; None: home. Factors that do not vary are left out.
+    """
+    time = stop_times_of(profile, stops, start).measured_s
+    common = time_and_blocks(time, stops.block)
+    postures = {name: posture_functions(profile, cell, name, q) for name, q in stops.q.items()}
+    steps = {name: np.nan_to_num(q - stops.approach_from[name]) for name, q in stops.q.items()}
+    sides = {name: _of_joints("approach side of joint {} of " + name, np.sign(step)) for name, step in steps.items()}
+    sizes = {name: _of_joints("step size of joint {} of " + name, np.abs(step)) for name, step in steps.items()}
+    signed = {name: _of_joints("step of joint {} of " + name, step) for name, step in steps.items()}
+    dwell = standardised(("dwell",), next(iter(stops.dwell_s.values()))[:, None])
+    every_posture = side_by_side(postures.values())
+    chosen = common.with_(dwell, *sides.values(), *sizes.values())
+    found = [
+        *_largest("all", common.first(1), every_posture),
+        *_largest("all", dwell, every_posture.with_(common, *sides.values())),
+    ]
+    for name in stops.q:
+        others = [posture for other, posture in postures.items() if other != name]
+        for own in (sides[name], sizes[name]):
+            found += _largest(name, own, every_posture.with_(chosen))
+        found += _largest(name, signed[name], every_posture.with_(common, dwell))
+        if others:
+            found += sorted(
+                _largest(name, postures[name], side_by_side(others)), key=lambda one: -abs(one.correlation)
+            )[:1]
+    return tuple(found)
+
+
+def travel_time(profile: Profile, stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> TravelTime:
+    """Compute the time in motion of a plan, and of the same pairs, approaches and dwells in random order.
+
+    In random order, too, the gate refuses some straight motions; the time of their detours is estimated from a sample.
+    """
+    straight = replace(stops, legs=((),) * len(stops))
+    random_s = []
+    for _ in range(_RANDOM_ORDERS):
+        order = straight.take(rng.permutation(len(stops)))
+        random_s.append(float(stop_times_of(profile, order).moving_s.sum()) + home_s(profile, order))
+    planned_s = float(stop_times_of(profile, stops).moving_s.sum()) + home_s(profile, stops)
+    detours_s = len(stops) * _added_by_a_detour_s(stops, finder, rng)
+    return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
+
+
+def _added_by_a_detour_s(stops: PlannedStops, finder: TransitPlanner, rng: np.random.Generator) -> float:
+    """Estimate the mean time that detours add to motions between random stops [s], where one is found."""
+    if len(stops) < 2:
+        return 0.0
+    number = min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))
+    pairs = [rng.choice(len(stops), 2, replace=False).tolist() for _ in range(number)]
+    motions = [(stops.targets(here), stops.targets(there)) for here, there in pairs]
+    finder.gate.ask(motions)
+    added = []
+    for here, there in motions:
+        way = finder.find(here, there)
+        if isinstance(way, TransitPath):
+            added.append(way.seconds - finder.seconds(here, there))
+    return float(np.mean(added)) if added else 0.0
+
+
+def _of_joints(text: str, values: Array) -> Columns:
+    return standardised(tuple(text.format(j + 1) for j in range(values.shape[1])), values)
+
+
+def _largest(arm: str, factors: Columns, others: Columns) -> Iterator[FactorCorrelation]:
+    """Yield the largest correlation of each factor with one of the others that is not itself."""
+    if not others.names:
+        return
+    correlation = factors.values.T @ others.values / max(len(factors.values), 1)
+    for name, row in zip(factors.names, correlation, strict=True):
+        size = np.where(np.array([other == name for other in others.names]), -1.0, np.abs(row))
+        k = int(np.argmax(size))
+        if size[k] >= 0.0:
+            yield FactorCorrelation(
+                arm=arm, factor=name, other=others.names[k], correlation=float(row[k]), can_be_chosen=True
+            )

@@ -2,20 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.exclusions import shortage
-from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
-from cellapp.cell.planning.usable import Usable, admitted_by_gate, together, usable
-from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, in_view, visible
+from cellapp.cell.planning.design_records import ConstraintShare
+from cellapp.cell.safety.bodies import (
+    ArmBodies,
+    Placed,
+    beam_clearance,
+    ceiling_clearance,
+    floor_clearance,
+    mounted_hides,
+    place,
+    self_clearance,
+)
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, in_view, visible
+from cellapp.cell.safety.obstacles import Obstacle, beam_gaps
+from cellapp.cell.safety.visibility import (
+    AZIMUTH,
+    ELEVATION,
+    FACING,
+    RANGE,
+    Sight,
+    TrackerField,
+    sight_conditions,
+    sight_of,
+    usable_acceptance,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
 _OBLIQUE_SHARE = 0.25
@@ -122,3 +144,389 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
         fruitless = 0 if len(q) else fruitless + _INDEPENDENT
         if fruitless >= _MOST_DRAWS:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
+
+
+# -- Random configurations of one arm and how the tracker sees their SMR, without the poses of all frames -------------
+#
+# An SMR that may be turned away by some 30 degrees faces the tracker in one of twenty configurations. Whether it does,
+# and where the SMR is, follows from a few products of the pose of the first joints with that of the wrist. So each of a
+# group of first joints is combined with each of a group of wrists: the trigonometry is done once for many
+# configurations.
+
+
+_GROUP = 16
+"""Number of first joints, and of wrists, in a group: 256 configurations, 2 to 4 of them usable in the twin cell."""
+_GROUPS = 48
+"""Number of groups drawn at once, some 12 000 configurations: what is computed from them fits in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointDraws:
+    """b groups, in each m positions of the first joints combined with w of the other joints.
+
+    Attributes
+    ----------
+    first : array, shape (b, m, s)
+        Positions of the first s joints [rad].
+    wrist : array, shape (b, w, N - s)
+        Positions of the other joints [rad].
+    sight : Sight
+        Their SMRs as the tracker sees them; its arrays have the shape (b, m, w), that of the positions (3, b, m, w).
+    """
+
+    first: Array
+    wrist: Array
+    sight: Sight
+
+    def q(self, chosen: NDArray[np.bool_]) -> Array:
+        """Return the configurations ``chosen`` (b, m, w) as (n, N) [rad], in the order of ``array[chosen]``."""
+        group, i, k = np.nonzero(chosen)
+        return np.concatenate([self.first[group, i], self.wrist[group, k]], axis=1)
+
+
+def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator) -> JointDraws:
+    """Draw configurations uniformly from ``ranges`` (N, 2) [rad]; the tracker stands at ``T_C_M`` (4, 4).
+
+    Every configuration is uniform; only those of one group depend on each other, as they share positions of joints.
+    """
+    split = max(1, arm.geometry.joints // 2)
+    first, wrist = _uniform(ranges[:split], rng), _uniform(ranges[split:], rng)
+    R, o = _end_poses(replace(arm.geometry, rows=arm.geometry.rows[:split]), first)
+    identity = Geometry(np.zeros(6), arm.geometry.rows[split:], arm.geometry.tool)
+    R_wrist, o_wrist = _end_poses(identity, wrist)
+    normal, smr = R_wrist @ arm.normal_F, o_wrist + R_wrist @ arm.geometry.tool  # in the last frame of the first joints
+    axes = T_C_M[:3, :3].T @ R
+    tracker = np.einsum("bmac,bma->bmc", R, T_C_M[:3, 3] - o)  # (b, m, 3), in the same frame
+    away = -np.einsum("bmac,bmc->bma", axes, tracker)
+    b, m, w = len(first), first.shape[1], wrist.shape[1]
+    smr_T = np.ascontiguousarray(smr.transpose(0, 2, 1))
+    smr_M = (axes.transpose(0, 2, 1, 3).reshape(b, 3 * m, 3) @ smr_T).reshape(b, 3, m, w).transpose(1, 0, 2, 3)
+    smr_M = smr_M + away.transpose(2, 0, 1)[..., None]
+    distance = np.sqrt(smr_M[0] ** 2 + smr_M[1] ** 2 + smr_M[2] ** 2)
+    towards = tracker @ normal.transpose(0, 2, 1)
+    towards -= np.einsum("bwa,bwa->bw", smr, normal)[:, None]
+    return JointDraws(first, wrist, Sight(smr_M, distance, towards / distance))
+
+
+def _uniform(ranges: Array, rng: np.random.Generator) -> Array:
+    """Draw uniform positions (b, m, s) [rad] of s joints; one in each group where no joint can move."""
+    group = _GROUP if np.any(ranges[:, 1] > ranges[:, 0]) else 1
+    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(_GROUPS, group, len(ranges)))
+
+
+def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
+    """Compute rotations (b, m, 3, 3) and origins (b, m, 3) [m] of a chain's last frame at ``q`` (b, m, s) [rad]."""
+    b, m, joints = q.shape
+    rotations, origins = frame_poses(geometry, q.reshape(b * m, joints))
+    return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
+
+
+def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
+    """Return the ranges from which the joint positions of an arm are drawn, lowest and highest, shape (N, 2) [rad].
+
+    Raises
+    ------
+    InputError
+        If a range of the plan is outside the arm's limits.
+    """
+    limits = cell.arms[name].limits
+    if profile.plan.ranges is None:  # poses repeat after one turn of a joint: stay as near to zero as the limits allow
+        middle = np.clip(0.0, limits[:, 0] + math.pi, limits[:, 1] - math.pi)
+        return np.stack(
+            [np.maximum(limits[:, 0], middle - math.pi), np.minimum(limits[:, 1], middle + math.pi)], axis=1
+        )
+    low, high = np.array(profile.plan.ranges).T
+    ranges = np.stack([np.maximum(low, limits[:, 0]), np.minimum(high, limits[:, 1])], axis=1)
+    for j in np.flatnonzero(ranges[:, 0] > ranges[:, 1]):
+        raise InputError(
+            f"plan.ranges: joint {j + 1}: no part of [{low[j]:g}, {high[j]:g}] rad is inside the limits of arm {name}"
+        )
+    return ranges
+
+
+# -- Selection of the configurations of one arm that can be measured: cheap and selective conditions come first -------
+
+
+FLOOR, CEILING, OWN_BODIES = "floor", "ceiling", "own bodies"
+OWN_BEAM, MOUNTED = "own arm in the beam", "mounted obstacle in the beam"
+"""Constraints that bodies set; each obstacle adds two more, under its name."""
+INCIDENCE = "incidence"
+"""Name under which measurable configurations are counted that are left out to prefer smaller angles of incidence."""
+GATE = "gate"
+"""Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Usable:
+    """Of the configurations of a draw, n that the tracker sees and at which the arm is clear.
+
+    Attributes
+    ----------
+    drawn : int
+        Configurations of the draw.
+    q : array, shape (n, N)
+        Joint positions [rad].
+    smr_M : array, shape (n, 3)
+        SMR centres in the tracker frame M [m].
+    incidence : array, shape (n,)
+        [rad]
+    rejected : mapping
+        Constraint -> how many it excluded; each configuration counts for the first that does, in the order given.
+    """
+
+    drawn: int
+    q: Array
+    smr_M: Array
+    incidence: Array
+    rejected: Mapping[str, int]
+
+
+def usable(
+    cell: CellBodies,
+    field: TrackerField,
+    name: str,
+    draws: JointDraws,
+    keep: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> Usable:
+    """Select the usable configurations among ``draws``; ``keep`` decides by incidence (n,) [rad] what to keep."""
+    rejected: dict[str, int] = {}
+    seen = np.ones(draws.sight.distance.shape, dtype=bool)
+    count = seen.size
+    for constraint, holds in sight_conditions(field, cell.arms[name].acceptance, draws.sight):
+        seen &= holds
+        left = int(np.count_nonzero(seen))
+        rejected[constraint], count = count - left, left
+    q, smr_M = draws.q(seen), draws.sight.smr_M[:, seen].T
+    incidence = np.arccos(np.minimum(draws.sight.cosine[seen], 1.0))
+    rows = np.arange(len(q))
+    if keep is not None:
+        rows = rows[keep(incidence)]
+        rejected[INCIDENCE] = len(q) - len(rows)
+    placed = place(cell.arms[name], q[rows])
+    for constraint, margin in body_margins(cell, field, name).items():
+        clear = margin(placed) > 0.0  # not for NaN
+        rejected[constraint] = len(rows) - int(np.count_nonzero(clear))
+        rows, placed = rows[clear], placed.take(clear)
+    return Usable(seen.size, q[rows], smr_M[rows], incidence[rows], rejected)
+
+
+def together(batches: Sequence[Usable]) -> Usable:
+    """Merge the configurations of several draws into one."""
+    q, smr_M, incidence = (
+        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")
+    )
+    rejected = {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected}
+    return Usable(sum(batch.drawn for batch in batches), q, smr_M, incidence, rejected)
+
+
+def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:
+    """Select the configurations that the safety gate, too, finds visible and clear: its answer is final."""
+    admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
+    rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
+    return Usable(found.drawn, found.q[admitted], found.smr_M[admitted], found.incidence[admitted], rejected)
+
+
+def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[str, Callable[[Placed], Array]]:
+    """Map each constraint to the margin of an arm [m] at n configurations, shape (n,); negative where it is violated.
+
+    Infinite where there is no distance: without bodies, and for what is mounted beside the SMR.
+    """
+    tracker, arm = field.T_C_M[:3, 3], cell.arms[name]
+    margins: dict[str, Callable[[Placed], Array]] = {
+        FLOOR: lambda placed: floor_clearance(placed, cell.floor) - cell.clearance,
+        CEILING: lambda placed: ceiling_clearance(placed, cell.ceiling) - cell.clearance,
+        OWN_BEAM: lambda placed: beam_clearance(tracker, placed.smr, placed, own=True) - BEAM_RADIUS,
+        OWN_BODIES: lambda placed: self_clearance(placed, cell.self_clearance) - cell.self_clearance,
+    }
+    if arm.mounted:
+        margins[MOUNTED] = lambda placed: np.where(mounted_hides(tracker, placed, BEAM_RADIUS), -np.inf, np.inf)
+    for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[arm], strict=True):
+        margins[f"obstacle '{obstacle.name}' in the beam"] = partial(_beam_margin, obstacle, tracker)
+        if np.any(asked > -np.inf):
+            margins[f"obstacle '{obstacle.name}'"] = partial(_obstacle_margin, obstacle, asked)
+    return margins
+
+
+def _beam_margin(obstacle: Obstacle, tracker: Array, placed: Placed) -> Array:
+    return beam_gaps((obstacle,), tracker, placed.smr, BEAM_RADIUS) - BEAM_RADIUS
+
+
+def _obstacle_margin(obstacle: Obstacle, asked: Array, placed: Placed) -> Array:
+    bodies = np.flatnonzero(asked > -np.inf)
+    gaps = obstacle.gaps(placed.start[:, bodies], placed.end[:, bodies], placed.radius[bodies], asked[bodies])
+    return np.asarray((gaps - asked[bodies]).min(axis=1))
+
+
+# -- Constraints that exclude configurations of an arm from being measured: how many, by how much, and what helps -----
+
+
+_EXAMINED = 36_000
+"""Number of configurations examined: shares to a tenth of a percent in a fifth of a second."""
+_SEED = 0
+"""Seed of these configurations: always the same, so that the shares of two cells can be compared."""
+_TURN = 2.0 * math.pi
+_SUBJECTS: Mapping[str, str] = {
+    RANGE: "tracker.distance",
+    AZIMUTH: "tracker.azimuth",
+    ELEVATION: "tracker.elevation",
+    FACING: "the SMR's viewing direction (smr.normal, smr.acceptance)",
+    FLOOR: "the floor (plan.floor, plan.clearance)",
+    CEILING: "the ceiling (plan.ceiling, plan.clearance)",
+    OWN_BEAM: "the arm's own body in the beam",
+    OWN_BODIES: "the arm's clearance from itself",
+    MOUNTED: "what is mounted beside the SMR",
+}
+_ADVICE: Mapping[str, str] = {
+    RANGE: "move the tracker (tracker.pose), or check tracker.distance",
+    AZIMUTH: "turn the tracker about its vertical axis (tracker.pose), or check tracker.azimuth",
+    ELEVATION: "raise or lower the tracker, or move it farther away (tracker.pose), or check tracker.elevation",
+    FACING: "turn smr.normal or the base towards the tracker, widen arms.*.limits or plan.ranges, or use an SMR of"
+    " wider acceptance",
+    FLOOR: "check plan.floor and arms.*.base, or ask for a smaller plan.clearance",
+    CEILING: "check plan.ceiling and arms.*.base, or ask for a smaller plan.clearance",
+    OWN_BEAM: "move the tracker, or fix the SMR farther from the arm's axes (smr.offset)",
+    OWN_BODIES: "check arms.*.limits, plan.ranges and the capsules of the arm's type",
+    MOUNTED: "mount it behind the SMR, or turn smr.normal away from it",
+}
+
+
+def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: int) -> str:
+    """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
+    asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
+    first, second = exclusions(cell, profile, name)[:2]
+    subject, next_one = (_SUBJECTS.get(one.constraint, one.constraint) for one in (first, second))
+    if first.without > 0.0:
+        besides = f"Without it {_percent(first.without)} could be measured."
+    else:
+        besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(second.alone)}."
+    return (
+        f"plan: arm {name}: {found or 'none'} of {drawn} random configurations can be measured{asked}. Most are"
+        f" excluded by {subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
+    )
+
+
+def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[ConstraintShare, ...]:
+    """Compute what each constraint excludes; first the one without which most configurations could be measured.
+
+    Raises
+    ------
+    InputError
+        If the cell has no tracker.
+    """
+    if cell.field is None:
+        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
+    arm, (low, high) = cell.arms[name], joint_ranges(cell, profile, name).T
+    placed = place(arm, np.random.default_rng(_SEED).uniform(low, high, size=(_EXAMINED, len(low))))
+    sight = sight_of(cell.field.T_C_M, placed)
+    examined = _sight_examined(cell.field, sight, arm.acceptance)
+    for constraint, margin in body_margins(cell, cell.field, name).items():
+        metres = margin(placed)
+        examined.append(_Examined(constraint, metres > 0.0, -1e3 * metres, "mm"))
+    failed = np.sum([~one.holds for one in examined], axis=0)
+    found = []
+    for one in examined:
+        fails = ~one.holds
+        decisive = fails & (failed == 1)
+        extent = _extent(cell.field, one, sight, decisive if decisive.any() else fails)
+        found.append(
+            ConstraintShare(
+                constraint=one.name,
+                alone=float(fails.mean()),
+                without=float((failed == fails).mean()),
+                extent=extent,
+                advice=_ADVICE.get(one.name, f"move the {one.name.removesuffix(' in the beam')} or the tracker"),
+            )
+        )
+    return tuple(sorted(found, key=lambda one: (one.without, one.alone), reverse=True))
+
+
+@dataclass(frozen=True, eq=False)
+class _Examined:
+    """One constraint at n configurations: where it holds (n,), and by how much it is missed (n,) in ``unit``."""
+
+    name: str
+    holds: NDArray[np.bool_]
+    missed: Array
+    unit: str
+
+
+def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> list[_Examined]:
+    """Examine the conditions on the SMRs, and by how much they are missed in mm or deg."""
+    low, high = field.distance
+    lowest, highest = field.elevation
+    past_left = np.mod(sight.azimuth - field.azimuth[0], _TURN)
+    width = field.azimuth[1] - field.azimuth[0]
+    elevation = np.arcsin(np.clip(sight.sine_of_elevation, -1.0, 1.0))
+    missed = {
+        RANGE: (1e3 * np.maximum(low - sight.distance, sight.distance - high), "mm"),
+        AZIMUTH: (np.degrees(np.minimum(past_left - width, _TURN - past_left)), "deg"),
+        ELEVATION: (np.degrees(np.maximum(lowest - elevation, elevation - highest)), "deg"),
+        FACING: (np.degrees(sight.incidence - usable_acceptance(acceptance)), "deg"),
+    }
+    return [_Examined(name, holds, *missed[name]) for name, holds in sight_conditions(field, acceptance, sight)]
+
+
+def _extent(field: TrackerField, one: _Examined, sight: Sight, rows: NDArray[np.bool_]) -> str:
+    """Describe what is seen at ``rows`` against what is allowed, and by how much the nearest of them misses."""
+    if not rows.any():
+        return "it excludes none"
+    by = _by_how_much(one, rows)
+    if one.name == RANGE:
+        seen, allowed = sight.distance[rows], np.array(field.distance)
+        return f"the SMR is {_span(seen, '.2f')} m from the tracker, allowed are {_span(allowed, '.4g')} m; {by}"
+    if one.name in (AZIMUTH, ELEVATION):
+        seen = sight.azimuth[rows] if one.name == AZIMUTH else np.arcsin(sight.sine_of_elevation[rows])
+        middle = np.angle(np.exp(1j * seen).mean())  # azimuths may cross the cut at half a turn
+        seen = np.degrees(middle + np.angle(np.exp(1j * (seen - middle))))
+        allowed = np.degrees(field.azimuth if one.name == AZIMUTH else field.elevation)
+        return f"the SMR is seen at {_span(seen, '.0f')} deg, allowed are {_span(allowed, '.4g')} deg; {by}"
+    if one.name == FACING:
+        return f"the SMR looks away from the tracker; {by}"
+    return by
+
+
+def _by_how_much(one: _Examined, rows: NDArray[np.bool_]) -> str:
+    """Say by how much the nearest of ``rows`` misses; if other rows hold, by how much half of them miss."""
+    nearest, half = float(np.min(one.missed[rows])), float(np.median(one.missed[rows]))
+    if not math.isfinite(nearest):
+        return "it hides the SMR"
+    return (
+        f"half miss by {half:.0f} {one.unit} or more"
+        if one.holds.any()
+        else f"the nearest misses by {nearest:.0f} {one.unit}"
+    )
+
+
+def _span(values: Array, number_format: str) -> str:
+    return f"{np.min(values):{number_format}} to {np.max(values):{number_format}}"
+
+
+def _percent(share: float) -> str:
+    """Format a share of the configurations in percent, never rounded to all or nothing."""
+    if share in (0.0, 1.0):
+        return "all of them" if share else "none"
+    return f"{100.0 * share:.{1 if 0.01 < share < 0.99 else 2}f} % of them"
+
+
+# -- Configurations that represent the workspace: where targets will be, whichever way the SMR faces ------------------
+
+
+_MOST_BATCHES = 50
+"""Number of batches after which drawing ends where hardly any configuration is clear."""
+
+
+def workspace_configurations(
+    profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator
+) -> Array:
+    """Draw ``count`` configurations (count, N) [rad], uniform in the plan's joint ranges where the arm is clear.
+
+    The tracker need not see them: targets are work, not measurements. Fewer where hardly any is clear.
+    """
+    low, high = joint_ranges(cell, profile, name).T
+    found: list[Array] = []
+    for _ in range(_MOST_BATCHES):
+        q = rng.uniform(low, high, size=(4 * count, len(low)))
+        found.append(q[clear_alone(cell, place(cell.arms[name], q))])
+        if sum(map(len, found)) >= count:
+            break
+    return np.concatenate(found)[:count]

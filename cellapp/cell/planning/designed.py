@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool
+from cellapp.cell.planning.candidates import CandidatePool, draw_pool, workspace_configurations
+from cellapp.cell.planning.information import even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
-from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import TransitPlanner
-from cellapp.cell.planning.within_reach import hubs_of, within_reach
+from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, sample_spacing
+from cellapp.cell.safety.gate import CellBodies, clear_alone, sample_spacing
+from cellapp.estimation.design.block_choice import (
+    Candidates,
+    choose_blocks,
+    close_gaps,
+    gap_limits,
+    most_informative_first,
+    without_turns,
+)
+from cellapp.estimation.design.block_design import Criterion, Rows, information_of, reference_errors
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0xDE51
@@ -144,3 +157,143 @@ def _pool(
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
     return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)
+
+
+# -- Work done for each arm separately, in worker threads; the random numbers do not depend on the threads ------------
+
+
+_AT_ONCE = 2
+"""Number of threads: bounds the memory; more arms or cores are rare."""
+
+Result = TypeVar("Result")
+
+
+def of_each_arm(
+    work: Callable[[str, np.random.Generator], Result], names: Iterable[str], rng: np.random.Generator
+) -> dict[str, Result]:
+    """Return arm -> ``work(arm, stream)``, each with a stream of its own that is spawned from ``rng``.
+
+    The result is the same whichever arm is faster and however many cores there are. Matrix products and other work on
+    long arrays run outside the interpreter lock. Raises what ``work`` raises for the first arm that fails.
+    """
+    names = tuple(names)
+    # linear algebra keeps to one thread: its products are narrow, and the arms have a core each
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=_AT_ONCE) as threads:
+        return dict(zip(names, threads.map(work, names, rng.spawn(len(names))), strict=True))
+
+
+# -- Selection of the most informative stops of each arm from its pool of candidates ----------------------------------
+
+
+_POINTS = 600
+"""Configurations that represent the workspace: the mean is then known to 2 %, the worst point to a few percent."""
+
+
+def select_stops(
+    profile: Profile,
+    pools: Mapping[str, CandidatePool],
+    count: int,
+    rng: np.random.Generator,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    kept: Mapping[str, Array] | None = None,
+) -> dict[str, Rows]:
+    """Choose ``count`` candidates of each arm, fewer where its pool has fewer; the most informative first.
+
+    Each arm has its own thread and its own stream of random numbers, spawned from ``rng``: the result does not depend
+    on which is faster. ``kept`` are configurations (k, N) [rad] of each arm that are in the plan already: their
+    information counts before the first choice, and they count in the coverage of the joints.
+
+    Raises
+    ------
+    InputError
+        If the profile lists an effect that no plan of this cell can show, or does not describe the cell.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    q = {name: pool.q for name, pool in pools.items()}
+
+    def choose(name: str, own_rng: np.random.Generator) -> Rows:
+        return _select(profile, name, q, count, None if kept is None else kept.get(name), own_rng, cancel)
+
+    listener(Progress("select", 0, len(pools), " and ".join(f"arm {name}" for name in pools)))
+    chosen = of_each_arm(choose, pools, rng)
+    listener(Progress("select", len(pools), len(pools), "done"))
+    return chosen
+
+
+def _select(
+    profile: Profile,
+    name: str,
+    pools: Mapping[str, Array],
+    count: int,
+    kept: Array | None,
+    rng: np.random.Generator,
+    cancel: CancelToken,
+) -> Rows:
+    """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
+    q, others = pools[name], {other: q for other, q in pools.items() if other != name}
+    if not count or not len(q):
+        return np.arange(0)
+    conditions = even_conditions(profile, name, q, others, rng)
+    model = information_model(profile, name, q, conditions)
+    kept = np.empty((0, q.shape[1])) if kept is None else kept
+    before = model.rows(kept, even_conditions(profile, name, kept, others, rng))
+    candidates = Candidates(model.rows(q, conditions, np.float32), np.eye(len(model.size)) + information_of(before))
+    targets = workspace_configurations(profile, cell_bodies(profile), name, _POINTS, rng)
+    criterion = Criterion(
+        reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
+        model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
+    )
+    chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)
+    limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
+    chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
+    return most_informative_first(candidates, chosen, criterion)
+
+
+# -- Selection of the candidates of an arm that are easy to reach: straight motions from home and others are free -----
+#
+# The most informative poses lie at the ends of the joints' ranges, and some of these in pockets (folded, behind an
+# obstacle, the wrong way round) to which hardly any motion leads. Motions are sampled, without regard to other arms;
+# the gate decides.
+
+
+_HUBS = 8
+"""Number of configurations besides home from which motions are checked."""
+_LEAST_WAYS = 2
+"""Number of these motions that must be free: an isolated pose rarely fits into an order of stops."""
+_SAMPLES = 10
+"""Number of samples of a motion, without its ends: a tenth of a turn apart on a motion of one turn."""
+_STOPS_AT_ONCE = 250
+"""Number of configurations whose bodies are placed at once; they fit in the cache."""
+
+
+def within_reach(cell: CellBodies, name: str, q: Array, hubs: Array) -> NDArray[np.bool_]:
+    """Return whether an arm reaches configurations ``q`` (n, N) [rad] from enough of its ``hubs``, shape (n,)."""
+    least = min(_LEAST_WAYS, len(hubs))
+    ways = np.zeros(len(q), dtype=np.intp)
+    for hub in hubs:
+        left = np.flatnonzero(ways < least)
+        ways[left] += free_ways(cell, name, hub, q[left])
+    return np.asarray(ways >= least)
+
+
+def hubs_of(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
+    """Choose the hubs (k, N) [rad] from which motions are checked: ``home`` (N,), and the first of the configurations
+    ``q`` (n, N), in random order, that can be reached from there; without home the first ones."""
+    if home is None:
+        return q[: _HUBS + 1]
+    nearby = q[: 16 * _HUBS]
+    return np.concatenate([home[None], nearby[free_ways(cell, name, home, nearby)][:_HUBS]])
+
+
+def free_ways(cell: CellBodies, name: str, start: Array, q: Array) -> NDArray[np.bool_]:
+    """Return whether straight motions from ``start`` (N,) to ``q`` (n, N) [rad] are clear at their samples, (n,)."""
+    free = np.ones(len(q), dtype=np.bool_)
+    # the middle first: most blocked motions are blocked there
+    shares = np.arange(1, _SAMPLES + 1) / (_SAMPLES + 1)
+    for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
+        for rows in np.array_split(np.flatnonzero(free), max(1, int(free.sum()) // _STOPS_AT_ONCE)):
+            placed = place(cell.arms[name], start + share * (q[rows] - start))
+            free[rows] = clear_alone(cell, placed)
+    return free

@@ -30,8 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, straight_stops
-from cellapp.cell.planning.stop_conditions import LONGEST_DWELL_S
+from cellapp.cell.planning.planned_stops import LONGEST_DWELL_S, Configuration, PlannedStops, straight_stops
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short, write_csv
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs

@@ -18,15 +18,14 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, random_configurations
+from cellapp.cell.planning.candidates import CandidatePool, random_configurations, workspace_configurations
 from cellapp.cell.planning.design_records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
-from cellapp.cell.planning.workspace import workspace_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.parameters import determined_set
+from cellapp.estimation.design.block_choice import largest_gaps, without_turns
 from cellapp.estimation.design.block_design import information_of
-from cellapp.estimation.design.gaps import largest_gaps, without_turns
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import one_blas_thread

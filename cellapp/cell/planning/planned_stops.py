@@ -1,15 +1,21 @@
-"""A complete plan in memory: stops of all arms in their order, how each is reached, and what it is for."""
+"""A complete plan: stops of all arms in their order, how each is reached, what it is for; in memory and in a run."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
+from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import Record
 from cellapp.robot.kinematics.transforms import Array
 
 Configuration = Mapping[str, Array]
@@ -178,3 +184,248 @@ def refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
 def can_go(cell: CellBodies, here: Configuration, there: Configuration) -> bool:
     """Return whether the arms can move all at once, or one after the other in some order, as the collection does."""
     return any(not refused_route(cell, here, route) for route in ((there,), *orders(there)))
+
+
+# -- Conditions of a planned stop besides its joint positions: direction of approach and dwell time -------------------
+#
+# A run stores them as the document ``factors``: ``{stop: {arm: {"via": [q1, ...], "dwell_s": s, "proposed": false}}}``.
+# Stops count from 0; all keys are optional. A stop that is listed was proposed by discovery unless it says otherwise.
+
+
+STOP_CONDITIONS_RESULT = "factors"
+"""Name of the document; it is part of the file format."""
+LONGEST_DWELL_S = 600.0
+"""Longest dwell time that is accepted: ten minutes, some time constants of an arm that settles."""
+
+
+@dataclass(frozen=True, eq=False)
+class StopConditions:
+    """Approach of one arm to a stop, and its dwell time there.
+
+    Attributes
+    ----------
+    via : array, shape (N,), or None
+        Joint positions before the last motion [rad], which determine its direction and length. None: straight from the
+        stop before.
+    dwell_s : float
+        Least time from standstill to the measurement [s].
+    proposed : bool
+        Whether discovery proposed the stop.
+    """
+
+    via: Array | None = None
+    dwell_s: float = 0.0
+    proposed: bool = True
+
+
+def read_stop_conditions(run: RunFile) -> dict[int, dict[str, StopConditions]]:
+    """Read the conditions of stops that have some, or were proposed: stop -> arm -> conditions.
+
+    Raises
+    ------
+    InputError
+        If the document is not one that ``write_stop_conditions`` writes.
+    """
+    text = run.read_result(STOP_CONDITIONS_RESULT)
+    if text is None:
+        return {}
+    try:
+        stored = _DOCUMENT.validate_json(text)
+        return {stop: {arm: _checked(run, arm, one) for arm, one in arms.items()} for stop, arms in stored.items()}
+    except (ValueError, KeyError) as error:
+        raise InputError(
+            f"{run.path}: the document '{STOP_CONDITIONS_RESULT}' with approach and dwell of its stops is damaged"
+            f" ({reason_of(error)}); restore the run from a copy, or plan a new one"
+        ) from None
+
+
+def proposed_stops(conditions: Mapping[int, Mapping[str, StopConditions]]) -> frozenset[int]:
+    """Return the numbers of the stops that discovery proposed."""
+    return frozenset(stop for stop, arms in conditions.items() if any(one.proposed for one in arms.values()))
+
+
+def stop_conditions_json(conditions: Mapping[int, Mapping[str, StopConditions]]) -> str:
+    """Convert conditions to the text of the document."""
+    stored = {stop: {arm: _stored(one) for arm, one in arms.items()} for stop, arms in conditions.items()}
+    return _DOCUMENT.dump_json(stored, exclude_defaults=True).decode()
+
+
+class _Stored(Record):
+    """Conditions of one arm at one stop as they are stored."""
+
+    via: tuple[float, ...] | None = None
+    dwell_s: float = 0.0
+    proposed: bool = True
+
+
+_DOCUMENT = TypeAdapter(dict[int, dict[str, _Stored]])
+
+
+def _stored(conditions: StopConditions) -> _Stored:
+    via = None if conditions.via is None else tuple(conditions.via.tolist())
+    return _Stored(via=via, dwell_s=conditions.dwell_s, proposed=conditions.proposed)
+
+
+def _checked(run: RunFile, arm: str, stored: _Stored) -> StopConditions:
+    joints = len(run.profile.arms[arm].type.joints)
+    via = None if stored.via is None else np.array(stored.via, dtype=np.float64)
+    if via is not None and (via.shape != (joints,) or not np.isfinite(via).all()):
+        raise ValueError(f"arm {arm}: 'via' must be {joints} finite joint positions")
+    if not (math.isfinite(stored.dwell_s) and 0.0 <= stored.dwell_s <= LONGEST_DWELL_S):
+        raise ValueError(f"arm {arm}: 'dwell_s' must lie between 0 and {LONGEST_DWELL_S:g} s")
+    return StopConditions(via, stored.dwell_s, stored.proposed)
+
+
+def reason_of(error: Exception) -> str:
+    """Say briefly what is wrong with a document."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return str(error)
+
+
+# -- Storage of a plan in its run, as ``PlannedStops``, and of its design ---------------------------------------------
+#
+# The table ``plan`` holds the joint positions, the document ``factors`` approach and dwell. The document
+# ``planned_stops`` holds the rest: ``{"legs": {stop: [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop:
+# stop}, "frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop; without loads, the
+# profile's payload. In runs without this document all motions are straight and all stops in one block. All three are
+# written in one transaction.
+
+
+PLANNED_STOPS_RESULT = "planned_stops"
+PLAN_DESIGN_RESULT = "plan_design"
+"""Names of the documents; they are part of the file format."""
+
+
+class _StoredPlan(Record):
+    """The document ``planned_stops``."""
+
+    legs: Mapping[int, tuple[Mapping[str, tuple[float, ...]], ...]] = {}
+    block: tuple[int, ...]
+    repeat_of: Mapping[int, int] = {}
+    frozen: tuple[int, ...] = ()
+    load: tuple[int, ...] = ()
+
+
+def read_planned_stops(run: RunFile) -> PlannedStops:
+    """Read the plan of a run; it has no stops if the run has no plan.
+
+    Raises
+    ------
+    InputError
+        If one of its documents is damaged.
+    """
+    stops = straight_stops(run.read_plan())
+    for stop, arms in read_stop_conditions(run).items():
+        for name, one in arms.items():
+            if stop < len(stops) and name in stops.q:
+                stops.dwell_s[name][stop] = one.dwell_s
+                if one.via is not None:
+                    stops.approach_from[name][stop] = one.via
+    text = run.read_result(PLANNED_STOPS_RESULT)
+    if text is None:
+        return stops
+    try:
+        return _with_stored(stops, _StoredPlan.model_validate_json(text), run.profile.loads)
+    except (ValidationError, ValueError) as error:
+        raise InputError(
+            f"{run.path}: the document '{PLANNED_STOPS_RESULT}' with the ways of its plan is damaged"
+            f" ({reason_of(error)}); restore the run from a copy, or plan a new one"
+        ) from None
+
+
+def write_planned_stops(
+    run: RunFile,
+    stops: PlannedStops,
+    *,
+    proposed: Collection[int] = (),
+    design: PlanDesignResult | None = None,
+) -> None:
+    """Store a plan in place of the one before.
+
+    ``proposed`` are the numbers of stops that discovery proposed. ``design`` describes the design of the plan; None
+    keeps the stored one.
+
+    Raises
+    ------
+    InputError
+        If a stop that is already measured would change.
+    """
+    documents = {
+        STOP_CONDITIONS_RESULT: stop_conditions_json(conditions_of(stops, proposed)),
+        PLANNED_STOPS_RESULT: _StoredPlan(
+            legs={
+                stop: tuple({name: tuple(q.tolist()) for name, q in leg.items()} for leg in legs)
+                for stop, legs in enumerate(stops.legs)
+                if legs
+            },
+            block=tuple(stops.block.tolist()),
+            repeat_of={stop: source for stop, source in enumerate(stops.repeat_of.tolist()) if source >= 0},
+            frozen=tuple(np.flatnonzero(stops.frozen).tolist()),
+            load=tuple(stops.load.tolist()) if stops.load.any() else (),
+        ).model_dump_json(exclude_defaults=True),
+    }
+    if design is not None:
+        documents[PLAN_DESIGN_RESULT] = design.to_json()
+    run.write_plan(stops.q, documents)
+
+
+def read_plan_design(run: RunFile) -> PlanDesignResult | None:
+    """Read the design of a run's plan; None if it was not designed. Raise ``InputError`` if it is damaged."""
+    text = run.read_result(PLAN_DESIGN_RESULT)
+    return None if text is None else PlanDesignResult.from_json(text, f"{run.path}: {PLAN_DESIGN_RESULT}")
+
+
+def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[int, dict[str, StopConditions]]:
+    """Collect approach and dwell of each arm at each stop that has some, or that discovery ``proposed``."""
+    found: dict[int, dict[str, StopConditions]] = {}
+    for stop in range(len(stops)):
+        starts = stops.approach_starts(stop)
+        of_stop = {
+            name: StopConditions(starts.get(name), float(rest[stop]), stop in proposed)
+            for name, rest in stops.dwell_s.items()
+        }
+        if stop in proposed or starts or any(one.dwell_s > 0.0 for one in of_stop.values()):
+            found[stop] = of_stop
+    return found
+
+
+def _with_stored(stops: PlannedStops, stored: _StoredPlan, loads: int) -> PlannedStops:
+    """Complete the stops by the document. Raise ``ValueError`` if it does not fit them.
+
+    Stops that were appended without it are in the last block and have the last load.
+    """
+    n = len(stops)
+    numbers = [*stored.legs, *stored.repeat_of, *stored.repeat_of.values(), *stored.frozen]
+    if max(len(stored.block), len(stored.load)) > n or any(not 0 <= stop < n for stop in numbers):
+        raise ValueError(f"it tells of more stops than the {n} that are planned")
+    legs = [stored.legs.get(stop, ()) for stop in range(n)]
+    if not all(0 <= load < loads for load in stored.load):
+        raise ValueError(f"it tells of load {max(stored.load)}, the profile has 0 to {loads - 1}")
+    frozen = np.zeros(n, dtype=np.bool_)
+    frozen[list(stored.frozen)] = True
+    return replace(
+        stops,
+        legs=tuple(tuple(_checked_leg(stops.q, leg, stop) for leg in of_stop) for stop, of_stop in enumerate(legs)),
+        block=_continued(stored.block, n),
+        repeat_of=np.array([stored.repeat_of.get(stop, -1) for stop in range(n)], dtype=np.intp),
+        frozen=frozen,
+        load=_continued(stored.load, n),
+    )
+
+
+def _continued(values: tuple[int, ...], n: int) -> NDArray[np.intp]:
+    """Return the values (n,), the last one repeated for the remaining stops; zeros if there is none."""
+    last = values[-1] if values else 0
+    return np.array((*values, *(last,) * (n - len(values))), dtype=np.intp)
+
+
+def _checked_leg(plan: Mapping[str, Array], leg: Mapping[str, tuple[float, ...]], stop: int) -> Configuration:
+    for name, q in leg.items():
+        if name not in plan:
+            raise ValueError(f"stop {stop}: a leg moves the arm '{name}', which has no plan")
+        joints = plan[name].shape[1]
+        if len(q) != joints or not all(map(math.isfinite, q)):
+            raise ValueError(f"stop {stop}: a leg of arm {name} must have {joints} finite joint positions")
+    return {name: np.array(q, dtype=np.float64) for name, q in leg.items()}

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.cell.planning.arrangement import arrange, block_count
-from cellapp.cell.planning.factors import FactorPlan
-from cellapp.cell.planning.joint_draws import joint_ranges
-from cellapp.cell.planning.legs import LegPlanner
-from cellapp.cell.planning.order_repair import repair_order
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, can_go, joined_after
-from cellapp.cell.planning.stop_set import StopSet
+from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, block_count
+from cellapp.cell.planning.balance import FactorPlan
+from cellapp.cell.planning.candidates import joint_ranges
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, can_go, joined_after, straight_stops
+from cellapp.cell.planning.tour import Move
 from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
+from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, Listener, Progress, Report, ignore
 from cellapp.robot.kinematics.transforms import Array
 
 _JOB = "order"
@@ -177,3 +177,348 @@ class _Job:
             reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
             raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
         return planned
+
+
+# -- Last motions and paths of an arrangement of stops: where the gate refuses, other sides and steps, or a detour ----
+
+
+_MOST_WAYS = 6
+"""Number of sides and steps of one stop for which the gate is asked about the motion to it. If it refuses all, the stop
+itself is hard to reach, and a detour is sought."""
+_REPORT_EVERY = 10
+"""Stops between two reports of progress."""
+_AHEAD = 100
+"""Number of stops that are looked ahead: for those whose motions the gate refuses, other steps are drawn and asked
+about in one batch. Few, as steps that are drawn together do not balance each other."""
+
+Steps = Mapping[str, Array]
+"""Arm -> signed steps of the last motion to one stop (N,) [rad]."""
+
+
+class LegPlanner:
+    """Plan of how each stop is reached from the one before it; ``start`` (None: anywhere) is before the first."""
+
+    def __init__(
+        self,
+        cell: CellBodies,
+        q: Mapping[str, Array],
+        arrangement: Arrangement,
+        factors: FactorPlan,
+        finder: TransitPlanner,
+        start: Configuration | None,
+    ) -> None:
+        self._cell, self._q, self._arrangement = cell, q, arrangement
+        self._factors, self._finder, self._start = factors, finder, start
+        self._step = factors.approaches()
+        self._before: dict[int, Configuration | None] = {}
+        """Where the arms are before each stop that is reached."""
+        self._others: dict[int, list[Steps]] = {}
+        """Other steps of the next stops."""
+        self.given_up: list[str] = []
+        """One sentence for each stop that cannot be reached."""
+
+    def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
+        """Plan the stops that can be reached, in their order."""
+        n = len(self._arrangement.block)
+        self._ask((stop, self._planned_before(stop), self._own(stop)) for stop in range(n))
+        legs: dict[int, Route] = {}
+        here = self._start
+        for stop in range(n):
+            cancel.check()
+            if stop % _REPORT_EVERY == 0:
+                report(stop, "ways")
+            if stop % _AHEAD == 0:
+                self._look_ahead(range(stop, min(stop + _AHEAD, n)))
+            way = self._reach(stop, here)
+            if isinstance(way, str):
+                self.given_up.append(f"a stop in block {self._arrangement.block[stop] + 1} has no way to it: {way}")
+                continue
+            legs[stop], self._before[stop] = way, here
+            here = self._at(stop)
+        changeable = np.array([not legs.get(stop, ({},)) for stop in range(n)], dtype=np.bool_)
+        self._factors.improve(self._step, changeable, self._accepts)
+        whole = replace(
+            straight_stops(self._q),
+            approach_from={name: _begin(q, self._step[name]) for name, q in self._q.items()},
+            dwell_s=self._factors.dwell_s(self._step),
+            block=self._arrangement.block,
+            repeat_of=self._arrangement.repeat_of,
+        )
+        return replace(whole.take(list(legs)), legs=tuple(legs.values()))
+
+    def _look_ahead(self, stops: range) -> None:
+        """Draw other steps of stops whose planned motions the gate refuses, and ask about the first of each."""
+        once = [stop for stop in stops if self._arrangement.repeat_of[stop] < 0]
+        refused = [stop for stop in once if not self._is_free(stop, self._planned_before(stop), self._own(stop))]
+        self._others = self._other_steps(refused)
+        some = [(stop, others[0]) for stop, others in self._others.items() if others]
+        self._ask((stop, self._planned_before(stop), steps) for stop, steps in some)
+
+    def _own(self, stop: int) -> dict[str, Array]:
+        """Return the planned steps of a stop."""
+        return {name: step[stop] for name, step in self._step.items()}
+
+    def _planned_before(self, stop: int) -> Configuration | None:
+        """Return where the arms are before a stop, if the one before it is not given up."""
+        return self._start if stop == 0 else self._at(stop - 1)
+
+    def _reach(self, stop: int, here: Configuration | None) -> Route | str:
+        """Find legs to a stop, changing its steps where the gate refuses them; the reason if there is no path."""
+        own = self._own(stop)
+        usable, asked = None, 0
+        for steps in self._steps_to(stop, here, own):
+            if not self._last_is_free(stop, steps):
+                continue
+            usable, asked = usable or steps, asked + 1
+            if self._way_is_free(stop, here, steps):
+                self._set(stop, steps)
+                return ()
+            if asked == _MOST_WAYS:
+                break
+        if usable is None:  # none: the last motion comes straight from the stop before
+            usable = {name: np.zeros_like(step) for name, step in own.items()}
+        self._set(stop, usable)
+        if here is None:
+            return ()
+        found = self._finder.find(here, self._begin_of(stop, usable))
+        return found if isinstance(found, str) else found.legs
+
+    def _steps_to(self, stop: int, here: Configuration | None, own: Steps) -> Iterator[Steps]:
+        """Yield the planned steps of a stop, then others whose last motion begins where the arms are clear.
+
+        A repeat has the steps of its stop, mirrored, and no others. The gate mostly accepts the first of the others: it
+        is asked about one, then about growing batches.
+        """
+        yield own
+        if self._arrangement.repeat_of[stop] >= 0:
+            return
+        others = self._others.pop(stop, None)
+        if others is None:  # the stop before was given up
+            others = self._other_steps([stop])[stop]
+        asked = 0
+        for number, steps in enumerate(others):
+            if number == asked:
+                asked = 3 * number + 1
+                self._ask((stop, here, one) for one in others[number:asked])
+            yield steps
+
+    def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
+        """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
+        drawn = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
+        if not drawn:
+            return {}
+        begins = {
+            name: np.concatenate([q[stop] - steps[name] for stop, steps in drawn.items()])
+            for name, q in self._q.items()
+        }
+        free = np.split(clear_stops(self._cell, begins), len(drawn))
+        return {
+            stop: [{name: rows[k] for name, rows in steps.items()} for k in np.flatnonzero(of_stop).tolist()]
+            for (stop, steps), of_stop in zip(drawn.items(), free, strict=True)
+        }
+
+    def _ask(self, motions: Iterable[tuple[int, Configuration | None, Steps]]) -> None:
+        """Ask the gate in one batch about motions to stops, each with its beginning and its steps."""
+        both = list[tuple[Configuration, Configuration]]()
+        for stop, here, steps in motions:
+            begin = self._begin_of(stop, steps)
+            both.append((begin, self._at(stop)))
+            both += [] if here is None else [(here, begin)]
+        self._finder.gate.ask(both)
+
+    def _accepts(self, stop: int, steps: Steps) -> bool:
+        """Return whether the gate accepts other steps at a stop that is reached by a straight motion."""
+        self._ask([(stop, self._before[stop], steps)])
+        return self._is_free(stop, self._before[stop], steps)
+
+    def _is_free(self, stop: int, here: Configuration | None, steps: Steps) -> bool:
+        """Return whether the gate accepts both motions to a stop from where the arms are."""
+        return self._last_is_free(stop, steps) and self._way_is_free(stop, here, steps)
+
+    def _last_is_free(self, stop: int, steps: Steps) -> bool:
+        """Return whether the gate accepts the last motion, and that of the repeat from the other side."""
+        there, free = self._at(stop), self._finder.gate.free
+        if not free(self._begin_of(stop, steps), there):
+            return False
+        mirrored = {name: -step for name, step in steps.items()}
+        repeated = np.any(self._arrangement.repeat_of == stop)
+        return not repeated or free(self._begin_of(stop, mirrored), there)
+
+    def _way_is_free(self, stop: int, here: Configuration | None, steps: Steps) -> bool:
+        return here is None or self._finder.gate.free(here, self._begin_of(stop, steps))
+
+    def _begin_of(self, stop: int, steps: Steps) -> dict[str, Array]:
+        return {name: q[stop] - steps[name] for name, q in self._q.items()}
+
+    def _at(self, stop: int) -> dict[str, Array]:
+        return {name: q[stop] for name, q in self._q.items()}
+
+    def _set(self, stop: int, steps: Steps) -> None:
+        copies = np.flatnonzero(self._arrangement.repeat_of == stop)
+        for name, step in steps.items():
+            self._step[name][copies] = -step
+            self._step[name][stop] = step
+
+
+def _begin(q: Array, step: Array) -> Array:
+    """Compute where the last motions begin (n, N) [rad]; NaN where no joint moves."""
+    return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Repair of the order of stops where the gate refuses a straight motion: parts are reversed, shifted or exchanged.
+
+
+_DETOUR_STEPS = 1.0
+"""Cost of a detour, in mean steps: an order that costs more than the detour is not taken."""
+_MOST_TRIED = 12
+"""Orders that the gate is asked about for one refused motion: it accepts about one in two."""
+_ROUNDS = 2
+"""Passes over all motions: one repair may make another one possible."""
+
+_LEAST_GAIN_S = 0.02
+"""Smallest gain [s] for which the order at the joint of two blocks is changed: each block was ordered by itself."""
+
+_LONGEST_PART = 20
+"""Largest number of stops that a move displaces: more would change when the postures of a block are visited."""
+
+
+def repair_order(
+    stops: StopSet,
+    arrangement: Arrangement,
+    start: Configuration | None,
+    end: Configuration | None,
+    gate: FreeMotions,
+    cancel: CancelToken,
+) -> Arrangement:
+    """Find an order of the same pairs of stops in which the gate refuses few straight motions, or none.
+
+    Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
+    """
+    ways = _Ways(stops, start, end, gate)
+    for place in [0, *(np.flatnonzero(np.diff(arrangement.block)) + 1).tolist(), len(arrangement.block)]:
+        while (better := _better(ways, arrangement, place, -_LEAST_GAIN_S)) is not None:
+            arrangement = better
+    ways.ask((arrangement, place - 1, place) for place in range(arrangement.rows.shape[1] + 1))
+    limit = _DETOUR_STEPS * stops.usual_step_s
+    for _ in range(_ROUNDS):
+        refused = 0
+        for place in range(arrangement.rows.shape[1] + 1):
+            cancel.check()
+            if ways.is_free(arrangement, place - 1, place):
+                continue
+            refused += 1
+            better = _better(ways, arrangement, place, limit)
+            arrangement = arrangement if better is None else better
+        if not refused:
+            break
+    return arrangement
+
+
+def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
+    """Find an order that costs less than ``limit`` [s] and whose new motions are accepted; None if there is none."""
+    costs: list[tuple[float, int, Move]] = []
+    along = ways.along(now)
+    for move in _moves(now.block, place):
+        added = ways.added_s(along, move)
+        costs += [(float(added[k]), k, move) for k in np.argsort(added, kind="stable")[:_MOST_TRIED].tolist()]
+    costs.sort(key=lambda one: one[:2])
+    positions = np.arange(1, now.rows.shape[1] + 1)
+    tried = [
+        Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
+        for added_s, k, move in costs[:_MOST_TRIED]
+        if added_s <= limit
+    ]
+    new = [[(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in move.steps()] for move in tried]
+    asked = 0
+    for number, (move, of_move) in enumerate(zip(tried, new, strict=True)):
+        if number == asked:  # about one in two is accepted
+            asked = 2 * number + 2
+            ways.ask(way for later in new[number:asked] for way in later)
+        if all(ways.is_free(*way) for way in of_move):
+            return now.taken(move.source(positions) - 1)
+    return None
+
+
+def _shift(move: Move, k: int) -> NDArray[np.intp] | int:
+    return move.shift if isinstance(move.shift, int) else move.shift[k : k + 1]
+
+
+def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
+    """Yield moves within a block that change the motion to the stop at ``place``; positions count from 1."""
+    here = place + 1
+    if place < len(block):
+        before, later = _beside(block, place)
+        yield from _of_part(np.full_like(later, here), later)
+        yield Move("exchange", before, np.full_like(before, here))
+    if place > 0:
+        before, later = _beside(block, place - 1)
+        yield from _of_part(before, np.full_like(before, place))
+        yield Move("exchange", np.full_like(later, place), later)
+
+
+def _beside(block: NDArray[np.intp], place: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the positions before and after a stop, within its block and ``_LONGEST_PART``."""
+    first, end = (int(np.searchsorted(block, block[place], side=side)) for side in ("left", "right"))
+    before = np.arange(max(first, place - _LONGEST_PART) + 1, place + 1)
+    return before, np.arange(place + 2, min(end, place + 1 + _LONGEST_PART) + 1)
+
+
+def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
+    yield Move("reverse", low, high)
+    yield Move("exchange", low, high)
+    yield Move("shift", low, high, np.ones_like(low))
+    yield Move("shift", low, high, high - low)
+
+
+Way = tuple[Arrangement, int, int]
+"""The straight motion between two places of an arrangement; -1 is the start, n the end."""
+
+
+class _Ways:
+    """The straight motions between stops: their time, and whether the gate accepts them."""
+
+    def __init__(
+        self, stops: StopSet, start: Configuration | None, end: Configuration | None, gate: FreeMotions
+    ) -> None:
+        self._stops, self._start, self._end, self._gate = stops, start, end, gate
+
+    def ask(self, ways: Iterable[Way]) -> None:
+        """Ask the gate about several motions at once."""
+        self._gate.ask(motion for way in ways if (motion := self._motion(*way)) is not None)
+
+    def is_free(self, arrangement: Arrangement, before: int, place: int) -> bool:
+        """Return whether the gate accepts a motion."""
+        motion = self._motion(arrangement, before, place)
+        return motion is None or self._gate.free(*motion)
+
+    def _motion(self, arrangement: Arrangement, before: int, place: int) -> tuple[Configuration, Configuration] | None:
+        """Return start and end of a motion; None if either is anywhere, or nothing moves."""
+        here, there = self._at(arrangement, before), self._at(arrangement, place)
+        return None if here is None or there is None or before == place else (here, there)
+
+    def along(self, now: Arrangement) -> list[Array]:
+        """Return the positions of each arm from start to end, NaN where start or end is None."""
+        found = []
+        for name, rows in zip(self._stops.names, now.rows, strict=True):
+            q = self._stops.q[name][rows]
+            nowhere = np.full(q.shape[1], np.nan)
+            start, end = (nowhere if one is None else one[name] for one in (self._start, self._end))
+            found.append(np.concatenate([start[None], q, end[None]]))
+        return found
+
+    def added_s(self, along: list[Array], move: Move) -> Array:
+        """Compute the time (n,) [s] that each of the moves adds to the motions through the positions ``along``."""
+        added: Array = np.zeros(len(move.low))
+        for position, before, here in move.steps():
+            added += self._time_s(along, before, here) - self._time_s(along, position - 1, position)
+        return added
+
+    def _time_s(self, along: list[Array], before: NDArray[np.intp], here: NDArray[np.intp]) -> Array:
+        seconds = self._stops.way_s([q[here] - q[before] for q in along])
+        return np.asarray(np.where(np.isfinite(seconds) & (here > 0), seconds, 0.0))
+
+    def _at(self, arrangement: Arrangement, place: int) -> Configuration | None:
+        if place < 0:
+            return self._start
+        return self._stops.at(arrangement.rows[:, place]) if place < arrangement.rows.shape[1] else self._end

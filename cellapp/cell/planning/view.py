@@ -10,10 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.planning.candidates import draw_joints, exclusions, joint_ranges, usable
 from cellapp.cell.planning.design_records import ArmView, SeenCell, ViewChange, ViewResult
-from cellapp.cell.planning.exclusions import exclusions
-from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
-from cellapp.cell.planning.usable import usable
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.safety.visibility import TrackerField, usable_acceptance

@@ -12,10 +12,24 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from cellapp.cell.programs.constants import SIX, Constants, Unresolved, Value, check_chain
-from cellapp.cell.programs.expressions import Call, Expression, Items, Name, Number, Operation, parts_of
 from cellapp.cell.programs.targets import LeftMotion, Place, ProgramTarget, ReadProgram, Six
-from cellapp.cell.programs.urscript import Program, Statement, parse_program
+from cellapp.cell.programs.urscript import (
+    SIX,
+    Call,
+    Constants,
+    Expression,
+    Items,
+    Name,
+    Number,
+    Operation,
+    Program,
+    Statement,
+    Unresolved,
+    Value,
+    check_chain,
+    parse_program,
+    parts_of,
+)
 from cellapp.ground.errors import InputError
 
 _MOTIONS = {

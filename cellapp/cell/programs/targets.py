@@ -1,6 +1,6 @@
 """Targets of a program: the target of each motion, its tool frame, and the place of its numbers in the text.
 
-Programs of both kinds (``.script``, ``.urp``) are read into these; ``correction`` computes, ``rewriting`` writes.
+Programs of both kinds (``.script``, ``.urp``) are read into these; ``solving`` computes and writes.
 """
 
 from __future__ import annotations

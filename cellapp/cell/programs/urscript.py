@@ -2,11 +2,226 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import ast
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
 
-from cellapp.cell.programs.expressions import Expression, Token, Unreadable, parse_expression, tokens_of
+import numpy as np
+
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
+from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
+
+# -- Tokenize and parse expressions of URScript; every part keeps its place in the text -------------------------------
+#
+# URScript Manual (Universal Robots), "The URScript Programming Language": comments begin with ``#``, poses are written
+# ``p[x, y, z, rx, ry, rz]`` in m and rad with the rotation as axis times angle, lists ``[...]``; arguments may be
+# named.
+
+
+_TOKEN = re.compile(
+    r"""(?P<space>[ \t\r\f\v\ufeff]+|\#[^\n]*)
+    |(?P<newline>\n)
+    |(?P<string>"[^"\n]*"?|'[^'\n]*'?)
+    |(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
+    |(?P<name>[^\W\d]\w*)
+    |(?P<sign>==|!=|<=|>=|<<|>>|.)""",
+    re.VERBOSE,
+)
+_OPEN, _CLOSE = "([{", ")]}"
+_DEEPEST = 100
+"""Largest depth of nested parts, or of operations in a row; deeper expressions count as unreadable. People do not write
+them, and functions that process expressions are recursive."""
+
+TokenKind = Literal["newline", "string", "number", "name", "sign"]
+
+
+@dataclass(frozen=True)
+class Token:
+    """Token of the program: its first character's offset in the text, and its line, from 1."""
+
+    kind: TokenKind
+    text: str
+    start: int
+    line: int
+
+    @property
+    def end(self) -> int:
+        """Offset after its last character."""
+        return self.start + len(self.text)
+
+
+def tokens_of(text: str) -> Iterator[Token]:
+    """Yield the tokens of a program without spaces and comments; skip line ends within brackets."""
+    line, depth = 1, 0
+    for found in _TOKEN.finditer(text):
+        kind, word = found.lastgroup, found.group()
+        if kind == "space":
+            continue
+        if word in _OPEN:
+            depth += 1
+        elif word in _CLOSE:
+            depth = max(0, depth - 1)
+        if kind != "newline" or depth == 0:
+            yield Token(kind, word, found.start(), line)  # type: ignore[arg-type]
+        line += kind == "newline"
+
+
+@dataclass(frozen=True, eq=False)
+class Expression:
+    """Part of the text from offset ``start`` up to, but excluding, ``end``; compared by identity."""
+
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, eq=False)
+class Number(Expression):
+    """Number."""
+
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Name(Expression):
+    """Variable."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Items(Expression):
+    """List, or a pose if ``pose``."""
+
+    items: tuple[Expression, ...]
+    pose: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Call(Expression):
+    """Call of a function by name."""
+
+    function: str
+    arguments: tuple[Expression, ...]
+    named: dict[str, Expression] = field(default_factory=dict)
+
+    def argument(self, index: int, name: str) -> Expression | None:
+        """Return the argument at an index or with a name; None if there is none."""
+        return self.arguments[index] if index < len(self.arguments) else self.named.get(name)
+
+
+@dataclass(frozen=True, eq=False)
+class Operation(Expression):
+    """``operands`` joined by an operator; a single operand for a unary operator."""
+
+    sign: str
+    operands: tuple[Expression, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Other(Expression):
+    """Strings, True and False, elements of lists: nothing that can be a target; ``parts`` are inside it."""
+
+    parts: tuple[Expression, ...] = ()
+
+
+class Unreadable(Exception):
+    """The tokens are not an expression that this parser knows."""
+
+
+def parse_expression(tokens: Sequence[Token]) -> Expression:
+    """Parse tokens as one expression. Raise ``Unreadable``.
+
+    Expressions of URScript are like those of Python, except for ``xor`` and for the words that may be names. Python's
+    own parser reads them, with each word replaced by a name of the same length, so that every part keeps its place.
+    """
+    if not tokens:
+        raise Unreadable
+    begin, line = tokens[0].start, ""
+    for token in tokens:
+        named = token.kind != "sign" and token.text not in _WORD_SIGNS
+        if named and line.endswith("x") and token.start - begin == len(line):
+            raise Unreadable  # a number followed by a name without a space
+        word = "x" * len(token.text) if named else _WORD_SIGNS.get(token.text, token.text)
+        line += " " * (token.start - begin - len(line)) + word
+    try:
+        parsed = ast.parse(line, mode="eval").body
+        return _Reader({token.start - begin: token for token in tokens}, begin).read(parsed)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the last two if it is nested too deeply
+        raise Unreadable from error
+
+
+def parts_of(expression: Expression) -> Iterator[Expression]:
+    """Yield the expression and everything inside it, in the order of the text."""
+    yield expression
+    inner: tuple[Expression, ...] = ()
+    match expression:
+        case Items(items=inner) | Operation(operands=inner) | Other(parts=inner):
+            pass
+        case Call():
+            inner = (*expression.arguments, *expression.named.values())
+    for part in inner:
+        yield from parts_of(part)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_WORD_SIGNS = {"and": "and", "or": "or", "xor": "or ", "not": "not"}
+_SIGNS: Mapping[type[ast.AST], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-",
+    ast.Not: "not", ast.And: "and", ast.Or: "or",
+}  # fmt: skip
+"""Operators by their class in Python's ``ast``; without comparisons, whose values are not used in targets."""
+_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Converts Python's syntax tree to expressions; ``words`` are tokens by offset in the line, from ``begin``."""
+
+    words: Mapping[int, Token]
+    begin: int
+
+    def read(self, node: ast.expr, depth: int = 0) -> Expression:
+        """Convert a part at nesting depth ``depth``."""
+        if depth > _DEEPEST:
+            raise Unreadable
+        inner = [one for one in ast.iter_child_nodes(node) if isinstance(one, ast.expr)]
+        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple):
+            inner = [node.value, *node.slice.elts]
+        parts = [self.read(one, depth + 1) for one in inner]
+        assert node.end_col_offset is not None
+        start, end = self.begin + node.col_offset, self.begin + node.end_col_offset
+        match node:
+            case ast.Name():
+                word = self.words[node.col_offset]
+                if word.kind == "number":
+                    return Number(start, end, float(word.text))
+                is_name = word.kind == "name" and word.text not in ("True", "False")
+                return Name(start, end, word.text) if is_name else Other(start, end)
+            case ast.List():
+                return Items(start, end, tuple(parts), pose=False)
+            case ast.Subscript():
+                whole, items = parts[0], tuple(parts[1:])
+                after = self.words.get(node.value.col_offset + 1)
+                if isinstance(whole, Name) and whole.name == "p" and after is not None and after.text == "[":
+                    return Items(start, end, items, pose=True)
+                return Other(start, end, (whole, Items(whole.end, end, items, pose=False)))
+            case ast.Attribute():
+                return Other(start, end, tuple(parts))
+            case ast.BinOp(op=op) | ast.UnaryOp(op=op) | ast.BoolOp(op=op) if type(op) in _SIGNS:
+                return Operation(start, end, _SIGNS[type(op)], tuple(parts))
+            case ast.Compare(ops=ops) if all(isinstance(one, _COMPARED) for one in ops):
+                return Operation(start, end, "==", tuple(parts))
+            case ast.Call(func=ast.Name(), keywords=keywords) if all(one.arg for one in keywords):
+                named = {self.words[one.col_offset].text: self.read(one.value, depth + 1) for one in keywords}
+                if isinstance(function := parts[0], Name):
+                    return Call(start, end, function.name, tuple(parts[1:]), named)
+        raise Unreadable
+
 
 _FUNCTIONS = ("def", "thread", "sec")
 _BLOCKS = ("if", "while", "for", "switch", "case", "default")
@@ -124,3 +339,148 @@ def _statement(words: Sequence[Token], function: str, depth: int) -> Statement:
     except Unreadable:
         expression = None
     return Statement(words[0].line, function, depth, assigned, expression, tuple(words))
+
+
+# -- Evaluate expressions that have the same value whenever the program runs ------------------------------------------
+#
+# A variable is constant if the whole program assigns it once, to such an expression, and no function has a parameter of
+# its name. Functions: ``pose_trans``, ``pose_inv``, ``pose_add``, ``d2r``, ``r2d`` (URScript Manual, module urmath).
+
+
+SIX = 6
+_LONGEST_CHAIN = 40
+_RUNNING = "is known only while the program runs"
+
+
+class Unresolved(Exception):
+    """The value is not constant; the text says why, as the end of a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """Number, list of joint positions, or pose."""
+
+    numbers: tuple[float, ...]
+    pose: bool = False
+
+    def T(self) -> Array:
+        """Return the pose as a matrix (4, 4)."""
+        return pose_matrix(self.numbers)
+
+
+def pose_matrix(pose: Sequence[float]) -> Array:
+    """Return the matrix (4, 4) of x, y, z [m] and a rotation vector [rad]."""
+    return transform(rotation_from_vector(pose[3:]), pose[:3])
+
+
+def pose_numbers(T: Array) -> tuple[float, ...]:
+    """Return x, y, z [m] and rotation vector [rad] of a matrix (4, 4)."""
+    return (*T[:3, 3].tolist(), *rotation_vectors(T[None, :3, :3])[0].tolist())
+
+
+class Constants:
+    """Constant variables of a program."""
+
+    def __init__(self, program: Program) -> None:
+        self._parameters = program.parameters
+        self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
+
+    def definition(self, name: str) -> Expression:
+        """Return the only expression that a variable is assigned. Raise ``Unresolved``."""
+        if name in self._parameters:
+            raise Unresolved(f"'{name}' is a parameter of a function")
+        found = self._assigned.get(name, [])
+        if not found:
+            raise Unresolved(f"'{name}' is not assigned in this program")
+        if len(found) > 1:
+            lines = ", ".join(str(statement.line) for statement in found)
+            raise Unresolved(f"'{name}' is assigned {len(found)} times (lines {lines})")
+        if found[0].assigned != name or found[0].expression is None:
+            raise Unresolved(f"what line {found[0].line} does to '{name}' cannot be read")
+        return found[0].expression
+
+    def value(self, expression: Expression, within: tuple[str, ...] = ()) -> Value:
+        """Return the value of an expression. Raise ``Unresolved``."""
+        match expression:
+            case Number(value=value):
+                return Value((value,))
+            case Name(name=name):
+                check_chain(name, within)
+                return self.value(self.definition(name), (*within, name))
+            case Items(items=items, pose=pose):
+                return Value(tuple(self._number(item, within) for item in items), pose)
+            case Operation(sign=sign, operands=operands):
+                return _operation(sign, [self.value(operand, within) for operand in operands])
+            case Call(function=function, arguments=arguments, named=named) if not named:
+                return _call(function, [self.value(argument, within) for argument in arguments])
+            case Call(function=function):
+                raise Unresolved(f"{function}(...) {_RUNNING}")
+        raise Unresolved(f"it {_RUNNING}")
+
+    def _number(self, expression: Expression, within: tuple[str, ...]) -> float:
+        numbers = self.value(expression, within).numbers
+        if len(numbers) != 1:
+            raise Unresolved("a list stands where a number is expected")
+        return numbers[0]
+
+
+def check_chain(name: str, within: Sequence[str]) -> None:
+    """Raise ``Unresolved`` if a variable is in its own definition, or behind too many others."""
+    if name in within:
+        raise Unresolved(f"'{name}' is defined by itself")
+    if len(within) > _LONGEST_CHAIN:
+        raise Unresolved(f"'{name}' stands behind more than {_LONGEST_CHAIN} other variables")
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _assigned_names(statement: Statement) -> list[str]:
+    """Return the variables that a statement changes; if unreadable, it may change all names before its last '='."""
+    if statement.expression is not None:
+        return [statement.assigned] if statement.assigned else []
+    words = statement.tokens
+    equals = max((k for k, word in enumerate(words) if word.text == "="), default=0)
+    return list(dict.fromkeys(word.text for word in words[:equals] if word.kind == "name"))
+
+
+def _operation(sign: str, values: Sequence[Value]) -> Value:
+    if any(len(value.numbers) != 1 for value in values):
+        raise Unresolved(f"'{sign}' of lists or poses {_RUNNING}")
+    numbers = [value.numbers[0] for value in values]
+    match sign, numbers:
+        case "-", [one]:
+            return Value((-one,))
+        case "+", [one]:
+            return Value((one,))
+        case "+", [one, other]:
+            return Value((one + other,))
+        case "-", [one, other]:
+            return Value((one - other,))
+        case "*", [one, other]:
+            return Value((one * other,))
+        case "/", [one, other] if other != 0.0:
+            return Value((one / other,))
+    raise Unresolved(f"'{sign}' is not evaluated")
+
+
+def _call(function: str, values: Sequence[Value]) -> Value:
+    if function in _OF_NUMBER and len(values) == 1 and len(values[0].numbers) == 1:
+        return Value((_OF_NUMBER[function](values[0].numbers[0]),))
+    poses = [value for value in values if value.pose and len(value.numbers) == SIX]
+    if function in _OF_POSES and len(values) == len(poses) == _OF_POSES[function]:
+        return Value(pose_numbers(_of_poses(function, [pose.T() for pose in poses])), pose=True)
+    raise Unresolved(f"{function}(...) {_RUNNING}")
+
+
+_OF_NUMBER = {"d2r": math.radians, "r2d": math.degrees}
+_OF_POSES: Mapping[str, int] = {"pose_trans": 2, "pose_add": 2, "pose_inv": 1}
+
+
+def _of_poses(function: str, poses: Sequence[Array]) -> Array:
+    if function == "pose_inv":
+        return invert(poses[0])
+    first, second = poses
+    if function == "pose_trans":
+        return np.asarray(first @ second)
+    return transform(first[:3, :3] @ second[:3, :3], first[:3, 3] + second[:3, 3])  # pose_add

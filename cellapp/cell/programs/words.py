@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cellapp.cell.programs.correction import moved_by, true_flange
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
-from cellapp.cell.programs.solving import Workplace
+from cellapp.cell.programs.solving import Workplace, moved_by, true_flange
 from cellapp.cell.programs.targets import ReadProgram
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm

@@ -38,10 +38,10 @@ _DATE = {"datetime", "date", "datum"}
 _TIME = _DATE | {"time", "timestamp", "timestamps", "stamp", "stamps", "t", "zeit", "clock", "epoch"}
 _OF_JOINTS: Mapping[str, frozenset[str]] = {
     "qd": frozenset({"qd", "dq", "qdot", "vel", "velocity", "velocities", "speed", "speeds", "omega"}),
-    "tau": frozenset({"tau", "torque", "torques", "effort", "efforts", "moment", "moments"}),
-    "current": frozenset({"current", "currents"}),
     "joint_temperature": frozenset({"temperature", "temperatures", "temp", "temps"}),
 }
+_TORQUES = {"tau", "torque", "torques", "effort", "efforts", "moment", "moments", "current", "currents"}
+"""Columns of joints that are kept and not read."""
 _POSITION = {"q", "joint", "joints", "axis", "axes", "theta", "rax", "ax", "j", "a", "position", "positions", "pos"}
 _POSITION |= {"angle", "angles", "achse", "gelenk"}
 _MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current"}
@@ -176,7 +176,7 @@ def _family(names: Sequence[str]) -> Mapping[str, str]:
     for name in names:
         if match := _LAST_NUMBER.fullmatch(name.strip().lower()):
             families.setdefault((match[1], match[3]), {})[int(match[2])] = name
-    no_positions = _COMMANDED.union(*_OF_JOINTS.values())
+    no_positions = _COMMANDED.union(_TORQUES, *_OF_JOINTS.values())
     found = [
         {name: f"joint_{number}{suffix.lstrip('])} _')}" for number, name in its.items()}
         for (prefix, suffix), its in families.items()
@@ -223,12 +223,12 @@ def _joint(stem: str, factor: float | None) -> _Read | None:
     if len(numbers) != (named is None):
         return None
     kinds = [quantity for quantity, its in _OF_JOINTS.items() if its & set(words)]
-    if "current" in kinds and (len(kinds) > 1 or set(words) & (_POSITION - {"joint", "joints", "j", "axis", "a"})):
-        kinds.remove("current")  # the current position is a position
+    if "current" in words and not kinds and not set(words) & (_POSITION - {"joint", "joints", "j", "axis", "a"}):
+        return None  # a motor's; the current position is a position
     known = _POSITION | _MEASURED | _COMMANDED | _BESIDE | {word for its in _OF_JOINTS.values() for word in its}
     if len(kinds) > 1 or not set(words) <= known or not (kinds or set(words) & _POSITION):
         return None
     rank = _COMMAND if set(words) & _COMMANDED else 0 if set(words) & _MEASURED else 1
     if rank == _COMMAND and kinds:
-        return None  # speeds and torques are only useful as measured
+        return None  # speeds are only useful as measured
     return _Read(f"{kinds[0] if kinds else 'q'}{numbers[0] if named is None else named}", factor, rank)

@@ -10,7 +10,7 @@ from cellapp.cell.run.collection_rows import Outcome, insert_outcome
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings
 from cellapp.cell.run.rows import utc_now
-from cellapp.cell.run.schema import reading_columns, schema_version
+from cellapp.cell.run.schema import schema_version, stored_columns
 from cellapp.estimation.readings.readings import Reading, Readings
 
 _SINCE = 9
@@ -96,7 +96,8 @@ def _set_aside(connection: sqlite3.Connection, arm: str, stop: int) -> tuple[str
     row = connection.execute(f"SELECT split FROM reading {where}", key).fetchone()
     if row is None:
         return None
-    names = ", ".join(reading_columns())
+    there = stored_columns(connection, "earlier_reading")
+    names = ", ".join(name for name in stored_columns(connection, "reading") if name in there)
     connection.execute(
         f"INSERT INTO earlier_reading ({names}, replaced) SELECT {names}, ? FROM reading {where}", (utc_now(), *key)
     )

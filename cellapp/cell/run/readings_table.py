@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.schema import reading_columns, schema_version
+from cellapp.cell.run.schema import FORMER_COLUMNS, reading_columns, schema_version, stored_columns
 from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.ground.removed import removed_readings
@@ -59,15 +60,32 @@ def select_readings(
     """
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
+    former = [name for name in FORMER_COLUMNS if name in stored_columns(connection, table)]
+    wanted = [*names, *former, "extras"]
     rows = connection.execute(
-        f"SELECT {', '.join(names)}, extras FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
+        f"SELECT {', '.join(wanted)} FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
-    *columns, extras = zip(*rows, strict=True) if rows else [()] * (len(COLUMNS) + 1)
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(wanted)
     values = {
         column.name: _from_cells(column, cells, len(rows), joints)
-        for column, cells in zip(COLUMNS, columns, strict=True)
+        for column, cells in zip(COLUMNS, columns, strict=False)
     }
-    return readings_from_columns(values, _extras_from_cells(extras))
+    extras = _extras_from_cells(columns[-1])
+    for name, cells in zip(former, columns[len(COLUMNS) :], strict=False):
+        extras |= _unread_from_cells(FORMER_COLUMNS[name], cells, joints)
+    return readings_from_columns(values, extras)
+
+
+def former_arrays(readings: Readings) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays (n, N) that earlier versions read as torques [Nm] and currents [A], where they are numbers."""
+    found = {}
+    for name, stem in FORMER_COLUMNS.items():
+        texts = [readings.extras.get(f"{stem}{joint}", ("",)) for joint in range(1, readings.joints + 1)]
+        with contextlib.suppress(ValueError):
+            values = [[float(text or "nan") for text in its] for its in texts]
+            if np.isfinite(values).any():
+                found[name] = np.array(values).T
+    return found
 
 
 def select_removed_kinds(connection: sqlite3.Connection) -> dict[str, str]:
@@ -164,6 +182,17 @@ def _from_cells(column: Column, cells: Sequence[Any], n: int, joints: int) -> Va
         nothing = json.dumps([None] * width)
         matrix = vectors_from_json([nothing if cell is None else cell for cell in cells]).reshape(n, width)
     return column.from_matrix(matrix)
+
+
+def _unread_from_cells(stem: str, cells: Sequence[str | None], joints: int) -> dict[str, tuple[str, ...]]:
+    """Return a quantity per joint that is no longer read, as unknown columns of a file; none without a value."""
+    if all(cell is None for cell in cells):
+        return {}
+    rows = [[None] * joints if cell is None else json.loads(cell) for cell in cells]
+    return {
+        f"{stem}{joint + 1}": tuple("" if row[joint] is None else repr(row[joint]) for row in rows)
+        for joint in range(joints)
+    }
 
 
 def _extras_from_cells(cells: Sequence[str | None]) -> dict[str, tuple[str, ...]]:

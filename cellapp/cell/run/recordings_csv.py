@@ -1,9 +1,9 @@
 """Recordings of motion from CSV: files of joints and of points, each with its own clock. All imports pass here.
 
-Columns are ``time_s, q1..qN``, with ``qd``, ``tau``, ``current`` and ``joint_temperature`` of each joint where known,
-and ``time_s, x_m, y_m, z_m`` with ``sigma_m``, ``quat_w..z`` and ``split``; both may have ``arm`` and ``recording``.
-Rows keep their order: timestamps that repeat or go back are counted, not sorted. Points without coordinates are left
-out and counted: the beam was lost. Unknown columns are kept.
+Columns are ``time_s, q1..qN``, with ``qd`` and ``joint_temperature`` of each joint where known, and ``time_s, x_m, y_m,
+z_m`` with ``sigma_m``, ``quat_w..z`` and ``split``; both may have ``arm`` and ``recording``. Rows keep their order:
+timestamps that repeat or go back are counted, not sorted. Points without coordinates are left out and counted: the beam
+was lost. Unknown columns are kept.
 """
 
 from __future__ import annotations

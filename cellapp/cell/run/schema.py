@@ -19,7 +19,10 @@ verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that 
 measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
 measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
 readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
-that. 10: covariance of a rotation."""
+that. 10: covariance of a rotation; torques and currents are no longer read."""
+FORMER_COLUMNS = {"tau_nm": "tau", "current_a": "current"}
+"""Quantities per joint in files of schemas 8 and 9 -> the stem of their columns in a CSV file. They are kept, and given
+as the unknown columns of an imported file are."""
 
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
 """Unique key: an arm has one row per stop, SMR and station. Before schema 8 this was the table's primary key."""
@@ -47,7 +50,7 @@ _RECORDING_TABLES = (
     "CREATE TABLE stream (arm TEXT NOT NULL, recording TEXT NOT NULL, kind TEXT NOT NULL, place INTEGER NOT NULL,"
     " name TEXT NOT NULL, words TEXT, data BLOB NOT NULL, PRIMARY KEY (arm, recording, kind, place))",
 )
-"""A recording of motion, and its columns: ``data`` as in ``stream_codes``; for texts, indices into ``words``."""
+"""A recording of motion, and its columns: ``data`` as in ``recordings``; for texts, indices into ``words``."""
 
 _AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
 """The stops that a session measured again, as a list; NULL for a session that collects what is left."""
@@ -56,6 +59,11 @@ _AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
 def reading_columns() -> list[str]:
     """Return the names of the columns of a reading, in order."""
     return ["arm", *(column.sql_name for column in COLUMNS), "extras"]
+
+
+def stored_columns(connection: sqlite3.Connection, table: str) -> list[str]:
+    """Return the names of the columns that a table has in this file, in order."""
+    return [str(name) for (name,) in connection.execute("SELECT name FROM pragma_table_info(?)", (table,))]
 
 
 def create_tables(connection: sqlite3.Connection) -> None:

@@ -22,7 +22,7 @@ TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
 TRIGGER = "trigger_s"
 """Timestamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
-OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
+OPTIONAL_OF_JOINTS = ("qd", "joint_temperature")
 BESIDE = "other_q"
 """Joint positions of the other arm of the cell, if it moved meanwhile."""
 

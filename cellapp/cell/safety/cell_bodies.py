@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.safety.bodies import ArmBodies
-from cellapp.cell.safety.covers import cover
+from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies
-from cellapp.cell.safety.mesh_files import load_mesh
-from cellapp.cell.safety.obstacle_clearance import obstacle_clearances
 from cellapp.cell.safety.obstacles import Obstacle
-from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape
+from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape, load_mesh
 from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -26,7 +24,7 @@ from cellapp.ground.profile.obstacles import (
     SphereObstacle,
 )
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.transforms import Array, invert, transform
+from cellapp.robot.kinematics.transforms import Array, apply, invert, transform
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
@@ -150,3 +148,119 @@ def _primitive(entry: BoxObstacle | CylinderObstacle | CapsuleObstacle | SphereO
             return RoundedBox(np.array([0.0, 0.0, 0.5 * entry.length]), entry.radius)
         case SphereObstacle():
             return RoundedBox(np.zeros(3), entry.radius)
+
+
+# -- Distances of arms at rest from each obstacle: of their bases, and of all that moves ------------------------------
+
+
+@dataclass(frozen=True)
+class ObstacleClearance:
+    """Distances of one arm from one obstacle of the cell.
+
+    Attributes
+    ----------
+    obstacle, arm : str
+    base : float
+        Distance of the base bodies from it; zero or negative where they touch [m]. Infinite without base bodies.
+    moving : float
+        Least distance of the bodies that are checked against it [m]; infinite without any.
+    asked : float
+        The distance that these must keep [m].
+    """
+
+    obstacle: str
+    arm: str
+    base: float
+    moving: float
+    asked: float
+
+
+def obstacle_clearances(cell: CellBodies, q: Mapping[str, Array]) -> Iterator[ObstacleClearance]:
+    """Yield the distances of each arm of ``q`` (arm -> (N,) [rad]) from each obstacle of the cell."""
+    for name, position in q.items():
+        arm = cell.arms[name]
+        bodies = place(arm, position[None])
+        for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[arm], strict=True):
+            gaps = obstacle.gaps(bodies.start[0], bodies.end[0], bodies.radius, np.inf)
+            checked = asked > -np.inf
+            yield ObstacleClearance(
+                obstacle.name,
+                name,
+                base=float(gaps[arm.frames == 0].min(initial=np.inf)),
+                moving=float(gaps[checked].min(initial=np.inf)),
+                asked=float(asked.max(initial=-np.inf)),
+            )
+
+
+# -- Capsules that cover a solid: what is mounted on a flange is checked as further bodies of its arm -----------------
+
+
+_MOST_CAPSULES = 8
+"""Largest number of capsules in a cover: as many as a six-joint arm has, so that checks take at most twice as long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Capsules that contain a solid; ``excess`` is the farthest that they reach beyond it [m].
+
+    ``start``, ``end`` (c, 3) are in the frame in which the obstacle's pose is given [m], ``radius`` (c,) in [m]. The
+    excess over a mesh is counted from its bounding box.
+    """
+
+    start: Array
+    end: Array
+    radius: Array
+    excess: float
+
+
+def cover(obstacle: Obstacle) -> Cover:
+    """Cover an obstacle by capsules; exact for spheres and capsules."""
+    shape = obstacle.shape
+    if isinstance(shape, RoundedBox):
+        found = _box_cover(shape.core, shape.radius)
+    elif isinstance(shape, Cylinder):
+        around_box = _box_cover(shape.half, 0.0)
+        corner = (math.sqrt(2.0) - 1.0) * shape.radius
+        found = min(
+            _cylinder_cover(shape),
+            Cover(around_box.start, around_box.end, around_box.radius, around_box.excess + corner),
+            key=lambda one: one.excess,
+        )
+    else:
+        found = _box_cover(shape.half, 0.0)
+    return Cover(apply(obstacle.pose, found.start), apply(obstacle.pose, found.end), found.radius, found.excess)
+
+
+def _cylinder_cover(shape: Cylinder) -> Cover:
+    """Cover by one capsule through both rims, shortened until its excess at the ends equals that at the side."""
+    inset = min(shape.radius, shape.half_length)
+    radius = math.hypot(shape.radius, inset)
+    end = np.array([[0.0, 0.0, shape.half_length - inset]])
+    return Cover(-end, end, np.array([radius]), radius - inset)
+
+
+def _box_cover(core: Array, rounding: float) -> Cover:
+    """Cover by capsules along the longest side of a box, each containing one tile of a grid over the other two sides.
+
+    A capsule around a tile with half sides p, q passes through its corners; it is shortened by min(p, q), so that its
+    excess at the ends equals that at the larger faces. Of all grids the one with the smallest excess is taken.
+    """
+    along = int(np.argmax(core))
+    first, second = (axis for axis in range(3) if axis != along)
+    best: tuple[float, int, int] | None = None
+    for rows in range(1, _MOST_CAPSULES + 1):
+        for columns in range(1, _MOST_CAPSULES // rows + 1):
+            p, q = core[first] / rows, core[second] / columns
+            excess = math.hypot(p, q, min(p, q)) - min(p, q)
+            if best is None or excess < best[0] - 1e-9:
+                best = excess, rows, columns
+    assert best is not None
+    excess, rows, columns = best
+    p, q = core[first] / rows, core[second] / columns
+    centres = np.zeros((rows * columns, 3))
+    u, v = np.meshgrid((2 * np.arange(rows) + 1 - rows) * p, (2 * np.arange(columns) + 1 - columns) * q)
+    centres[:, first], centres[:, second] = u.ravel(), v.ravel()
+    axis = np.zeros(3)
+    axis[along] = core[along] - min(p, q)
+    radius = np.full(len(centres), math.hypot(p, q, min(p, q)) + rounding)
+    return Cover(centres - axis, centres + axis, radius, excess)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -25,12 +25,11 @@ from cellapp.cell.safety.bodies import (
     place,
     self_clearance,
 )
-from cellapp.cell.safety.gaps_between_arms import gap_at_rest, gap_on_paths
 from cellapp.cell.safety.obstacles import Obstacle, beam_gaps, box_about
-from cellapp.cell.safety.paths import STRIDE, SampledPath, sample_path
+from cellapp.cell.safety.paths import STRIDE, SampledPath, gap_at_rest, gap_on_paths, sample_path
 from cellapp.cell.safety.visibility import TrackerField, sight_conditions, sight_of
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 BEAM_RADIUS = 0.02
 """Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
@@ -399,3 +398,112 @@ def remembered(gate: Gate) -> Gate:
         return known[key][1]
 
     return answer
+
+
+# -- The gate for paths that one arm follows, or several simultaneously, while the others rest ------------------------
+
+
+_CHORD_RAD = 0.05
+"""Largest joint motion between two samples that the gate checks as one straight motion in joint space."""
+
+
+def refuse_path(
+    cell: CellBodies, name: str, q: Array, others: Mapping[str, Array], s: Array, gate: Gate = refuse_motion
+) -> str:
+    """Return why arm ``name`` must not follow ``q`` (m, N) [rad] while the ``others`` rest; empty if it may.
+
+    As ``refuse_paths``; ``s`` (m,) are arc lengths [m], for the message.
+    """
+    row, refusal = refuse_paths(cell, {name: q}, others, gate)
+    return f"at {s[row] * 1e3:.0f} mm: {refusal}" if refusal else ""
+
+
+def refuse_paths(
+    cell: CellBodies,
+    paths: Mapping[str, Array],
+    others: Mapping[str, Array],
+    gate: Gate = refuse_motion,
+    apart_m: float = 0.0,
+) -> tuple[int, str]:
+    """Return the first row at which arms must not follow ``paths``, arm -> (m, N) [rad], all at the same row at the
+    same time while the ``others`` rest, and why; an empty reason if they may.
+
+    The gate checks straight motions in joint space between samples of the paths, each arm at any relative speed; the
+    deviation of the paths from these motions is added to the clearance. ``apart_m`` is added to the distance between
+    arms: so far they may deviate from all being at one row [m].
+    """
+    if not all(np.isfinite(q).all() for q in paths.values()):
+        return 0, "a joint position of the path is not a finite number"
+    steps = [np.abs(np.diff(q, axis=0)).max(axis=1) for q in paths.values()]
+    travelled = np.concatenate([[0.0], np.cumsum(np.max(steps, axis=0))])
+    rows = np.searchsorted(travelled, np.arange(0.0, travelled[-1] + _CHORD_RAD, _CHORD_RAD))
+    rows = np.unique(np.append(rows[rows < len(travelled)], len(travelled) - 1))
+    beside = sum(float(_beside_chords(q, rows, travelled) @ cell.arms[name].levers) for name, q in paths.items())
+    wider = replace(cell, clearance=cell.clearance + beside, apart=cell.apart + apart_m)
+    for first, last in pairwise(rows.tolist()):
+        ends = ({**others, **{name: q[row] for name, q in paths.items()}} for row in (first, last))
+        refusal = gate(wider, *ends)
+        if refusal:
+            return first, refusal
+    return 0, ""
+
+
+def _beside_chords(q: Array, rows: np.ndarray, travelled: Array) -> Array:
+    """Compute each joint's largest deviation (N,) [rad] from straight motions between ``rows`` of ``q`` (m, N)."""
+    chords = rows_at(travelled, travelled[rows], q[rows])
+    return np.asarray(np.abs(q - chords).max(axis=0))
+
+
+# -- Paths that arms follow simultaneously, and how far the arms are from being at the same row of them ---------------
+#
+# Each controller has its own clock: one arm may start a little later than another, or fall behind. The gate accepts
+# paths of several arms with a margin (``allowed_apart_m``). While they move, the deviation from the same row is
+# computed from their joints (``PathsAtOnce.apart_m``); more than ``MOST_APART_M`` is a doubt, which stops all arms.
+
+
+MOST_APART_M = 0.05
+"""Deviation of the arms from the same row at which all of them are stopped [m]."""
+LOOK_S = 0.1
+"""Longest wait for one arm before the states of all are read."""
+_REACTION_S = 0.5
+"""Time to detect the deviation and to brake the arms: two waits, an old state, the braking itself."""
+
+
+def allowed_apart_m(cell: CellBodies, paths: Mapping[str, Array], period_s: float) -> float:
+    """Compute how far the arms of ``paths``, arm -> (m, N) [rad], one row each ``period_s`` [s], may deviate from all
+    being at one row [m]; 0 for one arm.
+
+    If one of two arms is late, either may be taken as the one off its place; so the slower one counts.
+    """
+    if len(paths) < 2:
+        return 0.0
+    steps_m = [float((np.abs(np.diff(q, axis=0)) @ cell.arms[name].levers).max()) for name, q in paths.items()]
+    return MOST_APART_M + _REACTION_S * sorted(steps_m)[-2] / period_s
+
+
+@dataclass(frozen=True, eq=False)
+class PathsAtOnce:
+    """Paths of several arms, arm -> (m, N) [rad]; all arms are to be at the same row at the same time."""
+
+    cell: CellBodies
+    paths: Mapping[str, Array]
+
+    def apart_m(self, q: Mapping[str, Array]) -> float:
+        """Compute how far arms at ``q`` (arm -> (N,) [rad]) are at most from all being at one row [m]."""
+        off = [np.abs(path - q[name]) @ self.cell.arms[name].levers for name, path in self.paths.items()]
+        return float(np.sum(off, axis=0).min())
+
+
+def on_rows(q: Array, period_s: float, wanted_s: float) -> Array:
+    """Resample a path ``q`` (m, N) from a row each ``period_s`` [s] to a row each ``wanted_s`` [s]."""
+    if period_s == wanted_s:
+        return q
+    time_s = np.arange(len(q)) * period_s
+    times = np.arange(int(np.ceil(time_s[-1] / wanted_s)) + 1) * wanted_s
+    return rows_at(times, time_s, q)
+
+
+def equally_long(paths: Mapping[str, Array]) -> dict[str, Array]:
+    """Extend the paths (m, N) of arms that end earlier: these rest at their ends."""
+    rows = max(map(len, paths.values()))
+    return {name: np.concatenate([q, np.repeat(q[-1:], rows - len(q), axis=0)]) for name, q in paths.items()}

@@ -11,8 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from pydantic_core import PydanticCustomError
 
 from cellapp.cell.profile.messages import value_message
-from cellapp.cell.targets.target_source import location, placed_error
-from cellapp.cell.targets.target_yaml import read_yaml
+from cellapp.cell.targets.target_source import location, placed_error, read_yaml
 from cellapp.cell.targets.targets import Target, WorkFrame, WorkingConditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import CellPoint, Profile

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible
-from cellapp.cell.safety.path_gate import refuse_path
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, refuse_path, visible
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import PathRecord, PathReversal
@@ -21,9 +20,8 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import joint_rates
-from cellapp.robot.paths.branches import Branch, follow_branches
 from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
-from cellapp.robot.paths.joint_path import Conditions, JointPath, PathError, joint_path
+from cellapp.robot.paths.joint_path import Branch, Conditions, JointPath, PathError, follow_branches, joint_path
 from cellapp.robot.paths.timing import Rates, Trajectory, timed
 
 RUN_UP_RAD = 5e-3

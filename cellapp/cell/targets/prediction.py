@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from cellapp.cell.targets.command import Prediction
 from cellapp.cell.targets.other_payload import payload_covariance
 from cellapp.cell.targets.ranges import ConditionRanges
-from cellapp.cell.targets.sides import from_home
-from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
-from cellapp.cell.targets.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
+from cellapp.cell.targets.records import PredictedTurn
+from cellapp.cell.targets.unknown_conditions import OneUnknown, from_home, unknown_conditions, unknown_records
 from cellapp.cell.targets.working_conditions import conditions_payload
-from cellapp.estimation.uncertainty.records import UncertaintyParts
+from cellapp.estimation.uncertainty.decision import TARGET_WORDS, decided
+from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.posterior import PosteriorDraws
 
 AT_ONCE = 1000
 """Number of configurations per batch: their posterior draws take some tens of MB."""
@@ -200,3 +202,145 @@ def _size(covariance: Array) -> Array:
 def _coordinate_mm(covariance: Array) -> Array:
     """Return the root mean square standard deviation (n,) [mm] of a coordinate."""
     return np.asarray(np.sqrt(_size(covariance) / 3.0) * 1e3)
+
+
+# -- Predict whether a target will be met within its tolerance, from the model's uncertainty --------------------------
+#
+# An error x is a normal vector with zero mean and covariance C. Its squared length is a sum of squares weighted with
+# the eigenvalues of C, so that all of its cumulants follow from traces:
+#
+#     k1 = tr C,  k2 = 2 tr C^2,  k3 = 8 tr C^3.
+#
+# The upper quantile is that of a shifted gamma distribution with these three cumulants (Hall, Buckley, Eagleson:
+# Buckley, Eagleson, Australian J. Statist. 30A (1988) 150). It is exact if all non-zero weights are equal; for any
+# weights its 95 % quantile is exceeded with 4.7 to 5.0 % probability. The lower quantile is that of a gamma
+# distribution with two cumulants (Satterthwaite 1946), because the shift is too coarse there; it is at most the true
+# quantile.
+
+
+LIKELY = 0.95
+"""Probability of all statements about tolerances."""
+
+
+def length_bounds(covariance: Array) -> tuple[Array, Array]:
+    """Return the lengths (n,) that normal vectors exceed, and those that they stay within, with 95 % probability.
+
+    ``covariance`` (n, 3, 3) and the lengths have the same unit of length. Zero for zero covariance.
+    """
+    squared = covariance @ covariance
+    k1 = np.trace(covariance, axis1=1, axis2=2)
+    k2 = 2.0 * np.trace(squared, axis1=1, axis2=2)
+    k3 = 8.0 * np.einsum("nij,nji->n", squared, covariance)
+    some = k1 > 0.0
+    k1, k2, k3 = (np.where(some, k, 1.0) for k in (k1, k2, k3))
+    freedom = 8.0 * k2**3 / k3**2
+    high = k1 + np.sqrt(0.5 * k2 / freedom) * (2.0 * scipy.special.gammaincinv(0.5 * freedom, LIKELY) - freedom)
+    low = 0.5 * k2 / k1 * 2.0 * scipy.special.gammaincinv(k1**2 / k2, 1.0 - LIKELY)
+    return np.sqrt(np.where(some, low, 0.0)), np.sqrt(np.where(some, high, 0.0))
+
+
+def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None) -> ToleranceVerdict:
+    """Judge a compensated command before it is driven, by the common decision rule, guarded.
+
+    The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are ``length_bounds``: of the SMR's error, and
+    of the error that a measurement finds. "in": with 95 % probability the error is within ``tolerance_mm``; "out": with
+    95 % probability it is larger; "cannot say": neither. Empty without a tolerance. Deficiencies of the model are not
+    part of its uncertainty: only a measurement reveals them.
+    """
+    return "" if tolerance_mm is None else TARGET_WORDS[decided(low_mm, high_mm, tolerance_mm)]
+
+
+# -- Uncertainty of the flange's orientation at a command, if readings of the arm had orientations --------------------
+
+
+def predicted_turns(
+    arm: ArmModel,
+    q: Array,
+    q_nominal: Array,
+    conditions: MeasurementConditions,
+    nominal_M: Array,
+    tolerances_mrad: Sequence[float | None],
+    home: Array,
+    ranges: ConditionRanges,
+) -> list[PredictedTurn | None]:
+    """Return predictions for n commands ``q`` (n, N) [rad]; None for all if the model has no orientation noise.
+
+    ``q_nominal`` (n, N) are the commands of the published geometry, ``nominal_M`` (n, 3, 3) the flange rotations of the
+    targets in the tracker frame with the nominal base, NaN if any will do. The other arguments are as in
+    ``prediction.predictions``.
+    """
+    if arm.posterior is None or arm.posterior.noise_rad is None:
+        return [None] * len(q)
+    found: list[PredictedTurn | None] = []
+    for begin in range(0, len(q), AT_ONCE):
+        rows = np.arange(begin, min(begin + AT_ONCE, len(q)))
+        here, stated = q[rows], conditions.take(rows)
+        came = from_home(stated, here, home)
+        turned = arm.orientation(here, came)
+        model = _covariance(arm, here, replace(came, R_M_S=turned), ranges)
+        unknown = unknown_conditions(arm, here, replace(stated, R_M_S=turned), ranges)
+        true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
+        off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
+        measured = _with_noise(true, arm.posterior)
+        found += _turn_judged(
+            model, true, measured, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE]
+        )
+    return found
+
+
+def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
+    """Return covariances (n, 3, 3) [rad^2] of orientations at ``q`` (n, N) [rad] from a model's posterior draws."""
+    assert arm.posterior is not None
+    near = ranges.nearest_loaded(arm, q, conditions)
+    moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
+    covariance = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
+    return np.asarray(covariance + payload_covariance(arm, q, conditions, near, ranges.elasticity))
+
+
+def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted_M: Array) -> list[float | None]:
+    """Return the angles [mrad] between the model's flange rotations and the n wanted ones; None if any will do."""
+    free = np.isnan(wanted_M[:, 0, 0])
+    wanted = np.where(free[:, None, None], np.eye(3), wanted_M)
+    off = np.linalg.norm(rotation_vectors(arm.flange(q, conditions)[0] @ wanted.swapaxes(1, 2)), axis=1) * 1e3
+    return [None if any_will_do else angle for any_will_do, angle in zip(free.tolist(), off.tolist(), strict=True)]
+
+
+def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
+    """Return covariances (n, 3, 3) [rad^2] of measured orientations: those of the ``true`` ones plus noise.
+
+    With several SMRs the axes of the noise depend on the viewing direction. They are assumed along the principal axes
+    of ``true``, largest with largest, which gives the widest bound.
+    """
+    assert posterior.noise_rad is not None
+    if posterior.noise_axes_rad is None:
+        return np.asarray(true + posterior.noise_rad**2 * np.eye(3))
+    values, vectors = np.linalg.eigh(true)
+    return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise_axes_rad**2, vectors))
+
+
+def _turn_judged(
+    model: Array,
+    true: Array,
+    measured: Array,
+    noise_rad: float,
+    off_mrad: Sequence[float | None],
+    tolerances: Sequence[float | None],
+) -> list[PredictedTurn | None]:
+    """Return predictions from covariances (n, 3, 3) [rad^2]: of the model, with unknown conditions, and measured."""
+    low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
+    return [
+        PredictedTurn(
+            nominal_mrad=off,
+            uncertainty_mrad=_component_mrad(measured[k]),
+            model_mrad=_component_mrad(model[k]),
+            noise_mrad=noise_rad * 1e3,
+            within_mrad=float(high[k]),
+            verdict=predicted_verdict(float(low[k]), float(high[k]), None if off is None else tolerance),
+        )
+        for k, (off, tolerance) in enumerate(zip(off_mrad, tolerances, strict=True))
+    ]
+
+
+def _component_mrad(covariance: Array) -> float:
+    """Return the root mean square standard deviation [mrad] of a component from a covariance (3, 3) [rad^2]."""
+    return float(np.sqrt(np.trace(covariance) / 3.0) * 1e3)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import gc
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
     AfterValidator,
+    AllowInfNan,
     Field,
+    Strict,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -21,16 +24,100 @@ from pydantic import (
     model_validator,
 )
 
-from cellapp.cell.profile.messages import KeyPath, short
-from cellapp.cell.targets.frame_points import frame_fault, three_points
+from cellapp.cell.profile.messages import KeyPath, dotted, short
+from cellapp.cell.run.table_in_memory import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
-from cellapp.cell.targets.target_csv import read_csv
-from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, refusal, sentences
-from cellapp.cell.targets.target_yaml import read_yaml
-from cellapp.cell.targets.written_rotation import ROTATIONS, with_rpy
+from cellapp.cell.targets.target_csv import read_csv, source_of_table
+from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
+from cellapp.ground.errors import InputError
+from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile import CellPoint, Profile
+from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, rotations_of, zyx_angles
 from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+# -- Read the rotation of a target: roll, pitch and yaw, a quaternion, a rotation vector or a matrix ------------------
+
+
+_LARGEST = 1e-3
+"""Largest deviation from one of a quaternion's norm, or of a matrix times its transpose: rounding to three digits.
+Beyond it is no rotation, or one that was copied wrongly."""
+_Number = Annotated[float, Strict(), AllowInfNan(False)]
+_ROW = tuple[_Number, _Number, _Number]
+_QUATERNION: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[_Number, _Number, _Number, _Number])
+_VECTOR: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[Turn, Turn, Turn])
+_MATRIX: TypeAdapter[tuple[tuple[float, ...], ...]] = TypeAdapter(tuple[_ROW, _ROW, _ROW])
+ROTATIONS = ("rpy", "quaternion", "rotation_vector", "matrix")
+"""Keys of which a target gives one, or none if any rotation will do."""
+
+
+def with_rpy(values: object) -> object:
+    """Return the keys of a target with ``rpy`` in place of another kind of rotation.
+
+    Raises
+    ------
+    PydanticCustomError
+        If two rotations are given, or the value is no rotation. It is placed at the key.
+    """
+    if not isinstance(values, Mapping):
+        return values
+    given = [key for key in ROTATIONS if values.get(key) is not None]
+    if len(given) > 1:
+        raise placed_error((given[1],), f"'{given[0]}' is there too; give one of {', '.join(ROTATIONS)}")
+    if _READERS.keys().isdisjoint(values):
+        return values
+    others = {name: value for name, value in values.items() if name not in _READERS}
+    if not given or given == ["rpy"]:
+        return others
+    yaw, pitch, roll = zyx_angles(_READERS[given[0]](values[given[0]]))
+    return {**others, "rpy": (roll + 0.0, pitch + 0.0, yaw + 0.0)}  # no -0.0
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _of_quaternion(value: object) -> Array:
+    w, x, y, z = checked(_QUATERNION, value, ("quaternion",))
+    norm = math.hypot(w, x, y, z)
+    if abs(norm - 1.0) > _LARGEST:
+        raise placed_error(
+            ("quaternion",),
+            f"its norm is {norm:.6g}, {abs(norm - 1.0):.2g} from one (at most {_LARGEST:g}), so it is no rotation; give"
+            " w, x, y, z of unit norm",
+        )
+    return rotations_of((w, x, y, z))
+
+
+def _of_vector(value: object) -> Array:
+    return rotation_from_vector(checked(_VECTOR, value, ("rotation_vector",)))
+
+
+def _of_matrix(value: object) -> Array:
+    matrix = np.array(checked(_MATRIX, value, ("matrix",)))
+    with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e200
+        off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if not off <= _LARGEST:
+        raise placed_error(
+            ("matrix",),
+            f"its rows are off unit length and right angles by {off:.2g} (at most {_LARGEST:g}), so it is no rotation;"
+            " give three rows of unit length at right angles",
+        )
+    if np.linalg.det(matrix) < 0.0:
+        raise placed_error(("matrix",), "its determinant is -1: a reflection, no rotation; give right-handed axes")
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ vt)  # the nearest rotation
+
+
+_READERS: Mapping[str, Callable[[object], Array]] = {
+    "quaternion": _of_quaternion,
+    "rotation_vector": _of_vector,
+    "matrix": _of_matrix,
+}
+
 
 _LOOSEST_M = 0.01
 """Largest accepted tolerance [m]: uncalibrated arms are better. A larger one was meant in mm, as 0.1 without unit."""
@@ -464,3 +551,103 @@ def _known_keys(at: KeyPath) -> list[str]:
         shape, more = TargetList, ()
     names = [info.alias or name for name, info in shape.model_fields.items() if name != "work_frame"]
     return [*names, *more]
+
+
+# -- Check that points determine a work frame; arrays only ------------------------------------------------------------
+
+
+_LARGEST_M = 0.005
+"""Largest disagreement of distances [m]: fixtures fit drawings better; more means swapped points or wrong units."""
+_NARROWEST = 0.01
+"""Smallest width of the points across their line, relative to their length. With a smaller one, noise rotates the frame
+by more than a hundred times the angle that it rotates an equilateral one."""
+
+
+def three_points(origin: Array, x: Array, xy: Array) -> Array:
+    """Return the coordinates (3, 3) [m] of three measured points in the frame that they determine.
+
+    ``origin`` is its origin, ``x`` is on its positive x axis, ``xy`` in its x-y plane with a positive y.
+    """
+    along, across = x - origin, xy - origin
+    length = float(np.linalg.norm(along))
+    axis = along / length if length > 0.0 else along
+    part = float(across @ axis)
+    width = float(np.linalg.norm(across - part * axis))
+    return np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0], [part, width, 0.0]])
+
+
+def frame_fault(nominal: Array, measured: Array) -> str:
+    """Return why points (n, 3) [m] do not determine a frame, or differ between both sets; empty if all is well."""
+    for points, which in ((nominal, "nominal"), (measured, "measured")):
+        length, width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
+        if width <= _NARROWEST * length:
+            return (
+                f"the {which} points lie on one line, so that the frame can turn about it; give a point at least"
+                f" {_NARROWEST:.0%} of their distance off that line"
+            )
+    return _disagreement(nominal, measured) or _reflection(nominal, measured)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _disagreement(nominal: Array, measured: Array) -> str:
+    """Report the point whose distances from the others differ most, if they differ by too much."""
+    between_nominal, between_measured = _distances(nominal), _distances(measured)
+    off = np.abs(between_measured - between_nominal)
+    if off.max() <= _LARGEST_M:
+        return ""
+    worst = int(np.argmax(off.sum(axis=1)))
+    other = int(np.argmax(off[worst]))
+    return (
+        f"point {worst + 1} is {between_nominal[worst, other] * 1e3:.3f} mm from point {other + 1} by its nominal"
+        f" coordinates and {between_measured[worst, other] * 1e3:.3f} mm as measured, {off[worst, other] * 1e3:.3f} mm"
+        f" apart; expected at most {_LARGEST_M * 1e3:g} mm: check the order of the points and their units"
+    )
+
+
+def _reflection(nominal: Array, measured: Array) -> str:
+    """Report mirrored points: their distances agree, but no rigid motion maps one set to the other."""
+    left = np.linalg.norm(measured - apply(register(measured, nominal), nominal), axis=1)
+    worst = int(np.argmax(left))
+    if left[worst] <= _LARGEST_M:
+        return ""
+    return (
+        f"the measured points are the mirror image of the nominal ones: point {worst + 1} stays"
+        f" {left[worst] * 1e3:.3f} mm off; give both in right-handed coordinates"
+    )
+
+
+def _distances(points: Array) -> Array:
+    """Return the distances (n, n) [m] between points (n, 3) [m]."""
+    return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))
+
+
+# -- Targets in memory instead of a file: keys with values, a list of them, or a data frame; checked as all targets ---
+
+
+def targets_in_memory(given: Mapping[str, Any] | Sequence[Any] | pd.DataFrame, profile: Profile) -> tuple[Target, ...]:
+    """Return the targets of a cell.
+
+    Parameters
+    ----------
+    given : sequence, mapping or data frame
+        A list of ``Target`` objects or of mappings with the keys that a target has in a YAML file; a mapping with the
+        keys of such a file (``targets``, ``frames``, ``conditions``); or a data frame with the columns of a CSV file of
+        targets. A plain number is in metres or radians.
+
+    Raises
+    ------
+    InputError
+        As ``load_targets``; problems are located by the target, or the row of the data frame.
+    """
+    if is_frame(given):
+        joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+        return targets_of(source_of_table(table_of_frame(given), joints), profile)
+    content = plain_data(given)
+    if isinstance(content, list):
+        content = {"targets": content}
+    if not isinstance(content, dict):
+        raise InputError(f"targets: expected a path, a list, keys with values or a data frame, got {given!r:.60}")
+    content = {"schema": "cellapp-targets", "version": 1, **content}
+    return targets_of(TargetSource(content, lambda at: "targets", lambda inside: dotted(inside)), profile)

@@ -13,17 +13,13 @@ from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     BatchesResult,
     CalibrateResult,
-    JointTorqueResult,
     NetworkResult,
     NetworkTrial,
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
     Scatter,
-    TorqueErrors,
-    TorquesResult,
 )
-from cellapp.estimation.calibration.torques import TorqueFit
 from cellapp.ground.results import Estimate, Method
 from cellapp.robot.kinematics.transforms import zyx_angles
 
@@ -66,27 +62,6 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         validate_=arm.validate,
         clocks=arm.clocks,
         motion=arm.motion,
-        torques=None if arm.torques is None else _torques(arm.torques),
-    )
-
-
-def _torques(found: TorqueFit) -> TorquesResult:
-    joints = tuple(
-        JointTorqueResult.like(
-            one,
-            constant=None
-            if one.constant is None
-            else Estimate(value=one.constant, standard_error=one.constant_standard_error, unit="Nm/A"),
-        )
-        for one in found.joints
-    )
-    before, after = (error if math.isfinite(error) else None for error in found.held_out)
-    return TorquesResult.like(
-        found,
-        masses_kg=tuple(found.bodies.masses.tolist()),
-        centers_m=tuple(tuple(center) for center in found.bodies.centers.tolist()),
-        joints=joints,
-        heldout_nm=TorqueErrors(before=before, after=after),
     )
 
 

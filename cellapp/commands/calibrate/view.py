@@ -5,17 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
-from cellapp.commands.calibrate.network_view import network_sentences
-from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
-from cellapp.commands.calibrate.torque_view import torque_sentences, torque_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
-from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
-from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
+from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit
+from cellapp.estimation.calibration.records import (
+    ArmCalibrationResult,
+    ArmPriorResult,
+    BatchesResult,
+    CalibrateResult,
+    ClockResult,
+    PartDrift,
+    TriggerResult,
+)
 from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
+from cellapp.robot.effects import EFFECTS
 
 MM = ".4f"
 """Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
@@ -62,8 +67,8 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion and torques, and the priors."""
-    return [*motion_tables(result), *torque_tables(result), *prior_tables(result)]
+    """Show results from recordings of motion, and the priors."""
+    return [*motion_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -150,7 +155,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = (*network_sentences(result), *motion_sentences(result), *torque_sentences(result))
+    more = (*network_sentences(result), *motion_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 
@@ -201,3 +206,213 @@ def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
 
 def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
     return None if noise_mm is None else summary.rms / noise_mm
+
+
+# -- Tables of an earlier calibration used as prior: how far it was believed, and what has changed since --------------
+
+
+def prior_tables(result: CalibrateResult) -> list[Table]:
+    """Show parts and changes of every arm that was calibrated with a prior; none without one."""
+    tables = []
+    for name, arm in result.arms.items():
+        if arm.prior is not None:
+            tables.append(_part_table(name, arm.prior))
+            if arm.prior.changes:
+                tables.append(_change_table(name, arm.prior))
+    return tables
+
+
+def prior_sentences(result: CalibrateResult) -> list[str]:
+    """Say where the prior of each arm comes from, and whether the arm has changed since."""
+    said = []
+    for name, arm in result.arms.items():
+        if (prior := arm.prior) is None:
+            continue
+        effects = ", ".join(EFFECTS[slug].title for slug in prior.effects if slug in EFFECTS)
+        left = ", ".join(EFFECTS[slug].title for slug in prior.left_behind if slug in EFFECTS)
+        said.append(
+            f"arm {name}: {prior.run} ({prior.since}, {counted(prior.readings, 'reading')}) is the prior; carried over:"
+            f" geometry{f', {effects}' if effects else ''}"
+            + (f"; of the earlier installation, not carried over: {left}" if left else "")
+        )
+        if not prior.changes:
+            said.append(f"arm {name}: no change of a single parameter is proven ({prior.tested} were tested)")
+    return said
+
+
+def _part_table(name: str, prior: ArmPriorResult) -> Table:
+    columns = (
+        Column("part"),
+        number_column("values", "d"),
+        number_column("may have drifted", ".3g"),
+        Column("unit"),
+        Column("believed"),
+    )
+    rows = [
+        (part, one.parameters, *_drift(one), "yes" if one.used else "no: the readings contradict it")
+        for part, one in prior.parts.items()
+    ]
+    return Table(f"Arm {name}: earlier calibration of {prior.since}", columns, tuple(rows))
+
+
+def _drift(one: PartDrift) -> tuple[Cell, Cell]:
+    if one.drift is None:
+        return None, ""
+    if one.unit == "m, rad":
+        return one.drift * 1e6, "µm, µrad"
+    return one.drift * 100.0, f"% {one.unit}"
+
+
+def _change_table(name: str, prior: ArmPriorResult) -> Table:
+    columns = (
+        Column("what"),
+        number_column("change", "+.3f"),
+        number_column("standard error", ".3f"),
+        Column("unit"),
+        number_column("sigmas", ".1f"),
+        number_column("evidence", ".0f"),
+        number_column("at the SMR", ".3f", "mm"),
+        Column("as likely"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for one in prior.changes:
+        factor, unit = display_unit(one.unit) if one.unit else (1.0, "")
+        scaled = (None if value is None else value * factor for value in (one.value, one.standard_error))
+        likely = ", ".join(one.rivals)
+        rows.append((one.what, *scaled, unit, one.sigmas, one.evidence, one.moved_mm, likely))
+    return Table(f"Arm {name}: changed since {prior.since}", columns, tuple(rows))
+
+
+# -- Results of recordings of motion for people: clocks, weight of the points, lost motion, what is not determined ----
+
+
+_CLOCKS = (
+    Column("arm"),
+    Column("recording"),
+    number_column("offset [s]", ".6f"),
+    number_column("standard error [ms]", ".4f"),
+    number_column("rate [ppm]", ".3f"),
+    number_column("standard error [ppm]", ".3f"),
+    number_column("clock steps", "d"),
+)
+_RECORDINGS = (
+    Column("arm"),
+    Column("recording"),
+    number_column("points", "d"),
+    number_column("learnt", "d"),
+    number_column("worth", ".0f"),
+    number_column("held out", "d"),
+    number_column("gross", "d"),
+    number_column("in gaps", "d"),
+    number_column("scatter [mm]", ".4f"),
+    number_column("held-out rms [mm]", ".4f"),
+)
+_PLAY = (
+    Column("arm"),
+    Column("joint"),
+    number_column("half play [urad]", ".1f"),
+    number_column("standard error [urad]", ".1f"),
+)
+_SURE = 2.0
+"""Lost motion is shown as found from this many standard errors on."""
+
+
+def motion_tables(result: CalibrateResult) -> list[Table]:
+    """Show clocks, recordings and lost motion of all recorded arms; none without recordings."""
+    moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
+    if not moved:
+        return []
+    clocks: list[tuple[Cell, ...]] = []
+    recordings: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        clocks += [(name, recording, *_clock(clock)) for recording, clock in (arm.clocks or {}).items()]
+        for recording, one in arm.motion.recordings.items() if arm.motion else ():
+            counts = (one.points, one.learnt, one.effective_points, one.held_out, one.gross, one.in_gaps)
+            recordings.append((name, recording, *counts, one.scatter_mm, one.heldout_rms_mm))
+    return [
+        Table("Clocks: the tracker's against the controller's", _CLOCKS, tuple(clocks)),
+        Table("Recordings: what their points are worth as independent ones", _RECORDINGS, tuple(recordings)),
+        *_in_motion(moved),
+        *_play(moved),
+    ]
+
+
+def motion_sentences(result: CalibrateResult) -> list[str]:
+    """State steps of the clocks, and what the data cannot determine."""
+    said = []
+    for name, arm in result.arms.items():
+        for recording, clock in (arm.clocks or {}).items():
+            for device, steps in (("controller", clock.steps_of_joints), ("tracker", clock.steps_of_points)):
+                said += [
+                    f"arm {name}: recording '{recording}': the {device}'s clock steps by {by:+.4g} s at {at:.4f} s"
+                    for at, by in steps
+                ]
+            if clock.trigger is not None:
+                said.append(f"arm {name}: recording '{recording}': {_trigger(clock.trigger)}")
+        if arm.motion is not None:
+            said += [f"arm {name}: not determined: {sentence}" for sentence in arm.motion.undetermined]
+    return said
+
+
+def _clock(clock: ClockResult) -> tuple[Cell, ...]:
+    steps = len(clock.steps_of_joints) + len(clock.steps_of_points)
+    errors = clock.offset_standard_error_s * 1e3, clock.rate_standard_error_ppm
+    return clock.offset_s, errors[0], clock.rate_ppm, errors[1], steps
+
+
+def _trigger(found: TriggerResult) -> str:
+    text = (
+        f"by {found.pulses} pulses of the trigger the offset is {found.offset_s:.6f} s with a standard error of"
+        f" {found.standard_error_s * 1e3:.2f} ms; that of the motion is {found.difference_s * 1e3:+.2f} ms from it"
+    )
+    return text if found.agrees else f"{text}: they do not agree; look at the wiring and at driver.trigger_output"
+
+
+def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
+    """Show errors of held-out blocks of motion, for arms whose held-out errors are those of stops."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        if arm.motion is not None and arm.validate_ != arm.motion.validate_:
+            for stage, errors in arm.motion.validate_.items():
+                its = errors.position_mm
+                rows.append((name, stage, its.mean, its.rms, its.std, its.max, its.n))
+    columns = (
+        Column("arm"),
+        Column("stage"),
+        *(number_column(title, ".4f") for title in ("mean", "rms", "std", "max")),
+        number_column("n", "d"),
+    )
+    return [Table("In motion: errors of held-out blocks of time [mm]", columns, tuple(rows))] if rows else []
+
+
+def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
+    """Show the joints whose lost motion is larger than chance would give."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        for joint, found in arm.motion.half_play.items() if arm.motion else ():
+            error = found.standard_error or 0.0
+            if found.value > _SURE * error:
+                rows.append((name, joint, found.value * 1e6, error * 1e6))
+    return [Table("Lost motion", _PLAY, tuple(rows))] if rows else []
+
+
+# -- Comparison of a network from all readings with the committee, in words -------------------------------------------
+
+
+def network_sentences(result: CalibrateResult) -> list[str]:
+    """Return one sentence for each arm for which a network from all readings was requested."""
+    said = []
+    for name, arm in result.arms.items():
+        if arm.network is not None and arm.network.batches is not None:
+            said.append(f"arm {name}: a network {batches_words(arm.network.batches)}")
+    return said
+
+
+def batches_words(found: BatchesResult) -> str:
+    """Say how the network compared with the committee, and whether it is used."""
+    compared = (
+        f"{found.left_out_rms_mm:.4f} mm rms on {found.blocks} left-out blocks of time, the committee"
+        f" {found.committee_rms_mm:.4f} mm ({found.sigmas:.1f} standard errors)"
+    )
+    used = "it is the network" if found.used else "it is not used: it is not surely better"
+    return f"from {counted(found.readings, 'reading')} in batches leaves {compared}; {used}"

@@ -14,8 +14,8 @@ from pathlib import Path
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.arm_identity import recorded_controllers
+from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recordings import recording_states
-from cellapp.cell.run.recordings_export import write_recordings_csv
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.basis import Basis, basis_of
 from cellapp.commands.certificate.request import CertificateRequest

@@ -13,15 +13,15 @@ from cellapp.commands.certificate.result import (
     Range,
 )
 from cellapp.commands.record import View
-from cellapp.commands.view.acceptance_words import (
+from cellapp.commands.view.parts import Facts, Section
+from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
+from cellapp.commands.view.words import (
     CHARACTERISTIC_WORDS,
     RULE_WORDS,
     Verdict,
     judgement_table,
     verdict_of,
 )
-from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm

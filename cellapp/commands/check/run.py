@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
-from cellapp.cell.driving.check_stops import check_candidates
+from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, check_candidates, drive_check
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.smr_search import FoundPoint, points_of

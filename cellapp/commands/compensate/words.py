@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
-from cellapp.commands.view.acceptance_words import RULE_WORDS, undecided_words
+from cellapp.commands.view.words import RULE_WORDS, undecided_words
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 

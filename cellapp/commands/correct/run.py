@@ -9,11 +9,9 @@ import numpy as np
 
 from cellapp.cell.driving.controllers import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.gate_findings import gate_findings
 from cellapp.cell.programs.records import CorrectResult, LeftLine
-from cellapp.cell.programs.rewriting import rewritten
 from cellapp.cell.programs.script_targets import read_script, six
-from cellapp.cell.programs.solving import Workplace, solve_targets
+from cellapp.cell.programs.solving import Workplace, gate_findings, rewritten, solve_targets
 from cellapp.cell.programs.targets import ReadProgram, Six
 from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.cell.programs.words import assumptions, model_notes

@@ -2,35 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from cellapp.cell.planning.proposal.candidate_poses import Effort
-from cellapp.cell.planning.proposal.propose import propose_stops
-from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
+from cellapp.cell.planning.planned_stops import StopConditions
+from cellapp.cell.planning.proposal.arm_candidates import Effort
+from cellapp.cell.planning.proposal.propose import (
+    PredictedDiscrimination,
+    ProposedStop,
+    append_proposed_stops,
+    propose_stops,
+    why_not_driven,
+)
+from cellapp.cell.planning.proposal.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
+from cellapp.commands.calibrate.result import pair_result
 from cellapp.commands.discover.request import DiscoverRequest
-from cellapp.commands.discover.result import discover_result, proposal_result
 from cellapp.commands.record import Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm, discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
-from cellapp.estimation.discovery.records import DiscoverResult, Proposal
+from cellapp.estimation.discovery.records import (
+    DiscoverResult,
+    Discrimination,
+    Proposal,
+    ProposalQuestion,
+)
+from cellapp.estimation.discovery.records import ProposedStop as ProposedStopRow
 from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.threads import one_blas_thread
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
 
 
@@ -149,3 +164,47 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         run.log("warning", note)
     export_model(run, read_stages(run))
     return result, found
+
+
+# -- Conversion of a discovery to the result of ``discover`` ----------------------------------------------------------
+
+
+def discover_result(found: CellDiscovery) -> DiscoverResult:
+    """Build the object that ``discover --json`` writes and the run file stores."""
+    return DiscoverResult(
+        arms={name: discovery.result for name, discovery in found.arms.items()},
+        pair={} if found.pair is None else {"effects": pair_result(found.pair)["effects"]},
+        notes=tuple(f"not searched for: {one.refusal}" for one in EFFECTS.plugins if one.problem) or None,
+    )
+
+
+def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
+    """Build the proposed stops; ``first`` is the number of the first one in the run's plan, None if not in the plan."""
+    arms = grouped((prediction.arm, _question(prediction)) for prediction in proposed.predictions)
+    return Proposal(
+        count=len(proposed.stops),
+        written=first is not None,
+        first_configuration=first,
+        arms={name: tuple(questions) for name, questions in arms.items()},
+        stops=tuple(
+            row for number, stop in enumerate(proposed.stops, start=first or 0) for row in _stop_rows(number, stop)
+        ),
+        notes=tuple(notes),
+        advice=proposed.advice,
+    )
+
+
+def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
+    return ProposalQuestion.like(
+        predicted, against=predicted.against or None, discrimination=Discrimination.like(predicted)
+    )
+
+
+def _stop_rows(number: int, stop: ProposedStop) -> list[ProposedStopRow]:
+    rows = []
+    for name, q in stop.q.items():
+        conditions = stop.conditions.get(name, StopConditions())
+        via = None if conditions.via is None else tuple(conditions.via.tolist())
+        dwell_s = conditions.dwell_s if conditions.dwell_s > 0.0 else None
+        rows.append(ProposedStopRow(configuration=number, arm=name, q=tuple(q.tolist()), via=via, dwell_s=dwell_s))
+    return rows

@@ -7,9 +7,10 @@ import io
 import json
 import os
 import platform
+import re
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,7 +19,6 @@ from cellapp.cell.driving.examination import LONGEST_PROBE_S
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import rehearsals_path
-from cellapp.commands.doctor.redaction import redacted
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
@@ -115,3 +115,29 @@ def run_log(folder: Path | None) -> dict[str, str]:
         events = [f"{one.written} {one.level}: {one.text}" for one in run.events()[-_MOST_EVENTS:]]
         outcomes = [f"stop {one.stop + 1}: {one.reason}" for one in run.outcomes()]
     return {"run-log.txt": "\n".join(events) + "\n", "run-left-out.txt": "\n".join(outcomes) + "\n"}
+
+
+# -- Removal of secrets from texts that leave the computer ------------------------------------------------------------
+
+
+REDACTED = "[redacted]"
+_PRIVATE = re.compile(r"-----BEGIN [A-Z ]*KEY-----.*?(?:-----END [A-Z ]*KEY-----|\Z)", re.DOTALL)
+_USER = re.compile(r"(?<=//)[^/\s@\"']+:[^/\s@\"']*(?=@)")
+_BEARER = re.compile(r"\b(Bearer|Basic)\s+[\w.~+/=-]{8,}", re.IGNORECASE)
+_NAMED = re.compile(
+    r"(?P<name>[\"']?\b[\w-]*(?:password|passwd|passphrase|secret|token|api[_-]?key|private[_-]?key|credential)[\w-]*"
+    r"[\"']?\s*[:=]\s*)(?P<value>\"(?:[^\"\\]|\\.)*\"|'[^']*'|[^\s,}\]]+)",
+    re.IGNORECASE,
+)
+_LEAST = 4
+"""Least length of a secret that is searched for: shorter ones would be found in every number."""
+
+
+def redacted(text: str, secrets: Collection[str] = ()) -> str:
+    """Remove values of keys such as ``token`` or ``password``, PEM keys, users in addresses, ``secrets`` from texts."""
+    for secret in sorted((one for one in secrets if len(one) >= _LEAST), key=len, reverse=True):
+        text = text.replace(secret, REDACTED)
+    text = _PRIVATE.sub(REDACTED, text)
+    text = _USER.sub(REDACTED, text)
+    text = _BEARER.sub(rf"\1 {REDACTED}", text)
+    return _NAMED.sub(lambda found: f'{found["name"]}"{REDACTED}"', text)

@@ -16,7 +16,7 @@ from cellapp.cell.exports.words import form_line, lost_sentences
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.column_names import Kind
-from cellapp.cell.run.recordings_export import write_recordings_csv
+from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from cellapp.commands.iso9283.charts import iso9283_charts
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
-from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
+from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
     CommandedTests,

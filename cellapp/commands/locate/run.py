@@ -31,8 +31,8 @@ from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, twist_columns, xyz_of
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
-from cellapp.robot.model.relocation import relocated
 
 POINTS = 4
 

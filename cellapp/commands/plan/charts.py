@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cellapp.cell.planning.candidates import joint_ranges
 from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, PlanDesignResult, PlanQuality, TravelTime
-from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.records import PlannedTime
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import duration_words

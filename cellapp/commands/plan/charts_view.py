@@ -19,7 +19,7 @@ SeenFrom = Literal["above", "tracker"]
 SHADES = "·░▒▓█"
 """Marks of the shares: zero, then each quarter of the largest share."""
 _OTHER_STYLE = 4
-"""Style of series that belong to no arm; as in ``charts_map``."""
+"""Style of series that belong to no arm; as in ``charts_obstacles``."""
 _AXES: Mapping[SeenFrom, tuple[Axis, Axis]] = {
     "above": (Axis("x", "m"), Axis("y", "m")),
     "tracker": (Axis("azimuth", "deg"), Axis("elevation", "deg")),

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
+from cellapp.cell.planning.design_records import (
+    ArmDesign,
+    ArmView,
+    ConstraintShare,
+    FactorCorrelation,
+    ObservabilityIndices,
+    PlanDesignResult,
+    ViewResult,
+)
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import (
     ArmForecast,
     JointCoverage,
+    LawInMotion,
     PlanCheckResult,
     PlanForecastResult,
     PlannedTime,
     PlanRefusal,
+    SweepForecast,
 )
+from cellapp.cell.safety.visibility import FACING
 from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
@@ -189,3 +203,334 @@ def effect_sentence(one: PlannedEffect) -> str:
         words.append(f"{parameter} {factor * size.value:.3g} {unit}")
     sizes = f", for instance {'; '.join(words)}" if words else ""
     return f"{title} would be seen from an rms displacement of {one.smallest_seen_rms_mm or 0.0:.3f} mm on{sizes}."
+
+
+# -- A new plan and the quality of its design, as tables and sentences ------------------------------------------------
+
+
+_SINGULAR = 1e-9
+"""Smallest condition number (O2) of stops that determine all parameters; some tens of stops reach 1e-3."""
+
+
+def plan_result_tables(result: PlanResult) -> list[Table]:
+    """Build the tables of a new plan; none for random stops."""
+    return [] if result.design is None else design_tables(result.design)
+
+
+def plan_lines(result: PlanResult) -> list[str]:
+    """State the stops of each arm, the quality of their design, the time of collecting, and notes."""
+    more = f" and {result.reserves} in reserve" if result.reserves else ""
+    lines = [f"arm {name}: {counted(count, 'stop')} planned{more}" for name, count in result.stops.items()]
+    lines += [] if result.design is None else design_sentences(result.design)
+    lines += [] if result.time is None else [f"{time_sentence(result.time)} It rests on {TIME_RESTS_ON}."]
+    return [*lines, *load_sentences(result.loads), *result.notes]
+
+
+def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
+    """Say with which load each part of a plan is measured, and what a person does between; none for a single load."""
+    if not loads:
+        return []
+    parts = [
+        f"stops {one.first} to {one.last} with {', '.join(f'{name} {kg:g} kg' for name, kg in one.payload_kg.items())}"
+        for one in loads
+    ]
+    return [f"Loads: {'; '.join(parts)}. Before each further load the arms go home, and a person hangs it."]
+
+
+def design_tables(design: PlanDesignResult) -> list[Table]:
+    """Show candidates, errors beside random stops, observability, largest gaps; errors by number of stops."""
+    tables = [candidates_table(design), quality_table(design), indices_table(design), gaps_table(design)]
+    return [*tables, *(by_stops_table(name, arm) for name, arm in design.arms.items() if arm.by_stops)]
+
+
+def design_sentences(design: PlanDesignResult) -> list[str]:
+    """State the balance of the factors, travel time, detours, blocks, repeats, and notes."""
+    travel = design.travel
+    sentences = [
+        f"Travel takes {duration_words(travel.planned_s)}, in random order {duration_words(travel.random_order_s)}:"
+        f" {100.0 * travel.saved:.0f} % are saved.",
+        f"{counted(design.detours, 'stop is', 'stops are')} reached by a detour,"
+        f" {counted(design.repeats, 'stop repeats', 'stops repeat')} an earlier one,"
+        f" in {counted(design.blocks, 'block', 'blocks')}.",
+    ]
+    largest = design.largest_correlation
+    if largest is not None:
+        sentences.insert(0, f"Largest correlation of a planned factor: {correlation_words(largest)}.")
+    return [*sentences, *design.notes]
+
+
+def correlation_words(one: FactorCorrelation) -> str:
+    """Return a correlation as "0.04 (approach side of joint 2 of left with time)"."""
+    return f"{abs(one.correlation):.2f} ({one.factor} with {one.other})"
+
+
+def candidates_table(design: PlanDesignResult) -> Table:
+    """Show how many configurations were drawn for each arm, why some were rejected, and how many are left."""
+    found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
+    reasons = list(dict.fromkeys(found))
+    columns = (Column("configurations"), *(number_column(f"arm {name}", "d") for name in design.arms))
+    arms = design.arms.values()
+    rows: list[tuple[Cell, ...]] = [
+        ("drawn", *(arm.drawn for arm in arms)),
+        *((f"excluded by {reason}", *(arm.rejected.get(reason) for arm in arms)) for reason in reasons),
+        ("candidates", *(arm.candidates for arm in arms)),
+    ]
+    return Table("Candidates", columns, tuple(rows))
+
+
+def quality_table(design: PlanDesignResult) -> Table:
+    """Show expected errors of the designed and of random stops; how many random stops do as well."""
+    columns = (
+        Column("arm"),
+        Column("plan"),
+        number_column("stops", "d"),
+        number_column("parameters", ".3f"),
+        number_column("mean", ".4f", "mm"),
+        number_column("worst", ".4f", "mm"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in design.arms.items():
+        for word, one in (("designed", arm.designed), ("random", arm.random)):
+            rows.append((name, word, one.stops, one.parameters, one.mean_mm, one.worst_mm))
+        equal = arm.equal_to_random
+        counts = (equal.get("parameters"), equal.get("mean"), equal.get("worst"))
+        rows.append((name, "equal to random", None, *(_stops(count) for count in counts)))
+    return Table("Expected errors against random stops", columns, tuple(rows))
+
+
+def indices_table(design: PlanDesignResult) -> Table:
+    """Show observability indices of the designed stops and of random ones."""
+    columns = (Column("arm"), Column("plan"), *(number_column(f"O{index}", ".3g") for index in range(1, 6)))
+    rows: list[tuple[Cell, ...]] = [
+        (name, word, *_indices(index))
+        for name, arm in design.arms.items()
+        for word, index in (("designed", arm.designed.indices), ("random", arm.random.indices))
+    ]
+    return Table("Observability", columns, tuple(rows))
+
+
+def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:
+    """Return the five indices; None each if the stops are too few to determine all parameters."""
+    if index.o2 < _SINGULAR:
+        return (None,) * 5
+    return index.o1, index.o2, index.o3, index.o4, index.o5
+
+
+def gaps_table(design: PlanDesignResult) -> Table:
+    """Show the largest gap between stops in each joint's travelled range [deg]."""
+    joints = max((len(arm.largest_gap) for arm in design.arms.values()), default=0)
+    columns = (Column("arm"), *(number_column(f"q{joint + 1}", ".1f", "deg") for joint in range(joints)))
+    rows: list[tuple[Cell, ...]] = [
+        (name, *map(math.degrees, arm.largest_gap), *[None] * (joints - len(arm.largest_gap)))
+        for name, arm in design.arms.items()
+    ]
+    return Table("Largest gap of each joint", columns, tuple(rows))
+
+
+def by_stops_table(name: str, arm: ArmDesign) -> Table:
+    """Show expected errors after the first n stops."""
+    return table_of(
+        f"Arm {name}: errors after the first stops",
+        arm.by_stops,
+        ("stops", "stops", "d"),
+        ("parameters", "parameters", ".3f"),
+        ("mean", "mean_mm", ".4f", "mm"),
+        ("worst", "worst_mm", ".4f", "mm"),
+    )
+
+
+def _stops(count: float | None) -> str | None:
+    return None if count is None else f"{count:.0f} stops"
+
+
+# -- Planned sweeps as tables and sentences: how many, and their forecast beside that of the stops --------------------
+
+
+_SOURCES = ("stops", "sweeps", "both")
+_RESTS_ON = (
+    "Expected of sweeps: a point of each half second counts as one at rest, as recordings of the twin have it, with the"
+    " scatter that arms have before discovery. An effect is seen in a joint from 3.5 standard errors on."
+)
+
+
+def sweep_sentences(sweeps: Mapping[str, SweepCount] | None) -> list[str]:
+    """Say how many sweeps each arm makes, how long they last, and what their forecast rests on."""
+    if not sweeps:
+        return []
+    told = [
+        f"arm {name}: {counted(its.n, 'sweep')} about its stops, {its.seconds / 60.0:.1f} min"
+        + (f"; the other arm swings beside {its.swinging} of them" if its.swinging else "")
+        for name, its in sweeps.items()
+    ]
+    return [*told, _RESTS_ON] if any(its.forecast for its in sweeps.values()) else told
+
+
+def sweep_tables(sweeps: Mapping[str, SweepCount] | None) -> list[Table]:
+    """Show each arm's expected standard errors and smallest visible effects, by stops, sweeps and both."""
+    foreseen = {name: its.forecast for name, its in (sweeps or {}).items() if its.forecast is not None}
+    return [table for name, one in foreseen.items() for table in (_errors_table(name, one), _laws_table(name, one))]
+
+
+def _errors_table(name: str, forecast: SweepForecast) -> Table:
+    """Show standard errors of predicted positions and of parameters."""
+    found = [forecast.accuracy[source] for source in _SOURCES]
+    rows: list[tuple[Cell, ...]] = [
+        ("predicted position, rms", *(one.standard_error_mm for one in found), "mm"),
+        ("predicted position, largest", *(one.largest_mm for one in found), "mm"),
+    ]
+    for parameter in dict.fromkeys(key for one in found for key in one.parameters):
+        its = [one.parameters.get(parameter) for one in found]
+        factor, unit = geometry_unit(next(one.unit for one in its if one is not None))
+        errors = [None if one is None or one.standard_error is None else factor * one.standard_error for one in its]
+        rows.append((parameter, *errors, unit))
+    columns = (Column("standard error of"), *(number_column(source, ".4f") for source in _SOURCES), Column("unit"))
+    return Table(f"Arm {name}: expected standard errors of stops and sweeps", columns, tuple(rows))
+
+
+def _laws_table(name: str, forecast: SweepForecast) -> Table:
+    """Show from which size on each effect is seen: in the joint that shows it best, and in every joint."""
+    columns = (
+        Column("effect"),
+        *(number_column(f"{source}, {which}", ".3g") for source in _SOURCES for which in ("best joint", "every joint")),
+        Column("unit"),
+    )
+    rows = [_law_row(law) for law in forecast.laws]
+    return Table(f"Arm {name}: smallest effects of joints that stops and sweeps show", columns, tuple(rows))
+
+
+def _law_row(law: LawInMotion) -> tuple[Cell, ...]:
+    title = EFFECTS[law.effect].title if law.effect in EFFECTS else law.effect.replace("_", " ")
+    title += f", {counted(law.cycles, 'cycle')} a turn" if law.cycles else ""
+    factor, unit = display_unit(law.unit)
+    cells: list[Cell] = []
+    for source in _SOURCES:
+        sizes = list(law.smallest[source].values())
+        seen = [size for size in sizes if size is not None]
+        cells.append(factor * min(seen) if seen else None)
+        cells.append(factor * max(seen) if len(seen) == len(sizes) else None)
+    return (title, *cells, unit)
+
+
+# -- Share of each arm's workspace that the tracker sees, as tables and sentences -------------------------------------
+
+
+_WORTH_A_CHANGE = 1.1
+"""Least gain in configurations for which a change is advised: less is within the scatter of the draws."""
+_NATURAL = 0.5
+"""Share of what random directions would give, from which on the SMR's direction does not count as the problem."""
+AS_IT_IS = "as it is"
+"""Name of the unchanged cell in the list of changes."""
+
+
+def view_tables(view: ViewResult) -> list[Table]:
+    """Show the constraints and the workspace by height of each arm."""
+    return [
+        table for name, arm in view.arms.items() for table in (constraint_table(name, arm), height_table(name, arm))
+    ]
+
+
+def view_sentences(view: ViewResult) -> list[str]:
+    """Say for each arm how much the tracker sees, which constraint costs most, and what would help."""
+    return [sentence for name, arm in view.arms.items() for sentence in arm_sentences(name, arm)]
+
+
+def constraint_table(name: str, arm: ArmView) -> Table:
+    """Show each constraint in the order applied: share lost to it, share it excludes alone, share without it."""
+    columns = (
+        Column("constraint"),
+        number_column("lost to it", ".2f", "%"),
+        number_column("excludes alone", ".2f", "%"),
+        number_column("seen without it", ".2f", "%"),
+    )
+    by_name = {one.constraint: one for one in arm.constraints}
+    rows: list[tuple[Cell, ...]] = []
+    for constraint, lost in arm.lost.items():
+        one = by_name[constraint]
+        rows.append((constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without))
+    rows.append(("seen", 100.0 * arm.share, None, None))
+    return Table(f"Arm {name}: what excludes {counted(arm.drawn, 'configuration')}", columns, tuple(rows))
+
+
+def height_table(name: str, arm: ArmView) -> Table:
+    """Show the workspace in layers of cubes, highest first: cubes that the SMR reaches, and cubes where it is seen.
+
+    ``share`` is the share of the configurations with the SMR in the layer that can be measured.
+    """
+    columns = (
+        number_column("z", ".2f", "m"),
+        number_column("cubes", "d"),
+        number_column("seen", "d"),
+        number_column("share", ".2f", "%"),
+        number_column("best cube", ".2f", "%"),
+        number_column("its x", ".2f", "m"),
+        number_column("its y", ".2f", "m"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for height in sorted({cube.centre_C[2] for cube in arm.cells}, reverse=True):
+        layer = [cube for cube in arm.cells if cube.centre_C[2] == height]
+        best = max(layer, key=lambda cube: cube.share)
+        reached, seen = sum(cube.reachable for cube in layer), sum(cube.seen for cube in layer)
+        at = best.centre_C[:2] if seen else (None, None)
+        rows.append(
+            (height, len(layer), sum(cube.seen > 0 for cube in layer), 100.0 * seen / reached, 100.0 * best.share, *at)
+        )
+    return Table(f"Arm {name}: workspace in cubes of {1e3 * arm.edge_m:.0f} mm", columns, tuple(rows))
+
+
+def arm_sentences(name: str, arm: ArmView) -> list[str]:
+    """Say how much of an arm's workspace is seen, what excludes most of the rest, what would help."""
+    seen = sum(cube.seen > 0 for cube in arm.cells)
+    straight = 100.0 * arm.small_incidence / max(arm.seen, 1)
+    return [
+        f"Arm {name}: the tracker can measure {100.0 * arm.share:.2f} % of configurations, {straight:.0f} % of these"
+        f" with full accuracy, and the SMR in {seen} of {len(arm.cells)} cubes of {1e3 * arm.edge_m:.0f} mm.",
+        *_facing_sentence(arm),
+        *_worst_sentence(arm),
+        _change_sentence(arm),
+    ]
+
+
+def worst_constraint(arm: ArmView) -> ConstraintShare | None:
+    """Return the constraint that costs most configurations; facing counts only if worse than random directions."""
+    blamed = [
+        one for one in arm.constraints if one.without > arm.share and not (one.constraint == FACING and _faces(arm))
+    ]
+    return max(blamed, key=lambda one: one.without, default=None)
+
+
+def _faces(arm: ArmView) -> bool:
+    """Return whether the SMR faces the tracker about as often as random directions would."""
+    facing = next((one for one in arm.constraints if one.constraint == FACING), None)
+    return facing is not None and 1.0 - facing.alone >= _NATURAL * arm.facing_at_random
+
+
+def _facing_sentence(arm: ArmView) -> list[str]:
+    if not _faces(arm):
+        return []
+    facing = next(one for one in arm.constraints if one.constraint == FACING)
+    natural = 100.0 * (1.0 - arm.facing_at_random)
+    return [
+        f"In {100.0 * facing.alone:.1f} % the SMR looks away from the tracker; of directions at random {natural:.1f} %"
+        " do, so its mounting is not to blame."
+    ]
+
+
+def _worst_sentence(arm: ArmView) -> list[str]:
+    worst = worst_constraint(arm)
+    if worst is None:
+        return []
+    then = " then" if _faces(arm) else ""
+    return [
+        f"What costs most{then} is '{worst.constraint}': it excludes {100.0 * worst.alone:.1f} % ({worst.extent});"
+        f" without it {100.0 * worst.without:.2f} % could be measured. What helps: {worst.advice}."
+    ]
+
+
+def _change_sentence(arm: ArmView) -> str:
+    now = next((one.seen for one in arm.changes if one.change == AS_IT_IS), arm.share)
+    better = [one for one in arm.changes if one.seen > _WORTH_A_CHANGE * now and not math.isclose(one.seen, now)]
+    tried = len(arm.changes) - 1
+    if not better:
+        return f"None of {tried} changes that were tried (tracker moved, SMR turned) gains a tenth."
+    words = enumerated(f"{100.0 * one.seen:.2f} % with {one.change}" for one in better[:3])
+    return f"Of {tried} changes that were tried, these give more than the {100.0 * now:.2f} % as it is: {words}."

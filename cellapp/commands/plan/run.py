@@ -20,12 +20,16 @@ from cellapp.cell.planning.design_records import ViewResult
 from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.method import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import (
+    PlannedStops,
+    proposed_stops,
+    read_plan_design,
+    read_planned_stops,
+    read_stop_conditions,
+    write_planned_stops,
+)
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
-from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
-from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
-from cellapp.cell.planning.sweep_forecast import forecast_sweeps
-from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planned_sweeps
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

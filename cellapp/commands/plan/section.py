@@ -6,22 +6,22 @@ from collections.abc import Iterator, Sequence
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
 from cellapp.cell.planning.records import PlannedTime
-from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts
-from cellapp.commands.plan.charts_map import cell_map_chart
-from cellapp.commands.plan.design_view import (
+from cellapp.commands.plan.charts_obstacles import cell_map_chart
+from cellapp.commands.plan.check_view import (
     design_sentences,
     gaps_table,
     indices_table,
     load_sentences,
     quality_table,
+    sweep_sentences,
+    sweep_tables,
 )
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.plan.run import planned_stops
-from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table

@@ -7,17 +7,21 @@ import math
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ViewResult
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
-from cellapp.commands.plan.design_view import (
+from cellapp.commands.plan.check_view import (
+    check_sentences,
     design_sentences,
     design_tables,
+    forecast_sentences,
+    forecast_tables,
     load_sentences,
     plan_lines,
     plan_result_tables,
+    sweep_sentences,
+    sweep_tables,
+    view_sentences,
+    view_tables,
 )
 from cellapp.commands.plan.result import StopsResult
-from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
-from cellapp.commands.plan.tracker_view import view_sentences, view_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Column, Table, number_column
 

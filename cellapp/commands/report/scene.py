@@ -12,7 +12,7 @@ from cellapp.commands.plan.charts_obstacles import placed_obstacles
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.camera import evenly_spread, levelling_rotation
 from cellapp.commands.view.charts import Axis, Chart, Series, series
-from cellapp.commands.view.scene import Capsules, CellScene, ErrorVectors, SceneArm
+from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm
 from cellapp.robot.kinematics.chain import frame_poses, smr_positions

@@ -15,12 +15,12 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts_accuracy import (
     certainty_chart,
     error_histogram_chart,
+    joint_curve_charts,
     pair_held_out,
     pair_histogram_chart,
     pair_stop_chart,
     stop_error_chart,
 )
-from cellapp.commands.calibrate.charts_joints import joint_curve_charts
 from cellapp.commands.calibrate.charts_vectors import vector_charts
 from cellapp.commands.calibrate.detail_tables import (
     base_table,
@@ -30,10 +30,15 @@ from cellapp.commands.calibrate.detail_tables import (
     nominal_and_identified_tables,
     pair_tables,
 )
-from cellapp.commands.calibrate.motion_view import motion_sentences
-from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
+from cellapp.commands.calibrate.view import (
+    cooperative_noise_mm,
+    detailed_tables,
+    distance_mm,
+    motion_sentences,
+    transform_tables,
+)
 from cellapp.commands.check.view import view as check_view
-from cellapp.commands.collect.charts_drift import residual_drift_chart
+from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
 from cellapp.commands.compensate.section import targets_section
@@ -53,9 +58,9 @@ from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
 from cellapp.commands.trials.power.result import stored_power
 from cellapp.commands.trials.power.tables import power_parts
-from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
+from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, StageName

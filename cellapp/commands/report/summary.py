@@ -4,21 +4,76 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 
-from cellapp.commands.certificate.judgements import other_arms_found
+from cellapp.cell.run import RunFile
+from cellapp.commands.certificate.judgements import judge_run, other_arms_found
 from cellapp.commands.discover.words import verdict_sentence
 from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
-from cellapp.commands.report.data import ReportData
-from cellapp.commands.report.judged import JudgedMatrix, judged_matrix
-from cellapp.commands.view.acceptance_words import VERDICT_TITLES, Verdict, named_errors, verdict_of
+from cellapp.commands.report.data import ReportData, read_report_data
+from cellapp.commands.report.result import read_results
 from cellapp.commands.view.charts import mm
-from cellapp.commands.view.words import place_words
+from cellapp.commands.view.table import Table
+from cellapp.commands.view.words import (
+    CHARACTERISTIC_WORDS,
+    RULE_WORDS,
+    VERDICT_TITLES,
+    Verdict,
+    judgement_table,
+    named_errors,
+    place_words,
+    verdict_of,
+)
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
+from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
 from cellapp.ground.times import day_of
+
+# -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
+
+
+@dataclass
+class JudgedRow:
+    """One characteristic: judgements by arm, or one of several arms together without a column of its own."""
+
+    label: str
+    tolerance: float
+    by_arm: dict[str, Judgement] = field(default_factory=dict)
+    together: Judgement | None = None
+
+
+@dataclass(frozen=True)
+class JudgedMatrix:
+    """Characteristics in rows, arms in columns."""
+
+    arms: tuple[str, ...]
+    rows: tuple[JudgedRow, ...]
+
+
+def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> JudgedMatrix:
+    """Arrange judgements in a matrix: those of one characteristic by one tolerance form a row."""
+    rows: list[JudgedRow] = []
+    for one in judgements:
+        label = CHARACTERISTIC_WORDS[one.characteristic]
+        if one.where not in arms:
+            more = "" if one.characteristic == "cooperative" and len(arms) == 2 else f", {one.where}"
+            rows.append(JudgedRow(label + more, one.tolerance, together=one))
+            continue
+        free = (
+            row
+            for row in rows
+            if (row.label, row.tolerance, row.together) == (label, one.tolerance, None) and one.where not in row.by_arm
+        )
+        row = next(free, None)
+        if row is None:
+            row = JudgedRow(label, one.tolerance)
+            rows.append(row)
+        row.by_arm[one.where] = one
+    shown = tuple(arm for arm in arms if any(arm in row.by_arm for row in rows))
+    return JudgedMatrix(shown, tuple(rows))
+
 
 _AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "cooperative")
 """Characteristics that a verification at targets measures; the others are of ISO 9283."""
@@ -177,3 +232,51 @@ def _first_sentence(text: str) -> str:
 
 def _capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
+
+
+# -- The verdict on a run as a table and sentences: judgements, what is out of date, what comes next ------------------
+
+
+@dataclass(frozen=True)
+class RunVerdict:
+    """The judgements on a run with a title and a sentence, and next steps; ``state`` is None if nothing is judged."""
+
+    state: Conformity | None
+    title: str
+    sentence: str
+    judgements: tuple[Judgement, ...]
+    steps: tuple[str, ...]
+
+
+def read_verdict(run: RunFile, today: date) -> RunVerdict:
+    """Judge a run as it is now; instruments are due as of ``today``."""
+    results = read_results(run)
+    data = _report_data(run)
+    if data is None:
+        judgements = judge_run(run.profile, results)
+        title = "Not calibrated yet"
+        sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
+        return RunVerdict(overall(judgements), title, sentence, judgements, ())
+    judgements = data.judgements
+    first: Summary = summary(data, judgements, today)
+    steps = tuple(f"{step.text} {step.command}".strip() for step in first.steps)
+    verdict = first.verdict
+    return RunVerdict(verdict.state, verdict.title, verdict.sentence, judgements, steps)
+
+
+def verdict_tables(verdict: RunVerdict) -> list[Table]:
+    """Show every judgement: error, expanded uncertainty, tolerance, decision, and source of the error."""
+    return [judgement_table(verdict.judgements)] if verdict.judgements else []
+
+
+def verdict_sentences(verdict: RunVerdict) -> list[str]:
+    """State the decision rules, and what comes next."""
+    rules = dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements)
+    return [*rules, *(f"next: {step}" for step in verdict.steps)]
+
+
+def _report_data(run: RunFile) -> ReportData | None:
+    try:
+        return read_report_data(run)
+    except InputError:
+        return None  # not calibrated yet

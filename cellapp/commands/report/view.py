@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cellapp.commands.calibrate.view import calibration_tables
+from cellapp.commands.compensate.tables import verification_tables
+from cellapp.commands.discover.tables import discovery_tables
+from cellapp.commands.locate.view import location_tables
 from cellapp.commands.out_of_date import complaints_in
 from cellapp.commands.record import Request, View
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult
-from cellapp.commands.report.tables import all_tables, out_of_date_sentences
+from cellapp.commands.report.result import ReportResult, RunResults
+from cellapp.commands.view.table import Table
 
 
 def view(result: ReportResult, request: Request | None = None) -> View:
@@ -17,3 +21,25 @@ def view(result: ReportResult, request: Request | None = None) -> View:
     parts = (*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}", *printed)
     strict = isinstance(request, ReportRequest) and request.strict
     return View(parts, complaints_in(Path(result.run)) if strict else ())
+
+
+# -- Results of a run for a terminal: tables, and what is out of date -------------------------------------------------
+
+
+def all_tables(results: RunResults) -> list[Table]:
+    """Show the calibration, and a discovery, location and verification that are not out of date."""
+    tables: list[Table] = []
+    if results.calibrate is not None:
+        tables += calibration_tables(results.calibrate)
+    if results.discover is not None and "discover" not in results.out_of_date:
+        tables += discovery_tables(results.discover)
+    if results.locate is not None and "locate" not in results.out_of_date:
+        tables += location_tables(results.locate)
+    if results.verify is not None and "verify" not in results.out_of_date:
+        tables += verification_tables(results.verify)
+    return tables
+
+
+def out_of_date_sentences(results: RunResults) -> list[str]:
+    """Return one sentence for each result that no longer holds, with the reason."""
+    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]

@@ -21,8 +21,8 @@ from cellapp.commands.report.run import PageWriter
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.control import JobControl
-from cellapp.ground.memory import give_back
 from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.threads import give_back
 
 
 def run(request: RunRequest, work: Work) -> WholeRunResult:

@@ -19,7 +19,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from drivers.plant import Plant
-from drivers.plant.conditions import Conditions
+from drivers.plant.plant import Conditions
 
 _DWELLS_S = (1.0, 8.0)
 """Range of the rest before a measurement [s], drawn log-uniformly."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.cell.run.records import RecordingState
+from cellapp.cell.run.stream_columns import TRIGGER
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 _COLUMNS = (
@@ -23,7 +24,7 @@ _COLUMNS = (
 )
 
 
-_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
+_OF_POINTS = ("sigma_m", "quat_w", "split", TRIGGER)
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
@@ -31,7 +32,7 @@ def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
     rows: list[tuple[Cell, ...]] = []
     for one in states:
         for kind, its in (("joints", one.joints), ("points", one.points)):
-            there = [name for name in one.optional if (name in _OF_JOINTS) == (kind == "joints")]
+            there = [name for name in one.optional if (name in _OF_POINTS) == (kind == "points")]
             cells = (its.n, its.seconds, its.rate_hz, its.gaps, its.longest_gap_s, its.repeats, its.backward, its.lost)
             rows.append((one.arm, one.name, kind, *cells, ", ".join(there)))
     return [Table("Recordings of motion", _COLUMNS, tuple(rows))] if rows else []

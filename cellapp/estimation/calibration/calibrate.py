@@ -29,10 +29,9 @@ from cellapp.estimation.calibration.quantities import (
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
-from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_torques
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import InputError, NotConverged
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
@@ -77,8 +76,6 @@ class ArmCalibration:
         Configurations of readings with gross errors. No parameter and no held-out error uses them.
     left_out_counts : mapping
         Number of readings left out of each split.
-    torques : TorqueFit or None
-        Masses from measured torques or currents.
     clocks, motion
         Clocks by recording and results of the motion; None unless the arm was recorded in motion.
     """
@@ -97,7 +94,6 @@ class ArmCalibration:
     left_out_counts: Mapping[str, int] = field(default_factory=dict)
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    torques: TorqueFit | None = None
 
 
 @dataclass(frozen=True)
@@ -212,12 +208,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         if not wrong.any():
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
-    evaluated = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
-    try:
-        calibration, failed = _with_torques(evaluated, fitted.readings), []
-    except NotConverged as error:  # the geometry does not depend on them
-        calibration, failed = evaluated, [f"arm '{name}': {error}; its torques were not used"]
-    return calibration, [*_arm_notes(name, calibration, fitted), *failed]
+    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    return calibration, _arm_notes(name, calibration, fitted)
 
 
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
@@ -290,15 +282,6 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
     )
-
-
-def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
-    """Fit masses to measured torques or currents; put them into the model if they are clearly better."""
-    if not has_torques(readings):
-        return arm
-    found = fit_torques(arm.model, readings)
-    model = replace(arm.model, bodies=found.bodies) if found.used else arm.model
-    return replace(arm, model=model, torques=found)
 
 
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:

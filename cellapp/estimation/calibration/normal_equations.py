@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.kinematics.workspace import Workspace
 
 _CHUNK = 2048
 """Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) fits into the CPU cache."""

@@ -221,43 +221,6 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
-class JointTorqueResult(Record):
-    """What one joint's torques or currents told: ``constant`` of its motor [Nm/A] for currents; ``friction``,
-    ``offset`` and ``scatter`` in Nm or A. ``fault`` says why nothing rests on the joint; empty where it is used."""
-
-    joint: int
-    constant: Estimate | None = None
-    friction: float
-    offset: float
-    scatter: float
-    fault: str = ""
-
-
-class TorqueErrors(Record):
-    """Rms error of held-out torques [Nm] with the stated masses, and with those found; None where no joint is used."""
-
-    before: float | None
-    after: float | None
-
-
-class TorquesResult(Record):
-    """Masses from measured torques (``tau``) or motor currents.
-
-    ``masses_kg`` and ``centers_m`` are those found, by body; they are the model's where ``used``. ``evidence`` is by
-    how much the positions with elastic joints prefer them, as a log likelihood. ``faults`` are rows left out.
-    """
-
-    kind: Literal["tau", "current"]
-    readings: int
-    masses_kg: tuple[float, ...]
-    centers_m: tuple[tuple[float, ...], ...]
-    joints: tuple[JointTorqueResult, ...]
-    heldout_nm: TorqueErrors
-    evidence: float
-    used: bool
-    faults: tuple[str, ...] = ()
-
-
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
@@ -294,8 +257,7 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    torques: TorquesResult | None = None
-    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "torques"})
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion"})
 
     @property
     def best_stage(self) -> Stage:

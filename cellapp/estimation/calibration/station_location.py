@@ -36,8 +36,8 @@ from cellapp.robot.kinematics.transforms import (
     twist_columns,
 )
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.model import relocated
 from cellapp.robot.model.posterior import DRAWS
-from cellapp.robot.model.relocation import relocated
 
 FEWEST_POINTS = 3
 LEAST_PROBABILITY = 1e-3

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import inverse_psd
-from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
@@ -309,3 +308,24 @@ class BlockDesign:
         self._unfollowed.append(_Change(columns, sign))
         self._apart[:, self._columns : self._columns + 3] = G, sign * G, B
         self._columns += 3
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Symmetric matrices (3, 3) of many candidates by their six distinct elements: faster than one call for each matrix.
+
+
+ROW, COLUMN = np.triu_indices(3)
+"""Indices of the six distinct elements of a symmetric matrix (3, 3)."""
+_COFACTORS = np.array([(3, 5, 4, 4), (2, 4, 1, 5), (1, 4, 2, 3), (0, 5, 2, 2), (1, 2, 0, 4), (0, 3, 1, 1)]).T
+"""Elements whose two products give each of its cofactors: the first less the second."""
+_TWICE = np.where(ROW == COLUMN, 1.0, 2.0)
+
+
+def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
+    """Return tr((I + sign V)^-1 U) (s,) of symmetric matrices with elements (6, s), by cofactors."""
+    A = sign * V
+    A[_TWICE == 1.0] += 1.0
+    first, second, third, fourth = A[_COFACTORS]
+    cofactors = first * second - third * fourth
+    determinant = np.einsum("es,es->s", A[:3], cofactors[:3])
+    return np.asarray(np.einsum("e,es,es->s", _TWICE, cofactors, U) / determinant)

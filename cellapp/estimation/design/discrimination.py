@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.design.symmetric import COLUMN, ROW, trace_of_solution
+from cellapp.estimation.design.block_design import COLUMN, ROW, trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 _RIDGE = 1e-11

@@ -17,8 +17,8 @@ from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.robot.effects.law import with_prior_sd
 from cellapp.robot.effects.modulation import with_modulations
-from cellapp.robot.effects.smooth import with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas

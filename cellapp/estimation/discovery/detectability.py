@@ -9,8 +9,7 @@ import numpy as np
 
 from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.records import AbsentEffect, SmallestSize
-from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.significance import smallest_detectable
+from cellapp.estimation.discovery.search.scan import LawScan, smallest_detectable
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.robot.effects import EFFECTS
 

@@ -20,7 +20,7 @@ from cellapp.estimation.calibration.gross_errors import (
     left_out_words,
     without,
 )
-from cellapp.estimation.calibration.learning import learning_steps
+from cellapp.estimation.calibration.learning import learn, learning_steps
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
@@ -31,7 +31,7 @@ from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
-from cellapp.estimation.discovery.pictures.term_pictures import pictures
+from cellapp.estimation.discovery.pictures import pictures
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
@@ -40,7 +40,6 @@ from cellapp.estimation.discovery.records import (
     HeldOutBeforeAfter,
     Noise,
 )
-from cellapp.estimation.discovery.remaining_network import needs_network, with_network
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
@@ -50,11 +49,12 @@ from cellapp.estimation.discovery.verdict import verdict
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted
-from cellapp.ground.memory import give_back
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
-from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 
 _MOST_SEARCHED = 400
 """Largest number of readings to search. The cost grows with it, and some hundred readings show effects of the size of
@@ -400,3 +400,82 @@ def _gap_steps(
     if fitted is not None:
         errors.append((f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
     return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)
+
+
+# -- Residual network after discovery: size of its remaining correction, and a model of unnamed effects ---------------
+
+
+_READINGS_A_FOLD = 2
+"""Least number of readings for each fold of a network's training: one reading has no scatter."""
+
+
+def needs_network(profile: Profile, discovery: Discovery) -> bool:
+    """Return whether the profile asks for a network beside the effects of this outcome.
+
+    There is none beside effects from recordings: samples of motion contain what no pose at rest has.
+    """
+    motion = discovery.result.motion
+    if profile.network.kind == "none" or (motion is not None and motion.used):
+        return False
+    asked = profile.discovery.network
+    return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
+
+
+def with_network(
+    profile: Profile,
+    calibrated: ArmModel,
+    discovery: Discovery,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report = ignore_report,
+) -> Discovery:
+    """Add to the outcome the corrections of a network before and after the accepted effects.
+
+    The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its
+    training readings better than none. Held-out readings judge the result; they do not select it.
+    """
+    held_out = HeldOut.of(readings, conditions)
+    network = discovery.model.network
+    if discovery.terms:
+        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
+    q = held_out.readings.q
+    corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
+    found = discovery.result.model_copy(update={"network_mm": corrections})
+    discovery = replace(discovery, result=found)
+    if not discovery.terms or found.verdict != "unknown effect" or network is None:
+        return discovery
+    model = replace(discovery.model, network=network)
+    step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
+    return discovery.with_model(model, held_out, steps=(*found.steps, step))
+
+
+def _train(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
+) -> ResidualNetwork | None:
+    """Train a network on the residuals of ``model``; None if it does not predict left-out readings better than none."""
+    if len(readings) < _READINGS_A_FOLD * profile.network.folds:
+        return None
+    residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
+    return learn(
+        profile.network,
+        readings.q,
+        residual_M @ model.geometry.T_M_B()[:3, :3],
+        readings.time_s,
+        seed=profile.seed,
+        cancel=cancel,
+        report=report,
+    ).network
+
+
+def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
+    """Return the rms length of a network's corrections [mm]."""
+    if network is None:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3

@@ -32,8 +32,7 @@ from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.records import AbsentEffect, PlannedAccuracy, PlannedEffect
-from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.estimation.discovery.search.scan import LawScan, score_threshold, simulate_null_maxima
 from cellapp.estimation.discovery.search.state import SearchResult
 from cellapp.estimation.discovery.search.stepwise import LEAST_FREEDOM
 from cellapp.estimation.discovery.terms import UNKNOWN

@@ -17,10 +17,10 @@ from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
 from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
+from cellapp.estimation.motion.stamps import checked
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
-from cellapp.estimation.motion.triggers import checked
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry

@@ -17,9 +17,8 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
 from cellapp.estimation.motion.terms import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.kinematics.workspace import Workspace
 
 _BLOCK_RATE = 25.0
 """Averaged residuals per second for estimating the noise: motion and its correlation are slower."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellapp.estimation.calibration.identification import Identification
-from cellapp.estimation.motion.stamps import ClockStep
+from cellapp.estimation.motion.stamps import ClockStep, TriggerCheck
 from cellapp.estimation.motion.tracks import Track
-from cellapp.estimation.motion.triggers import TriggerCheck
 from cellapp.robot.kinematics.transforms import Array
 
 

@@ -43,8 +43,6 @@ class JointStream:
     time_s: _Floats = field(repr=False)
     q: _Floats = field(repr=False)
     qd: _Floats | None = field(default=None, repr=False)
-    tau: _Floats | None = field(default=None, repr=False)
-    current: _Floats | None = field(default=None, repr=False)
     joint_temperature: _Floats | None = field(default=None, repr=False)
     other_q: _Floats | None = field(default=None, repr=False)
     triggers_s: _Floats = field(default_factory=lambda: np.empty(0), repr=False)
@@ -53,7 +51,7 @@ class JointStream:
         n = _stamps("joint samples", self.time_s)
         if self.q.ndim != 2 or self.q.shape[0] != n or self.q.shape[1] == 0:
             raise ValueError(f"expected q of shape ({n}, joints), got {self.q.shape}")
-        for name in ("q", "qd", "tau", "current", "joint_temperature"):
+        for name in ("q", "qd", "joint_temperature"):
             _check(name, getattr(self, name), self.q.shape)
         if self.other_q is not None:
             _check("other_q", self.other_q, (n, self.other_q.shape[-1]))

@@ -11,7 +11,7 @@
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
     knee       dq_j = s_j clip(tau_j, -T_j, T_j)   beside it, where a joint is softer below one or two torques T_j
     inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, which needs no masses
-    time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``responses``)
+    time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``joint_path``)
     vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
 
 The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags,
@@ -36,9 +36,8 @@ from cellapp.robot.effects.backlash import left_by_motion
 from cellapp.robot.effects.joint_compliance import KNEE, SOFTER
 from cellapp.robot.effects.law import Constant
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
-from cellapp.robot.kinematics.interpolation import rows_at
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 CHUNK = 2048
 """Batch size of times of a recording: memory does not grow with their number."""

@@ -9,14 +9,213 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.motion.clock_start import ClockStart, clock_start, start_by_trigger
+from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
 from cellapp.estimation.motion.joint_path import JointPath, joint_path
-from cellapp.estimation.motion.stamps import Stamps, read_stamps
+from cellapp.estimation.motion.stamps import Stamps, TriggeredClock, read_stamps, triggered_clock
 from cellapp.estimation.motion.streams import Recording
-from cellapp.estimation.motion.triggers import TriggeredClock, triggered_clock
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
+
+# -- Start of a clock: the delay between two recordings by correlating SMR speeds, and the base there -----------------
+#
+# The speed of the SMR by the tracker, ``|dp/dt|``, is compared with that of the nominal chain, ``|J qd|``, at all
+# delays with enough overlap, by the correlation coefficient over common times (Padfield, IEEE Trans. Image Process. 21
+# (2012) 2706: masked normalised correlation by Fourier transforms). Speeds do not depend on the base. Periodic sweeps
+# correlate at many delays: among the best few, the fit of the nominal arm to the points decides, and if several fit
+# alike, the longer overlap.
+
+
+_GRID_S = 0.02
+"""Step of the delays; a fit converges from ten times as far."""
+_MOST_STEPS = 2**18
+"""Most steps; longer recordings are compared on a coarser grid."""
+_LEAST_OVERLAP = 0.2
+"""Share of the shorter recording, and seconds, that must overlap."""
+_LEAST_OVERLAP_S = 5.0
+_STILL_M_S = 1e-3
+"""Rms speed below which a recording is at rest."""
+_PEAKS = 4
+"""Number of delays tried with the nominal arm."""
+_NEAR_BEST = 0.2
+"""Difference from the best correlation up to which another delay is tried."""
+_ALIKE = 3.0
+"""Ratio of median distances up to which two delays fit alike."""
+_APART_S = 0.3
+"""Distance below which two peaks are one."""
+_TRIED_POINTS = 300
+_FEWEST_POINTS = 10
+_REFINED = 3
+"""Number of refinements of a delay by the residuals along the motion."""
+_TOOL_SPAN_M = 0.1
+"""Distance from the flange of the points over which speeds are averaged if the tool is unknown."""
+
+
+@dataclass(frozen=True)
+class ClockStart:
+    """Tracker's timestamps less those of the controller [s], the correlation of the speeds there, and the nominal arm
+    at its base; ``rms_m`` is the median distance of the points from it, ``others_s`` are delays that fit alike."""
+
+    offset_s: float
+    correlation: float
+    nominal: Geometry
+    rms_m: float
+    others_s: tuple[float, ...] = ()
+
+
+def clock_start(
+    nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, *, tool_unknown: bool, where: str
+) -> ClockStart:
+    """Find the delay at which the points (m, 3) [m] with timestamps ``time_s`` (m,) fit the path of the joints.
+
+    ``where`` names the recording in messages.
+
+    Raises
+    ------
+    InputError
+        If one of both is at rest, or they do not overlap.
+    """
+    own = path.stamps.time_s
+    step = max(_GRID_S, (own[-1] - own[0]) / _MOST_STEPS, (time_s[-1] - time_s[0]) / _MOST_STEPS)
+    by_joints, seen_joints = _joint_speeds(nominal, path, step, tool_unknown)
+    by_points, seen_points = _point_speeds(time_s, p_M, step)
+    _check_moving(where, "joints", by_joints, seen_joints)
+    _check_moving(where, "points", by_points, seen_points)
+    correlation, delays, overlap = _masked_correlation(by_joints, seen_joints, by_points, seen_points, step)
+    if not np.isfinite(correlation).any():
+        raise InputError(f"{where}: the joints and the points have no {_LEAST_OVERLAP_S:g} s in common; record both")
+    # a point with timestamp t was measured at controller time own[0] + (t - time_s[0]) + delay
+    found = [
+        _tried(nominal, path, time_s, p_M, time_s[0] - own[0] - delays[peak], correlation[peak], tool_unknown)
+        for peak in _peaks(correlation, overlap, step)
+    ]
+    fitting = [one for one in found if one is not None]
+    if not fitting:
+        raise InputError(f"{where}: too few points lie within the recording of the joints; record both longer")
+    least = min(one.rms_m for one in fitting)
+    alike = [one for one in fitting if one.rms_m <= _ALIKE * least]  # the longest overlap comes first
+    return replace(alike[0], others_s=tuple(one.offset_s for one in alike[1:]))
+
+
+def start_by_trigger(
+    start: ClockStart,
+    offset_s: float,
+    nominal: Geometry,
+    path: JointPath,
+    time_s: Array,
+    p_M: Array,
+    *,
+    tool_unknown: bool,
+) -> ClockStart:
+    """Return the start at the delay of a hardware trigger; ``start`` if the arm does not fit there.
+
+    The trigger excludes all other delays, however often the motion repeats.
+    """
+    found = _tried(nominal, path, time_s, p_M, offset_s, start.correlation, tool_unknown)
+    if found is None or found.rms_m > _ALIKE * start.rms_m:
+        return start
+    return found
+
+
+def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) -> None:
+    if not seen.any() or float(np.sqrt(np.mean(speed[seen] ** 2))) < _STILL_M_S:
+        raise InputError(
+            f"{where}: the {what} are at rest (rms speed below {_STILL_M_S * 1e3:g} mm/s): nothing tells the delay"
+            " between the clocks; record a motion, or import the stops as readings"
+        )
+
+
+def _joint_speeds(
+    nominal: Geometry, path: JointPath, step: float, tool_unknown: bool
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return speeds of the SMR of the nominal arm [m/s] on a grid of times, and a mask of the known ones."""
+    t = path.stamps.time_s
+    grid = np.arange(t[0], t[-1] - step, step)
+    early, late = path.at(grid)[0], path.at(grid + step)[0]
+    tools = [nominal.tool]
+    if tool_unknown:
+        tools = [nominal.tool + _TOOL_SPAN_M * sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    squares = np.zeros(len(grid))
+    for tool in tools:
+        arm = nominal.with_vector(np.concatenate([nominal.vector()[:-3], tool]))
+        squares += np.sum((smr_positions(arm, late) - smr_positions(arm, early)) ** 2, axis=1)
+    return np.sqrt(squares / len(tools)) / step, path.known(grid) & path.known(grid + step)
+
+
+def _point_speeds(time_s: Array, p_M: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return speeds of the points [m/s] on a grid of times, without gross errors, and a mask of the known ones."""
+    grid = np.arange(time_s[0], time_s[-1], step)
+    place = np.clip(np.searchsorted(time_s, grid, side="right"), 1, len(time_s) - 1)
+    known = time_s[place] - time_s[place - 1] < 3.0 * max(step, float(np.median(np.diff(time_s))))
+    p = np.column_stack([np.interp(grid, time_s, scipy.ndimage.median_filter(p_M[:, axis], 5)) for axis in range(3)])
+    speed = scipy.ndimage.median_filter(np.linalg.norm(np.diff(p, axis=0), axis=1) / step, 5)
+    return speed, known[1:] & known[:-1]
+
+
+def _masked_correlation(
+    a: Array, seen_a: NDArray[np.bool_], b: Array, seen_b: NDArray[np.bool_], step: float
+) -> tuple[Array, Array, Array]:
+    """Return correlation coefficients of ``a[i + k]`` and ``b[i]``, delays ``k step`` [s], and numbers of common
+    samples.
+
+    Coefficients are NaN if the overlap is too short.
+    """
+    size = scipy.fft.next_fast_len(len(a) + len(b), real=True)
+    ma, mb = seen_a.astype(np.float64), seen_b.astype(np.float64)
+    a, b = (a - a[seen_a].mean()) * ma, (b - b[seen_b].mean()) * mb
+
+    def correlate(x: Array, y: Array) -> Array:
+        return np.asarray(scipy.fft.irfft(scipy.fft.rfft(x, size) * np.conj(scipy.fft.rfft(y, size)), size))
+
+    n = np.maximum(correlate(ma, mb), 0.0)
+    enough = n >= max(_LEAST_OVERLAP * min(ma.sum(), mb.sum()), _LEAST_OVERLAP_S / step)
+    n = np.maximum(n, 1.0)
+    sa, sb = correlate(a, mb), correlate(ma, b)
+    va, vb = correlate(a * a, mb) - sa**2 / n, correlate(ma, b * b) - sb**2 / n
+    varies = (va > 1e-9 * va.max()) & (vb > 1e-9 * vb.max())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        coefficient = (correlate(a, b) - sa * sb / n) / np.sqrt(va * vb)
+    coefficient[~(enough & varies)] = np.nan
+    places = np.arange(size)
+    delays = np.where(places < len(a), places, places - size) * step
+    return coefficient, np.asarray(delays), n
+
+
+def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
+    """Return the indices of peaks nearly as high as the best with the longest overlaps, and of the best, by overlap."""
+    heights = np.where(np.isfinite(correlation), correlation, -np.inf)
+    highest = scipy.ndimage.maximum_filter1d(heights, 2 * max(1, round(_APART_S / step)) + 1, mode="wrap")
+    found = np.flatnonzero((heights == highest) & (heights >= heights.max() - _NEAR_BEST))
+    longest = found[np.argsort(-overlap[found], kind="stable")][:_PEAKS].tolist()
+    best = int(np.argmax(heights))
+    return longest if best in longest else [*longest, best]
+
+
+def _tried(
+    nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, offset: float, correlation: float, tool_unknown: bool
+) -> ClockStart | None:
+    """Fit the base of the nominal arm for one delay and refine the delay; None if too few points overlap."""
+    for _ in range(_REFINED + 1):
+        known = np.flatnonzero(path.known(time_s - offset))
+        if len(known) < _FEWEST_POINTS:
+            return None
+        some = known[np.linspace(0, len(known) - 1, min(_TRIED_POINTS, len(known))).astype(np.intp)]
+        q, _ = path.at(time_s[some] - offset)
+        try:
+            arm = start_from_nominal(nominal, q, p_M[some], tool_unknown=tool_unknown)
+        except TooFewReadings:
+            return None
+        computed = smr_positions(arm, q)
+        left = p_M[some] - computed
+        misses = np.linalg.norm(left, axis=1)
+        found = ClockStart(offset, float(correlation), arm, float(np.median(misses)))
+        # delays are known to a grid step: the residuals along the motion give the rest
+        moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - computed
+        usual = misses <= 3.0 * found.rms_m
+        share = float(np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))
+        offset -= _GRID_S * float(np.clip(share, -3.0, 3.0))
+    return found
+
 
 _HELD_OUT_SHARE = 0.2
 _BLOCKS = 25

@@ -366,8 +366,6 @@ COLUMNS: tuple[Column, ...] = (
         check=partial(_positive_definite, low=_LEAST_SIGMA_RAD, high=_LARGEST_SIGMA_RAD, unit="rad^2"),
         since=10,
     ),
-    Column("tau_nm", "Nm", ("tau",), "joints", check=_within(-1e5, 1e5, "Nm"), since=8),
-    Column("current_a", "A", ("current",), "joints", check=_within(-1e4, 1e4, "A"), since=8),
     Column("smr", "", ("smr",), dtype=str, since=8),
     Column("station", "", ("station",), dtype=str, since=8),
     Column("point", "", ("point",), dtype=str, since=7),

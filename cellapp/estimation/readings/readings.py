@@ -50,8 +50,6 @@ class Reading:
         Standard uncertainty of the orientation about each axis [rad].
     turning_covariance_M : array, shape (3, 3), or None
         Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
-    tau_nm, current_a : array, shape (N,), or None
-        Measured joint torques [Nm] and motor currents [A].
     smr : str or None
         Name of the SMR on the flange that was measured; None for the only one.
     station : str or None
@@ -80,8 +78,6 @@ class Reading:
     quaternion_M: _Floats | None = None
     sigma_rad: float | None = None
     turning_covariance_M: _Floats | None = None
-    tau_nm: _Floats | None = None
-    current_a: _Floats | None = None
     smr: str | None = None
     station: str | None = None
     point: str | None = None
@@ -150,8 +146,6 @@ class Readings:
         Standard uncertainty of the orientation about each axis [rad].
     turning_covariance_M : array, shape (n, 3, 3), or None
         Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
-    tau_nm, current_a : array, shape (n, N), or None
-        Measured joint torques [Nm] and motor currents [A].
     smr : tuple of n (str or None), or None
         Names of the SMRs on the flange that were measured.
     station : tuple of n (str or None), or None
@@ -185,8 +179,6 @@ class Readings:
     quaternion_M: _Floats | None = None
     sigma_rad: _Floats | None = None
     turning_covariance_M: _Floats | None = None
-    tau_nm: _Floats | None = None
-    current_a: _Floats | None = None
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None

@@ -12,7 +12,6 @@ from cellapp.ground.profile.schema import (
     Profile,
     Sensors,
     Splits,
-    TorqueSensing,
 )
 
 __all__ = [
@@ -27,5 +26,4 @@ __all__ = [
     "Profile",
     "Sensors",
     "Splits",
-    "TorqueSensing",
 ]

@@ -285,15 +285,6 @@ class GeometryErrors(GrownSection):
     later_keys = frozenset({"probe"})
 
 
-class TorqueSensing(Section):
-    """How simulated drives measure their torques: noise and dry friction; currents where motors have constants."""
-
-    noise_nm: Annotated[float, Field(strict=True, ge=0.0, le=1e3)] = 0.5
-    friction_nm: Annotated[float, Field(strict=True, ge=0.0, le=1e3)] = 3.0
-    constant_nm_per_a: Annotated[float, Field(strict=True, gt=0.0, le=1e3)] | None = None
-    """Motor constant of every joint, at the joint; drives then report currents."""
-
-
 class FactoryErrors(Section):
     """How well the factory's calibration in each controller knows the axes of its arm: standard deviations."""
 
@@ -313,11 +304,9 @@ class Plant(GrownSection):
     """Arm -> effect -> parameters; see ``drivers/plant/effects``."""
     tracker_pose: Pose | None = None
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
-    torques: TorqueSensing | None = None
-    """What drives measure of their torques; nothing if left out."""
     factory: FactoryErrors | None = None
     """The controllers' own calibration; if left out, they compute with the published rows."""
-    later_keys = frozenset({"tracker_pose", "torques", "factory"})
+    later_keys = frozenset({"tracker_pose", "factory"})
 
 
 class Profile(GrownSection, defer_build=True):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.view import certificate_marks, certificate_sections, certificate_verdict
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.view.acceptance_words import Verdict
+from cellapp.commands.view.words import Verdict
 from cellapp.ground.results import CERTIFICATE
 from cellapp.interfaces.page.drawn import DrawnSection, drawn_sections
 from cellapp.interfaces.page.templates import template

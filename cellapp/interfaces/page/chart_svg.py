@@ -6,6 +6,7 @@ One path for each series: a few kilobytes and a millisecond per chart, where a p
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -13,7 +14,16 @@ from numpy.typing import NDArray
 
 from cellapp.commands.view.charts import Array, Chart, Limit, Series
 from cellapp.interfaces.render.chart_axis import Scale, chart_scale, equal_scales
-from cellapp.interfaces.render.chart_style import FEW, Look, css_colour, is_marked, look_of
+from cellapp.interfaces.render.chart_style import (
+    FEW,
+    LegendEntry,
+    Look,
+    chart_data,
+    css_colour,
+    is_marked,
+    legend_of,
+    look_of,
+)
 
 _WIDTH, _HEIGHT = 400.0, 250.0
 _TOP, _RIGHT, _BOTTOM = 8.0, 12.0, 36.0
@@ -167,3 +177,35 @@ def _bars(chart: Chart) -> Iterator[str]:
         yield text(0.0, top + 10.0, name)
         yield in_colour("geometry", f'<path d="M0 {top + 18.0:.1f}h{length:.1f}" stroke-width="{_BAR}"/>')
         yield text(length + 5.0, top + 21.5, words)
+
+
+# -- A chart as a figure of the page, with the same content as in the terminal ----------------------------------------
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure: static picture, caption, message, legend, and its values for the page's script.
+
+    ``note`` is its message: one or two sentences that say what the reader should see. ``data`` (JSON) lets the script
+    redraw the figure with values under the pointer. ``key`` is its anchor on the page. ``css_class`` is ``wide`` for a
+    figure over the whole width.
+    """
+
+    svg: str
+    caption: str
+    legend: tuple[LegendEntry, ...]
+    css_class: str = ""
+    note: str = ""
+    data: str = ""
+    key: str = ""
+
+
+def chart_figure(key: str, chart: Chart) -> Figure:
+    """Return a chart's figure: message, legend, and values for the script; ``key`` is its anchor on the page.
+
+    An empty chart has only its message; bars show their values and need no script.
+    """
+    if chart.is_empty:
+        return Figure("", chart.title, (), note=chart.message, key=key)
+    drawn, data = chart_svg(chart), "" if chart.categories else chart_data(chart)
+    return Figure(drawn, chart.title, legend_of(chart), note=chart.message, data=data, key=key)

@@ -15,8 +15,7 @@ from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.page.certificate_page import certificate_of_run
 from cellapp.interfaces.page.drawn import drawn_sections
-from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
-from cellapp.interfaces.page.templates import template
+from cellapp.interfaces.page.templates import plotly_base64, plotly_notice, template
 
 
 def write_page(run: RunFile) -> Path:

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
-from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.cell.targets.targets_in_memory import targets_in_memory
+from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     pair_histogram_chart,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.cell.exports.parameters import ParameterRow, parameter_rows
+from cellapp.cell.exports.dh_tables import ParameterRow, parameter_rows
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS, Column

@@ -100,7 +100,7 @@ def forecast_plan(folder: Path) -> Job:
     """Return the job that forecasts the results of a run's plan."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.forecast import forecast_run
+        from cellapp.cell.planning.check import forecast_run
 
         return forecast_run(run, listener, control)
 

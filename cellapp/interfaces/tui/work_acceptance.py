@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cellapp.commands.report.verdict_view import RunVerdict
+    from cellapp.commands.report.summary import RunVerdict
 
 
 def verdict(folder: Path) -> RunVerdict | None:
@@ -14,7 +14,7 @@ def verdict(folder: Path) -> RunVerdict | None:
     from datetime import UTC, datetime
 
     from cellapp.cell.run import RunFile
-    from cellapp.commands.report.verdict_view import read_verdict
+    from cellapp.commands.report.summary import read_verdict
     from cellapp.ground.errors import CellappError
 
     try:

@@ -150,7 +150,7 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 
 
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
-    from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
+    from cellapp.cell.planning.planned_stops import read_plan_design, read_planned_stops
     from cellapp.cell.run import RunFile
     from cellapp.cell.run.sqlite_file import FILE_NAME, REPORT_FILE
     from cellapp.commands.collect.state import collection_state

@@ -2,9 +2,8 @@
 
 from cellapp.robot.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
 from cellapp.robot.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning, SizeSource, enumeration, place_in_words
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
-from cellapp.robot.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
 from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
 from cellapp.robot.effects.term import (

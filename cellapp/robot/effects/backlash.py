@@ -9,11 +9,19 @@ import numpy as np
 from cellapp.robot.effects.column import EffectColumn, joint_column
 from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect, ImpossibleValues
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
+from cellapp.robot.effects.law import (
+    AMPLITUDE,
+    FIXED,
+    SCALED,
+    Constant,
+    DriverVariable,
+    Law,
+    LawForm,
+    SmoothLaw,
+    with_prior_sd,
+)
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)

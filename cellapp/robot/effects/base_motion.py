@@ -9,20 +9,20 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, Meaning
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.onset import OnsetEffect
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
     LINEAR_FORM,
+    ONSET_FORM,
+    ONSET_MARGIN,
     WANDERING,
     WARM_UP_FORM,
     after_onset,
     half_cycles,
+    onset_laws,
     run_fraction,
     run_span,
     times_known,
@@ -31,6 +31,27 @@ from cellapp.robot.effects.time_functions import (
     with_default,
 )
 from cellapp.robot.kinematics.transforms import Array
+
+# -- What effects have in common that begin at an onset, which is searched between readings ---------------------------
+
+
+class OnsetEffect(Effect):
+    """An effect that is there from an onset on, which is searched between readings."""
+
+    variables = frozenset({DriverVariable.TIME})
+    forms = (ONSET_FORM,)
+    free_drivers = (FreeDriver(Quantity.TIME),)
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs times."""
+        if not times_known(context):
+            return "no times"
+        return "" if onset_laws(context) else f"fewer than {2 * ONSET_MARGIN} readings"
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """One for each onset."""
+        return onset_laws(context)
+
 
 _COMPONENTS = (("x", "m"), ("y", "m"), ("z", "m"), ("turn_x", "rad"), ("turn_y", "rad"), ("turn_z", "rad"))
 _MOST_MOTION = 1e-2

@@ -14,9 +14,8 @@ from typing import TypeVar
 import numpy as np
 
 from cellapp.robot.effects.column import INDEXED_CHANNELS, EffectColumn, place_name
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
 
 _CONTRADICTION, _IMITATION = "contradiction", "imitation"
 

@@ -22,8 +22,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.robot.effects.law import FIXED, Constant
-from cellapp.robot.effects.smooth import AMPLITUDE
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant
 from cellapp.robot.kinematics.transforms import Array
 
 FIELD_LENGTH = Constant("length", "m", FIXED, "correlated over {} m")

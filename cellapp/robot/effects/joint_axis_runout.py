@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.robot.effects.column import EffectColumn
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.joint_axis_wobble import (
     BEARING_CYCLES,
     MOTION_CYCLES,
@@ -17,10 +17,8 @@ from cellapp.robot.effects.joint_axis_wobble import (
     error_motions,
     smooth_motions,
 )
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, DriverVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, SmoothLaw
 
 _MOST_SHIFT = 5e-4
 """Bound of each amplitude [m]: ten times the run-out of a cross-roller bearing of this size."""

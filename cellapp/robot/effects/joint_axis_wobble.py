@@ -11,11 +11,19 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, Wave, shift_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, Meaning
+from cellapp.robot.effects.law import (
+    AMPLITUDE,
+    CYCLES,
+    LENGTH,
+    DriverVariable,
+    Law,
+    LawForm,
+    LengthRange,
+    SmoothLaw,
+    circle_variances,
+)
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.kinematics.transforms import Array
 
 BEARING_CYCLES = range(1, 7)

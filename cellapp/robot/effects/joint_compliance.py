@@ -9,11 +9,18 @@ import numpy as np
 from cellapp.robot.effects.column import EffectColumn, joint_column
 from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect, ImpossibleValues
-from cellapp.robot.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
+from cellapp.robot.effects.law import (
+    AMPLITUDE,
+    SCALED,
+    Constant,
+    DriverVariable,
+    Law,
+    LawForm,
+    SmoothLaw,
+    with_prior_sd,
+)
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)

@@ -10,9 +10,8 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect, ImpossibleValues
+from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
 from cellapp.robot.kinematics.transforms import Array
 

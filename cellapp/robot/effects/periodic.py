@@ -11,11 +11,21 @@ import numpy as np
 from cellapp.robot.effects.column import EffectColumn, Wave, joint_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, Meaning
+from cellapp.robot.effects.law import (
+    AMPLITUDE,
+    AMPLITUDE_NAME,
+    CYCLES,
+    FIXED,
+    Constant,
+    DriverVariable,
+    Law,
+    LawForm,
+    SmoothLaw,
+    circle_variances,
+    with_prior_sd,
+)
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, SmoothLaw, circle_variances, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 LINES_MAX = 210

@@ -6,14 +6,13 @@ from collections.abc import Collection
 
 import numpy as np
 
+from cellapp.robot.effects.base_motion import OnsetEffect
 from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.onset import OnsetEffect
 from cellapp.robot.effects.time_functions import after_onset
 
 _MOST_SLIP = 1e-2

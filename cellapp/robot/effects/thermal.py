@@ -9,11 +9,19 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect, ImpossibleValues
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
+from cellapp.robot.effects.law import (
+    AMPLITUDE,
+    FIXED,
+    SCALED,
+    Constant,
+    DriverVariable,
+    Law,
+    LawForm,
+    SmoothLaw,
+    with_prior_sd,
+)
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -30,8 +38,7 @@ from cellapp.robot.effects.time_functions import (
     warm_up_laws,
     with_default,
 )
-from cellapp.robot.kinematics.interpolation import rows_at
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 
 LAGS = (150.0, 400.0, 900.0, 2000.0, 4500.0)
 """Lags of links behind their joints to try [s]: conduction along tubes of this size takes minutes to an hour."""

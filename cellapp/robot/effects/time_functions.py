@@ -8,8 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cellapp.robot.effects.context import EffectContext
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, Law, LawForm, NeighbouringPauses
-from cellapp.robot.effects.smooth import AMPLITUDE
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, SCALED, Constant, Law, LawForm, NeighbouringPauses
 from cellapp.robot.kinematics.transforms import Array
 
 TIME_CONSTANTS = (900.0, 1800.0, 3600.0, 7200.0, 14400.0)

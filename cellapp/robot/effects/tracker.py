@@ -9,9 +9,8 @@ import numpy as np
 from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
 from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
 from cellapp.robot.effects.thermal import MEAN_AIR, above_mean_air
 

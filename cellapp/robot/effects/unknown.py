@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import ClassVar
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
+from numpy.typing import NDArray
 
 from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
 from cellapp.robot.effects.context import EffectContext
@@ -19,7 +23,10 @@ from cellapp.robot.effects.contradiction import (
     lent_law,
 )
 from cellapp.robot.effects.data_driven import (
+    FIRST_CONSTANTS,
     PERIOD,
+    POSITION,
+    SECOND_CONSTANTS,
     DataChannel,
     DataDrivenForm,
     Direction,
@@ -29,16 +36,121 @@ from cellapp.robot.effects.data_driven import (
     data_driven_form,
     form_named,
     form_of,
+    position_in_base,
     variables,
 )
-from cellapp.robot.effects.data_functions import ANGLE_PAIR_ORDERS, PAIR_ORDERS, functions, run_constants
-from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_variances
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
-from cellapp.robot.effects.smooth import AMPLITUDE, with_prior_sd
-from cellapp.robot.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning, imitation_meaning
+from cellapp.robot.effects.effect import Effect, Meaning, enumeration
+from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_functions, field_variances
+from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, with_prior_sd
+from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
+
+# -- What a data-driven term means for people: checks by what it moves, further stops by what it depends on -----------
+
+
+_OTHER_STATION = "Measure some of the stops from a second tracker station: a field of the tracker moves with it."
+UNKNOWN_MEANING = Meaning(
+    cause=(
+        "Something moves {place} by a law that the library does not have; where it follows the position alone, it is a"
+        " field of the workspace or of the tracker's volume."
+    ),
+    size="No size is known in advance: the report states what was found",
+    size_source="none",
+    check=(
+        "Look at the figure of the term: a jump, a bend or a period often tells where it comes from.",
+        "Check what was changed in the cell since the last good run: cables, hoses, tool, mounts, software.",
+        "For a field: look for warm air across the beam, sunlight, a stand or floor that gives way.",
+    ),
+    settle=(
+        _OTHER_STATION,
+        "Repeat the run on another day: what belongs to the machine stays, what belongs to the day does not.",
+    ),
+)
+
+_CHECKS: Mapping[Channel, tuple[str, ...]] = {
+    Channel.JOINT: (
+        "Check cables and hoses along {place}: a dress pack that pulls acts like this.",
+        "Check gear, encoder and bolts of {place}.",
+    ),
+    Channel.BASE: (
+        "Check the bolts of base plate, pedestal and anchors.",
+        "Look for what else moves in the cell: the other arm, a conveyor, a door, traffic on the floor.",
+    ),
+    Channel.TOOL: (
+        "Check the screws of the SMR's mount and of the tool, and the seat of the SMR in its nest.",
+        "Check cables at the wrist that pull at the mount.",
+    ),
+    Channel.TRACKER: (
+        "Check the tracker's stand, its weather station and its warm-up; run the two-face check.",
+        "Look for warm air across the beam: heaters, open doors, the arm's own controller.",
+    ),
+}
+
+_SETTLE: Mapping[Quantity, str] = {
+    Quantity.JOINT_ANGLE: "Move {variable} alone through its range, forth and back, all other joints at rest.",
+    Quantity.OTHER_JOINT_ANGLE: "Move {variable} at random between stops, then park it for 20 stops.",
+    Quantity.TIME: "Measure a reference pose and fixed nests every 20 stops, over a whole run and on another day.",
+    Quantity.TORQUE: "Repeat 20 stops with a second payload.",
+    Quantity.STEP: "Approach one pose with last steps of 1, 5, 20 and 60 degrees of {variable}, from both sides.",
+    Quantity.DWELL: "Vary the dwell from 0.5 to 10 s at random.",
+    Quantity.PAYLOAD: "Measure the same 10 poses with three payloads.",
+    Quantity.TEMPERATURE: "Log temperatures while the cell warms up and cools down; a reference pose every 20 stops.",
+    Quantity.RANGE: "Measure some of the stops from a second tracker station, nearer and farther.",
+    Quantity.AZIMUTH: "Measure some of the stops from a second tracker station.",
+    Quantity.ELEVATION: "Measure some of the stops from a second tracker station, higher or lower.",
+    Quantity.INCIDENCE: "Measure the same point at six rolls of the wrist.",
+    **dict.fromkeys((Quantity.X, Quantity.Y, Quantity.Z), UNKNOWN_MEANING.settle[0]),
+}
+
+
+def data_driven_meaning(channel: DataChannel, drivers: Sequence[Variable]) -> Meaning:
+    """Meaning of a term that moves ``channel`` with one or two variables."""
+    settle = dict.fromkeys(_to_settle(one) for one in drivers)
+    depends = enumeration([_variable_in_words(one) for one in drivers])
+    return Meaning(
+        cause=f"Something moves {{place}} with {depends}, by a law that the library does not have.",
+        size=UNKNOWN_MEANING.size,
+        size_source=UNKNOWN_MEANING.size_source,
+        check=(*_CHECKS.get(channel.channel, ()), *UNKNOWN_MEANING.check[:2]),
+        settle=(*settle, UNKNOWN_MEANING.settle[-1]),
+    )
+
+
+def imitation_meaning(title: str, meaning: Meaning) -> Meaning:
+    """Meaning of a term that moves a joint by its angle and looks like an effect, ``title``, that is less probable."""
+    return Meaning(
+        cause=f"Something moves {{place}} and looks like {title}; a dress pack that pulls at it is more probable.",
+        size=UNKNOWN_MEANING.size,
+        size_source=UNKNOWN_MEANING.size_source,
+        check=tuple(dict.fromkeys((*_CHECKS[Channel.JOINT], *meaning.check))),
+        settle=("Take the hose or cable off {place} and measure 20 stops again.", *meaning.settle),
+    )
+
+
+def _to_settle(variable: Variable) -> str:
+    return _SETTLE.get(variable.quantity, _OTHER_STATION).replace("{variable}", _variable_in_words(variable))
+
+
+def _variable_in_words(variable: Variable) -> str:
+    """``joint 2``, ``joint 3 of the other arm``, ``the torque on joint 2``, ``time``."""
+    if variable.joint is None:
+        return _NAMES.get(variable.quantity, variable.quantity.value)
+    joint = f"joint {variable.joint + 1}"
+    if variable.quantity is Quantity.OTHER_JOINT_ANGLE:
+        return f"{joint} of the other arm"
+    return joint if variable.quantity in (Quantity.JOINT_ANGLE, Quantity.STEP) else f"the torque on {joint}"
+
+
+_NAMES = {
+    Quantity.DWELL: "the dwell",
+    Quantity.PAYLOAD: "the payload",
+    Quantity.TEMPERATURE: "the air temperature",
+    Quantity.RANGE: "the distance from the tracker",
+    Quantity.AZIMUTH: "the tracker's azimuth",
+    Quantity.ELEVATION: "the tracker's elevation",
+    Quantity.INCIDENCE: "the angle of incidence",
+}
+
 
 _LARGEST = 1e-2
 """Bound of each parameter [rad, m]; nothing is known about the size of an unknown effect."""
@@ -222,3 +334,163 @@ def _shift(context: EffectContext, channel: Channel, direction: Direction) -> tu
     if direction is Direction.AZIMUTH:
         return "rad", context.moved((distance * np.cos(elevation))[:, None] * horizontal)
     return "rad", context.moved(distance[:, None] * upward)
+
+
+# -- Basis functions of data-driven laws, and their constants, which are taken from a run -----------------------------
+
+
+ORDER = 4
+"""Highest order of the functions of one variable; higher ones would fit noise in a few hundred readings."""
+TIME_ORDER = 20
+"""Most half cycles over the run: a drift may change its direction twenty times."""
+PAIR_ORDER = 3
+"""Highest total order of the functions of two variables: 24 columns at most."""
+PAIR_ORDERS = (2, PAIR_ORDER)
+"""Total orders that are tried: with at most 12 columns, a weak effect in few readings can be described too."""
+ANGLE_PAIR_ORDERS = (*PAIR_ORDERS, 2 * PAIR_ORDER)
+"""Total orders of functions of two angles, each up to order 3: the last has all 48 products, as for two gear wheels."""
+
+
+def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
+    """Return a variable's constants from the run: order, range, and a default for unknown values."""
+    if variable.is_joint_angle:
+        return {"order": float(ORDER)}
+    if variable.quantity is Quantity.TIME:
+        first, last = run_span(context).values()
+        return {"order": float(TIME_ORDER), "low": first, "high": last, "typical": last}
+    values = variable.values(context)
+    center = {}
+    if variable.quantity is Quantity.AZIMUTH:
+        center = {"center": math.atan2(float(np.sin(values).mean()), float(np.cos(values).mean()))}
+        values = _about(values, center["center"])
+    typical = float(np.mean(values))
+    if variable.quantity is Quantity.DWELL:
+        typical = float(np.median(values))
+    elif variable.quantity is Quantity.PAYLOAD:
+        typical = context.bodies.payload_mass
+    elif variable.quantity is Quantity.STEP:
+        typical = 0.0
+    order = float(min(ORDER, len(np.unique(values)) - 1))
+    return {"order": order, "low": float(values.min()), "high": float(values.max()), "typical": typical, **center}
+
+
+def _about(azimuth: Array, center: float) -> Array:
+    """Compute azimuths (n,) relative to a centre, -pi to pi: no jump within the cell, whatever the tracker's x axis."""
+    return np.asarray(np.remainder(azimuth - center + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def functions(context: EffectContext, law: Law) -> dict[str, Array]:
+    """Evaluate the functions (n,) of a law's variables, by name."""
+    return FunctionTable(context).functions(data_driven_form(law).drivers, law.constants)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionTable:
+    """Functions of data-driven laws at the stops of a context; those of one variable are evaluated once for all pairs.
+
+    ``families`` and ``waves`` are caches.
+    """
+
+    context: EffectContext
+    families: dict[tuple[Variable, float], list[tuple[int, str, Array]]] = field(default_factory=dict)
+    waves: dict[Variable, NDArray[np.complex128]] = field(default_factory=dict)
+
+    def functions(self, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
+        """Evaluate the functions (n,) of some variables, by name."""
+        if drivers == POSITION:
+            return field_functions(position_in_base(self.context), constants)
+        first = _own(constants, FIRST_CONSTANTS, "")
+        if len(drivers) == 1:
+            if drivers[0].quantity is Quantity.TIME:
+                return _of_time(self.context, drivers[0], first)
+            return {name: values for _, name, values in self._family(drivers[0], first)}
+        if all(one.is_joint_angle for one in drivers):
+            return self._of_two_angles(drivers, round(constants["order"]))
+        second = _own(constants, SECOND_CONSTANTS, "2")
+        most = round(max(first["order"], second["order"]))
+        ones = [(0, "", np.ones(len(self.context)))]
+        products = {}
+        for m, left, f in ones + self._family(drivers[0], first):
+            for k, right, g in ones + self._family(drivers[1], second):
+                if 1 <= m + k <= most:
+                    products["*".join(filter(None, (left, right)))] = f * g
+        return products
+
+    def _family(self, variable: Variable, constants: Mapping[str, float]) -> list[tuple[int, str, Array]]:
+        key = (variable, constants["order"])
+        if key not in self.families:
+            self.families[key] = _family(self.context, variable, constants)
+        return self.families[key]
+
+    def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
+        """Evaluate cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, opposite signs once."""
+        v, w = (self._waves(one) for one in drivers)
+        labels = tuple(one.name.replace(" ", "_") for one in drivers)
+        found = {}
+        for m, k, text in _phases(labels, order):
+            wave = v[m] * (w[k] if k >= 0 else w[-k].conj())
+            found[f"cos({text})"], found[f"sin({text})"] = wave.real, wave.imag
+        return found
+
+    def _waves(self, angle: Variable) -> NDArray[np.complex128]:
+        """Evaluate ``exp(i m v)`` for m = 0 to 3 (4, n); zero, its mean over a turn, if the angle is unknown."""
+        if angle not in self.waves:
+            values = angle.values(self.context)
+            waves = np.exp(1j * np.arange(PAIR_ORDER + 1)[:, None] * values)
+            self.waves[angle] = np.where(np.isfinite(values), waves, 0.0)
+        return self.waves[angle]
+
+
+def _own(constants: Mapping[str, float], declared: Iterable[Constant], suffix: str) -> dict[str, float]:
+    """Return the constants of one variable, without the suffix of the second."""
+    return {one.name.removesuffix(suffix): constants[one.name] for one in declared if one.name in constants}
+
+
+def _family(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> list[tuple[int, str, Array]]:
+    """Return order, name and values (n,) of the functions of one variable; zero if an angle is unknown."""
+    label, order = variable.name.replace(" ", "_"), round(constants["order"])
+    if variable.is_joint_angle:
+        angle = variable.values(context)
+        return [
+            (m, f"{letter}{m}_{label}", np.asarray(np.nan_to_num(wave(m * angle)), dtype=np.float64))
+            for m in range(1, order + 1)
+            for letter, wave in (("cos", np.cos), ("sin", np.sin))
+        ]
+    polynomials = np.asarray(legvander(2.0 * _unit(context, variable, constants) - 1.0, order), dtype=np.float64)
+    return [(m, f"p{m}_{label}", polynomials[:, m]) for m in range(1, order + 1)]
+
+
+def _unit(context: EffectContext, variable: Variable, constants: Mapping[str, float]) -> Array:
+    """Scale a variable (n,) to 0 to 1 over its range in the run, constant beyond."""
+    values = variable.values(context)
+    if variable.quantity is Quantity.AZIMUTH:
+        values = _about(values, constants["center"])
+    low, high = constants["low"], constants["high"]
+    return np.clip((with_default(values, constants["typical"], len(context)) - low) / (high - low), 0.0, 1.0)
+
+
+def _of_time(context: EffectContext, time: Variable, constants: Mapping[str, float]) -> dict[str, Array]:
+    """Evaluate a line and half cycles over the run, or one period."""
+    x = _unit(context, time, constants)
+    if PERIOD.name in constants:
+        phase = 2.0 * np.pi * x * (constants["high"] - constants["low"]) / constants[PERIOD.name]
+        return {"cos_time": np.cos(phase), "sin_time": np.sin(phase)}
+    half_cycles = range(1, round(constants["order"]) + 1)
+    return {"linear_time": 2.0 * x - 1.0} | {f"cos{k}_time": np.cos(np.pi * k * x) for k in half_cycles}
+
+
+@lru_cache(maxsize=256)
+def _phases(labels: tuple[str, ...], order: int) -> tuple[tuple[int, int, str], ...]:
+    """List m, k and the text of each m v + k w."""
+    return tuple(
+        (m, k, _phase_text(m, k, labels))
+        for m in range(min(order, PAIR_ORDER) + 1)
+        for k in range(max(m - order, -PAIR_ORDER), min(order - m, PAIR_ORDER) + 1)
+        if m > 0 or k > 0
+    )
+
+
+def _phase_text(m: int, k: int, labels: tuple[str, ...]) -> str:
+    """``2*q1-q2`` and the like."""
+    terms = [f"{count:+d}*{label}" for count, label in zip((m, k), labels, strict=True) if count]
+    return "".join(terms).replace("+1*", "+").replace("-1*", "-").removeprefix("+")

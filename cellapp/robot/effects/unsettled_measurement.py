@@ -9,9 +9,8 @@ import numpy as np
 from cellapp.robot.effects.column import EffectColumn, joint_column
 from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.data_driven import Quantity
-from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array

@@ -22,6 +22,7 @@ configurations, and the components of all m vectors times a matrix are one produ
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +31,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.robot.kinematics.constant_frames import IN_TRACKER_AXES, base_frame, row_matrices
 from cellapp.robot.kinematics.transforms import (
     Array,
     left_jacobian,
@@ -41,7 +41,53 @@ from cellapp.robot.kinematics.transforms import (
     transform,
     turned_rows,
 )
-from cellapp.robot.kinematics.workspace import Workspace
+
+# -- Constant matrices and vectors of a chain's parameters: the base in the tracker frame, and the D-H rows -----------
+#
+# Angles and lengths are those of ``robot.kinematics.chain``.
+
+
+IN_TRACKER_AXES: Array = np.eye(3)
+"""``R_ref`` of an arm whose first axis is near the tracker's z axis."""
+
+
+def base_frame(base: Array, reference: Array) -> Array:
+    """Vectors of the base in the tracker frame, shape (8, 3), from its parameters (6,) and ``R_ref`` (3, 3).
+
+    x, y, z axes and origin of the base; then what does not rotate with theta0: x and y axes of the reference frame, the
+    y axis after rot_x(alpha0), and the point (x0, y0, 0).
+    """
+    x0, y0, z0, alpha0, beta0, theta0 = base.tolist()
+    ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
+    ct, st = math.cos(theta0), math.sin(theta0)
+    x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
+    vectors = np.array(
+        [
+            [ct * u + st * v for u, v in zip(x, y, strict=True)],
+            [ct * v - st * u for u, v in zip(x, y, strict=True)],
+            z,
+            (x0 + z0 * z[0], y0 + z0 * z[1], z0 * z[2]),
+            (1.0, 0.0, 0.0),
+            (0.0, 1.0, 0.0),
+            y,
+            (x0, y0, 0.0),
+        ]
+    )
+    return vectors if reference is IN_TRACKER_AXES else vectors @ reference.T
+
+
+def row_matrices(rows: Array) -> Array:
+    """Matrices (N, 4, 4) of D-H rows (N, 5) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
+    _, d, a, _, _ = rows.T
+    angles = rows.T[[0, 3, 4]]  # theta, alpha, beta
+    (ct, ca, cb), (st, sa, sb) = np.cos(angles), np.sin(angles)
+    M = np.zeros((len(rows), 4, 4))
+    M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
+    M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa
+    M[:, 2, 0], M[:, 2, 1], M[:, 2, 2] = sb * ct + cb * sa * st, sb * st - cb * sa * ct, cb * ca
+    M[:, 3, 0], M[:, 3, 1], M[:, 3, 2], M[:, 3, 3] = a * ct, a * st, d, 1.0
+    return M
+
 
 BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
@@ -480,3 +526,30 @@ def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Arr
         turned[2:] = before[2:]
         np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
+
+
+# -- Memory that repeated computations of the same size reuse ---------------------------------------------------------
+#
+# The operating system provides a large array as new pages each time. The first access to these takes longer than the
+# arithmetic that fills the Jacobian of some hundred configurations.
+
+
+class Workspace:
+    """Cache of uninitialised arrays by purpose and shapes. Only one computation at a time may use it."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[tuple[str, tuple[tuple[int, ...], ...]], tuple[Array, ...]] = {}
+
+    def arrays(self, purpose: str, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
+        """Return arrays of these shapes; the next call with the same purpose and shapes returns the same arrays.
+
+        They share one block, which each of them keeps alive. When it is freed, C libraries keep a block of this size
+        for the process, so that the next workspace reuses its pages; many smaller blocks they return to the system.
+        """
+        found = self._arrays.get((purpose, shapes))
+        if found is None:
+            ends = list(itertools.accumulate(map(math.prod, shapes)))
+            parts = np.split(np.empty(ends[-1]), ends[:-1])
+            found = tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
+            self._arrays[purpose, shapes] = found
+        return found

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import scipy
@@ -179,3 +180,17 @@ def register(p_A: Array, p_B: Array, weights: Array | None = None) -> Array:
     u, _, vt = np.linalg.svd(((p_A - center_A) * w[:, None]).T @ (p_B - center_B))
     rotation = u @ np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(u @ vt)))]) @ vt
     return transform(rotation, center_A - rotation @ center_B)
+
+
+# -- Linear interpolation of tables whose rows belong to times or to positions along a path ---------------------------
+
+
+_Floats = NDArray[np.floating[Any]]
+
+
+def rows_at(wanted: _Floats, places: _Floats, table: Array) -> Array:
+    """Interpolate a ``table`` (n, k), given at increasing ``places`` (n,), at ``wanted`` (m,): rows (m, k).
+
+    Outside the given places the first or last row is returned.
+    """
+    return np.column_stack([np.interp(wanted, places, column) for column in table.T])

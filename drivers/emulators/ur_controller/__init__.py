@@ -22,7 +22,7 @@ Another server on the same plant, such as a tracker's, runs in a thread of the s
 the condition ``server.cell.passed``, which uses the same lock. Only the controllers' loop advances the clock, by
 ``pace`` seconds per second of wall time.
 
-A stop acts after a latency and brakes along the path with a limited deceleration; ``braking.py`` has the figures and
+A stop acts after a latency and brakes along the path with a limited deceleration; ``motion.py`` has the figures and
 their sources, the command ``stops`` the times of each.
 
 Not emulated: URScript is not interpreted (a program other than ur_rtde's control script ends at once); speed,
@@ -30,10 +30,9 @@ force, path and Cartesian motions end the program, as a script error would; all 
 script port sends nothing.
 """
 
-from drivers.emulators.ur_controller.braking import Braking
 from drivers.emulators.ur_controller.control import Control, Refused
 from drivers.emulators.ur_controller.links import FAULTS, Fault
-from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCell
+from drivers.emulators.ur_controller.motion import Braking, FreeMotions, Motions, PacedCell
 from drivers.emulators.ur_controller.personality import (
     FREE_PORTS,
     STANDARD_PORTS,

@@ -38,9 +38,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.controller import Controller, Runtime
 from drivers.emulators.ur_controller.links import FAULTS, Ending, Port
-from drivers.emulators.ur_controller.modes import Runtime
 from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import PortName
 from drivers.emulators.ur_controller.rtde import RtdeServer

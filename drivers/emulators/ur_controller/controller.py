@@ -10,20 +10,63 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import IntEnum
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from drivers.emulators.ur_controller import poses, streamed
-from drivers.emulators.ur_controller.braking import Brakes, StopTrigger
-from drivers.emulators.ur_controller.journal import Journal
-from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
-from drivers.emulators.ur_controller.motion import Array, Motions
-from drivers.emulators.ur_controller.outputs import DigitalOutputs
-from drivers.emulators.ur_controller.personality import ControllerConfig
-from drivers.emulators.ur_controller.program import Program, ScriptError
-from drivers.emulators.ur_controller.slider import SpeedSlider
-from drivers.emulators.ur_controller.streamed import Values
-from drivers.emulators.ur_controller.watchdog import Watchdog
+from drivers.emulators.ur_controller import poses
+from drivers.emulators.ur_controller.motion import Array, Brakes, Motions, StopTrigger
+from drivers.emulators.ur_controller.personality import ControllerConfig, Rows
+from drivers.emulators.ur_controller.variables import zeros
+
+# -- Values of the RTDE variables that depend on a controller's modes and settings ------------------------------------
+
+
+Values = tuple[float, ...]
+
+
+def initial_values(q: Values) -> dict[str, Values]:
+    """Return every variable of a controller whose arm rests at ``q`` (6,) [rad]."""
+    return zeros() | {
+        "actual_q": q,
+        "target_q": q,
+        "actual_main_voltage": (48.0,),
+        "speed_scaling": (1.0,),
+        "target_speed_fraction": (1.0,),
+        "actual_tool_accelerometer": (0.0, 0.0, 9.82),
+    }
+
+
+def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: Runtime) -> dict[str, Values]:
+    """Return the variables that show the modes."""
+    powered = robot_mode not in (RobotMode.POWER_OFF, RobotMode.DISCONNECTED)
+    running = runtime in (Runtime.PLAYING, Runtime.RESUMING)
+    return {
+        "robot_mode": (int(robot_mode),),
+        "safety_mode": (int(safety_mode),),
+        "safety_status": (int(safety_mode),),
+        "runtime_state": (int(runtime),),
+        "robot_status_bits": (powered * 1 | running * 2 | powered * 8,),
+        "safety_status_bits": (SAFETY_BITS[safety_mode],),
+        "joint_mode": (JOINT_MODE.get(robot_mode, JOINT_POWER_OFF),) * 6,
+        "actual_robot_voltage": (48.0 * powered,),
+    }
+
+
+def of_load(mass: float, center: Values, inertia: Values, tcp: Values) -> dict[str, Values]:
+    """Return the variables that show payload and TCP."""
+    return {"payload": (mass,), "payload_cog": center, "payload_inertia": inertia, "tcp_offset": tcp}
+
+
+def of_tool(rows: Rows, q: Values, qd: Values, tcp: Values) -> dict[str, Values]:
+    """Return the variables that show pose and speed of the TCP, at joint positions and speeds (6,) [rad, rad/s]."""
+    frames = poses.chain(rows, q)
+    tool = poses.composed(frames[-1], poses.frame(tcp))
+    pose = poses.pose(tool)
+    return {"actual_TCP_pose": pose, "target_TCP_pose": pose, "actual_TCP_speed": poses.speed(frames, qd, tool.p)}
+
 
 _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
@@ -102,7 +145,7 @@ class Controller:
         self._q: Values = tuple(float(v) for v in motions.q(self.name))
         self._qd: Values = _ZERO6
         self._clock_s = motions.clock_s
-        self.values = streamed.initial_values(self._q)
+        self.values = initial_values(self._q)
         self.publish_load()
         self._publish_modes()
 
@@ -403,9 +446,6 @@ class Controller:
             values["actual_qd"] = values["target_qd"] = self._qd
         if self._was_moving and not moving:
             self.journal.note("ended", "at rest")
-            current_a = self.motions.drive_torques(self.name)[1]
-            if current_a is not None:
-                self.values["actual_current"] = tuple(current_a.tolist())
         self._was_moving = moving
         if moving:
             self._rest_since_s = clock_s
@@ -460,7 +500,7 @@ class Controller:
         self._publish_modes()
 
     def _publish_modes(self) -> None:
-        self.values |= streamed.of_modes(self.robot_mode, self.safety_mode, self.runtime)
+        self.values |= of_modes(self.robot_mode, self.safety_mode, self.runtime)
 
     def _publish_speed(self) -> None:
         self.values["target_speed_fraction"] = (self.slider.fraction,)
@@ -468,7 +508,7 @@ class Controller:
 
     def publish_load(self) -> None:
         """Update the streamed payload and TCP."""
-        self.values |= streamed.of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
+        self.values |= of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
         self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
@@ -482,4 +522,202 @@ class Controller:
         if self._pose_inputs == now:
             return
         self._pose_inputs = now
-        self.values |= streamed.of_tool(self.config.personality.rows, *now)
+        self.values |= of_tool(self.config.personality.rows, *now)
+
+
+# -- Timestamped record of what a controller received and did: stops in any way, motions begun and ended --------------
+
+
+EventKind = Literal["stop", "begun", "ended"]
+_MOST = 5000
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event at ``at_s`` (``time.monotonic`` of this process, comparable on one computer) [s].
+
+    ``how`` is the way in which a stop arrived, or the cause of a motion: "move", "resume" or "stream".
+    """
+
+    at_s: float
+    kind: EventKind
+    how: str
+
+
+class Journal:
+    """The last events of one controller, oldest first."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._events: deque[Event] = deque(maxlen=_MOST)
+
+    def note(self, kind: EventKind, how: str) -> None:
+        """Record an event at the current time."""
+        self._events.append(Event(self._clock(), kind, how))
+
+    def since(self, at_s: float) -> list[dict[str, Any]]:
+        """Return the events from ``at_s`` on, for the control channel."""
+        return [asdict(event) for event in self._events if event.at_s >= at_s]
+
+
+# -- Digital outputs of a controller: clients set them, and something may be wired to them ----------------------------
+
+
+_BITS, _MASK, _LEVELS = "actual_digital_output_bits", "standard_digital_output_mask", "standard_digital_output"
+
+
+class DigitalOutputs:
+    """Outputs with wired callbacks: number -> function that is called on a rising edge."""
+
+    def __init__(self) -> None:
+        self.wired: dict[int, Callable[[], None]] = {}
+
+    def cycle(self, values: dict[str, Values]) -> None:
+        """Set the outputs to the values that clients wrote since the last control cycle."""
+        mask = int(values[_MASK][0])
+        if not mask:
+            return
+        before = int(values[_BITS][0])
+        now = (before & ~mask) | (int(values[_LEVELS][0]) & mask)
+        values[_BITS], values[_MASK] = (now,), (0,)
+        for number, rises in self.wired.items():
+            if (now & ~before) >> number & 1:
+                rises()
+
+
+# -- The speed slider of a controller: it scales every motion, also one in progress, but not the braking of a stop ----
+
+
+_FULL_RANGE_S = 0.5
+"""Time in which the scaling follows the slider over its full range [s]; an assumption, no faster than a stop."""
+
+
+class SpeedSlider:
+    """The slider and the speed scaling that follows it, both from 0 to 1. At 0 the arm stands; the program runs."""
+
+    def __init__(self) -> None:
+        self.fraction = 1.0
+        self.scaling = 1.0
+
+    def set(self, fraction: float) -> bool:
+        """Move the slider, limited to its range; return False for a value that is not a finite number."""
+        if not math.isfinite(fraction):
+            return False
+        self.fraction = min(max(fraction, 0.0), 1.0)
+        return True
+
+    def follow(self, elapsed_s: float) -> bool:
+        """Update the scaling for ``elapsed_s`` [s]; return whether it has changed."""
+        if self.scaling == self.fraction:
+            return False
+        step = elapsed_s / _FULL_RANGE_S
+        self.scaling = min(max(self.fraction, self.scaling - step), self.scaling + step)
+        return True
+
+
+# -- The watchdog of a control program: it ends a program whose client stops writing a register -----------------------
+
+
+class Watchdog:
+    """Monitor of how often one input register is written; ``run_s`` [s] is the time that the controller has run."""
+
+    def __init__(self) -> None:
+        self.run_s = 0.0
+        self._register = 0
+        self._period_s = math.inf
+        self._begun_s = 0.0
+        self._written_s: dict[int, float] = {}
+
+    def watch(self, least_hz: float, register: int) -> None:
+        """Monitor from now on that ``register`` is written at least at ``least_hz``; 0 monitors nothing."""
+        self._period_s = 1.0 / least_hz if least_hz > 0.0 else math.inf
+        self._register, self._begun_s = register, self.run_s
+
+    def written(self, register: int) -> None:
+        """Note that a register was written now."""
+        self._written_s[register] = self.run_s
+
+    def complaint(self) -> str:
+        """Return what is wrong, in words; empty while the register is written in time."""
+        silent_s = self.run_s - max(self._written_s.get(self._register, -math.inf), self._begun_s)
+        if silent_s <= self._period_s:
+            return ""
+        return f"watchdog: input_int_register_{self._register} not written for {silent_s:.3f} s"
+
+
+# -- Modes of a UR controller, numbered as in the protocol ------------------------------------------------------------
+
+
+class RobotMode(IntEnum):
+    """Robot mode, numbered as in the protocol."""
+
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+
+
+class SafetyMode(IntEnum):
+    """Safety mode, numbered as in the protocol."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+class Runtime(IntEnum):
+    """State of the program, numbered as in the protocol."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+SAFETY_BITS = {
+    SafetyMode.NORMAL: 1 << 0,
+    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
+    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
+}
+_JOINT_RUNNING, _JOINT_IDLE, _JOINT_BOOTING, JOINT_POWER_OFF = 253, 255, 247, 239
+JOINT_MODE = {
+    RobotMode.RUNNING: _JOINT_RUNNING,
+    RobotMode.IDLE: _JOINT_IDLE,
+    RobotMode.POWER_ON: _JOINT_IDLE,
+    RobotMode.BOOTING: _JOINT_BOOTING,
+}
+
+
+# -- Interface of the programs that a controller executes, one control cycle at a time --------------------------------
+
+
+C = TypeVar("C", contravariant=True)
+"""The controller that executes a program."""
+
+
+class ScriptError(Exception):
+    """A program requested something impossible; the program ends."""
+
+
+class Program(Protocol[C]):
+    """A program on a controller, executed one cycle at a time."""
+
+    name: str
+
+    def begin(self, controller: C) -> None:
+        """Execute the first step. Raises ``ScriptError``."""
+
+    def cycle(self, controller: C) -> bool:
+        """Execute one control cycle; return whether the program continues. Raises ``ScriptError``."""

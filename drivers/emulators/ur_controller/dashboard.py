@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.emulators.ur_controller.controller import Controller
-from drivers.emulators.ur_controller.modes import Runtime, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller, Runtime, SafetyMode
 from drivers.emulators.ur_controller.script import ForeignProgram
 
 GREETING = "Connected: Universal Robots Dashboard Server"

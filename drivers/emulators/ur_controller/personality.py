@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.emulators.ur_controller.braking import Braking
+from drivers.emulators.ur_controller.motion import Braking
 
 Series = Literal["CB3", "e-Series", "PolyScope X"]
 PortName = Literal["dashboard", "primary", "script", "rtde"]

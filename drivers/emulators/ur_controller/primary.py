@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 
-from drivers.emulators.ur_controller.controller import Controller
-from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.personality import ControllerConfig, Personality
 
 PERIOD_S = 0.1

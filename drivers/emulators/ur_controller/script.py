@@ -7,12 +7,14 @@ controller also streams its state here; this one sends nothing.
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.emulators.ur_controller.control_script import ControlScript
-from drivers.emulators.ur_controller.controller import Controller
-from drivers.emulators.ur_controller.program import Program
+from drivers.emulators.ur_controller import poses
+from drivers.emulators.ur_controller.controller import Controller, Program, ScriptError
+from drivers.plant.servo import servo_rate
 
 _MAX_BYTES = 1 << 20
 _HEAD = re.compile(rb"^def[ \t]+([A-Za-z_]\w*)[ \t]*\([^)\n]*\)[ \t]*:", re.MULTILINE)
@@ -80,3 +82,236 @@ class Upload:
         if len(self._received) > _MAX_BYTES:
             self._received.clear()
         return found
+
+
+# -- The control script of ur_rtde, emulated by its effect on a controller through registers --------------------------
+#
+# A client writes a command and its arguments into input registers. Once per control period the script executes it and
+# reports that in output registers. Its state stays READY during a blocking motion, like that of the real script.
+
+
+_READY, _DONE = 1, 2
+_RUNNING_BIT = 1 << 15
+_IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 71})
+"""Commands that are executed in every cycle while they are in the register; the script stays READY."""
+_SERVO = 11
+_STOP = 255
+_KG_MOST = 50.0
+_LEAST_DECELERATION = 1e-6
+_MOST = 1e6
+"""Largest argument of a command: angles, lengths, times and rates are far smaller."""
+_NO_TOOL = (0.0,) * 6
+
+
+class ControlScript:
+    """The program that ur_rtde uploads; its registers begin at ``int_offset`` and ``double_offset``."""
+
+    name = "rtde_control"
+
+    def __init__(self, int_offset: int, double_offset: int) -> None:
+        self._i, self._d = int_offset, double_offset
+        self._blocked = False
+        self._answered = False
+        self._next_move: tuple[Sequence[float], float, float] | None = None
+        self._asynchronous = False
+        self._thread = "none"
+        self._writes = 0
+        self._operation = 0
+        self._streamed: tuple[float, ...] | None = None
+        """The streamed position that the arm follows; None after any other command."""
+
+    def begin(self, controller: Controller) -> None:
+        """Report that the script is ready and no asynchronous motion runs."""
+        self._progress(controller, running=False)
+        controller.set_output_int(self._i, _READY)
+
+    def cycle(self, controller: Controller) -> bool:
+        """Execute the command register once; return False if it asks the script to end."""
+        self._advance(controller)
+        if self._blocked:
+            return True
+        command = controller.input_int(self._i)
+        if self._answered:
+            if command == 0:
+                self._answered = False
+                controller.set_output_int(self._i, _READY)
+            return True
+        if command == 0:
+            return True
+        if command == _STOP:
+            return False
+        if command != _SERVO:
+            self._streamed = None
+        if command in _IMMEDIATE:
+            self._immediate(controller, command)
+            controller.set_output_int(self._i, _READY)
+            return True
+        self._execute(controller, command)
+        if not self._blocked:
+            self._done(controller)
+        return True
+
+    # -- current motion ----------------------------------------------------------------------------------------------
+
+    def _advance(self, controller: Controller) -> None:
+        """Update the state of a motion: start one that waits for rest, detect the end of a running one."""
+        if self._thread == "starting":  # the thread runs from the cycle after the answer to the command
+            self._thread = "running"
+            self._operation = (self._operation + 1) % 128
+            self._progress(controller, running=True)
+        if not controller.motion_ended():
+            return
+        if self._next_move is not None:
+            if self._asynchronous and self._thread != "running":
+                return
+            goal, self._next_move = self._next_move, None
+            controller.move(*goal)
+            if controller.moving:
+                return
+        if self._blocked:
+            self._blocked = False
+            self._done(controller)
+        elif self._thread == "running":
+            self._end_thread(controller)
+
+    def _done(self, controller: Controller) -> None:
+        controller.set_output_int(self._i, _DONE)
+        self._answered = True
+
+    def _progress(self, controller: Controller, *, running: bool) -> None:
+        """Write the progress word: count of writes, operation number, and whether it runs."""
+        self._writes = (self._writes + 1) % 128
+        word = self._writes << 16 | self._operation << 24 | (_RUNNING_BIT if running else 0)
+        controller.set_output_int(self._i + 2, word)
+
+    def _end_thread(self, controller: Controller) -> None:
+        if self._thread != "none":
+            self._thread = "none"
+            self._progress(controller, running=False)
+
+    # -- commands ----------------------------------------------------------------------------------------------------
+
+    def _doubles(self, controller: Controller, first: int, count: int) -> tuple[float, ...]:
+        values = controller.input_doubles(self._d + first, count)
+        wrong = [value for value in values if not abs(value) <= _MOST]
+        if wrong:
+            raise ScriptError(f"an argument is {wrong[0]!r}: not a finite number between -{_MOST:g} and {_MOST:g}")
+        return values
+
+    def _answer_int(self, controller: Controller, value: int) -> None:
+        controller.set_output_int(self._i + 1, value)
+
+    def _answer_doubles(self, controller: Controller, values: Sequence[float]) -> None:
+        controller.set_output_doubles(self._d, values)
+
+    def _immediate(self, controller: Controller, command: int) -> None:
+        match command:
+            case 11:
+                self._servo(controller)
+            case 26:
+                self._answer_doubles(controller, [controller.period_s])
+            case 27:
+                self._answer_doubles(controller, controller.q)
+            case 38:
+                self._answer_doubles(controller, (0.0,) * 6)
+            case 58:
+                self._answer_doubles(controller, controller.tool_pose(controller.q, _NO_TOOL))
+            case _:
+                raise ScriptError(f"command {command} of ur_rtde is not emulated")
+
+    def _execute(self, controller: Controller, command: int) -> None:
+        d = self._doubles
+        match command:
+            case 1:
+                self._move(controller)
+            case 8 | 20 | 21 | 56 | 57:
+                pass  # force sensor: not emulated
+            case 15 | 16 | 33:
+                self._stop(controller, None, asynchronous=command == 33 and controller.input_int(self._i + 1) == 1)
+            case 34:
+                self._stop(controller, d(controller, 0, 1)[0], asynchronous=controller.input_int(self._i + 1) == 1)
+            case 17 | 65:
+                mass, *center = d(controller, 0, 4)
+                self._payload(controller, mass, center, d(controller, 4, 6) if command == 65 else None)
+            case 29:
+                controller.tcp = d(controller, 0, 6)
+                controller.publish_load()
+            case 31:
+                controller.protective_stop("requested by the program")
+            case 35:
+                controller.set_watchdog(d(controller, 0, 1)[0], self._i)
+            case 37:
+                q = d(controller, 0, 6)
+                inside = all(low <= v <= high for v, (low, high) in zip(q, controller.config.limits, strict=True))
+                self._answer_int(controller, int(inside))
+            case 39:
+                product = poses.composed(poses.frame(d(controller, 0, 6)), poses.frame(d(controller, 6, 6)))
+                self._answer_doubles(controller, poses.pose(product))
+            case 40:
+                self._answer_doubles(controller, controller.tcp)
+            case 43:
+                self._answer_doubles(controller, controller.tool_pose(controller.q, controller.tcp))
+            case 44:
+                self._answer_doubles(controller, controller.tool_pose(d(controller, 0, 6), d(controller, 6, 6)))
+            case 47:
+                self._answer_int(controller, int(controller.steady))
+            case 59:
+                controller.gravity = d(controller, 0, 3)
+            case _:
+                raise ScriptError(f"command {command} of ur_rtde is not emulated")
+
+    def _move(self, controller: Controller) -> None:
+        """Execute ``moveJ``, blocking or in a thread of the script. A running asynchronous motion is stopped first."""
+        *goal, speed, acceleration = self._doubles(controller, 0, 8)
+        self._asynchronous = controller.input_int(self._i + 1) == 1
+        if self._thread != "none" or controller.moving:
+            controller.brake()
+            self._end_thread(controller)
+        self._next_move = (goal, speed, acceleration)
+        if self._asynchronous:
+            self._thread = "starting"
+            return
+        self._blocked = True
+        self._advance(controller)
+
+    def _servo(self, controller: Controller) -> None:
+        """Execute ``servoj``: follow the position in the registers; repeating it in the next cycle changes nothing."""
+        *goal, _, _, time_s, lookahead_s, gain = self._doubles(controller, 0, 11)
+        if not all(map(math.isfinite, (*goal, time_s))):
+            raise ScriptError("servoj: a value is not a finite number")
+        for joint, (value, (low, high)) in enumerate(zip(goal, controller.config.limits, strict=True), start=1):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                raise ScriptError(f"servoj: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        try:
+            rate = servo_rate(lookahead_s, gain)
+        except ValueError as error:
+            raise ScriptError(str(error)) from None
+        if controller.moving and self._streamed is None:  # another motion is still in progress
+            return
+        if tuple(goal) != self._streamed:
+            self._streamed = tuple(goal)
+            controller.follow(goal, rate)
+
+    def _stop(self, controller: Controller, deceleration: float | None, *, asynchronous: bool) -> None:
+        if deceleration is not None and not _LEAST_DECELERATION <= deceleration < math.inf:
+            raise ScriptError(f"stopj: a deceleration of {deceleration!r} rad/s^2 is not above 0")
+        self._next_move = None
+        self._end_thread(controller)
+        controller.brake(deceleration)
+        if asynchronous:
+            self._asynchronous = True
+            self._thread = "starting"
+        elif controller.moving:
+            self._blocked = True
+
+    def _payload(
+        self, controller: Controller, mass: float, center: Sequence[float], inertia: tuple[float, ...] | None
+    ) -> None:
+        if not 0.0 <= mass <= _KG_MOST:
+            raise ScriptError(f"set_payload: a mass of {mass!r} kg is not between 0 and {_KG_MOST:g} kg")
+        controller.payload_mass = mass
+        if any(center):  # all zero: the centre stays, as in the real script
+            controller.payload_center = tuple(center)
+        if inertia is not None:
+            controller.payload_inertia = inertia
+        controller.publish_load()

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters
-from drivers.plant.lags import lagging
+from drivers.plant.effect import Effect, Parameters, lagging
 from drivers.plant.mechanism import Mechanism
 
 _FASTER = 8.0

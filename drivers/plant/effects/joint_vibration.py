@@ -16,8 +16,7 @@ import scipy
 
 from drivers.plant.config import Array
 from drivers.plant.effect import Effect, Parameters
-from drivers.plant.inertia import Bodies, inertia_torques
-from drivers.plant.mechanism import Mechanism
+from drivers.plant.mechanism import Bodies, Mechanism, inertia_torques
 
 _BLOCK_S = 0.2
 _STIFF = 0.5

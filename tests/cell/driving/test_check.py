@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.check import CheckTask, DrivenCheck, drive_check
-from cellapp.cell.driving.check_stops import check_candidates
+from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.smr_search import APART_M
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

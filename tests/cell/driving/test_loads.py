@@ -16,8 +16,7 @@ from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.loads import Hung, carrying, hung_load, require_known_loads
 from cellapp.cell.planning.method import make_stops
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.ground.control import Stopped

@@ -14,7 +14,7 @@ from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.together import one_by_one
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, stop_conditions_json
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, StopConditions, stop_conditions_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.progress import Cancelled, CancelToken

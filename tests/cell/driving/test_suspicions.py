@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.reference_watch import ReferenceWatch
-from cellapp.cell.driving.suspicions import Suspicions
+from cellapp.cell.driving.live_model import Suspicions
+from cellapp.cell.driving.references import ReferenceWatch
 from cellapp.estimation.calibration.online import online_fit
 from cellapp.ground.progress import Suspicion
 from cellapp.robot.kinematics.transforms import rotation_from_vector

@@ -10,13 +10,12 @@ from pydantic import ValidationError
 
 from cellapp.cell.driving import sweeping
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.planned_stops import straight_stops
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops, straight_stops
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recordings import read_recordings_of, read_stream, recording_states
 from cellapp.cell.run.recordings_csv import read_recordings
-from cellapp.cell.run.recordings_export import write_recordings_csv
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_stops, visible

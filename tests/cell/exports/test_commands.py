@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.push import push
 from cellapp.cell.exports.arm_commands import ArmCommands, ExportedCommand, exported_commands, final_commands
+from cellapp.cell.exports.command_table import urscript
 from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.records import ExportResult
-from cellapp.cell.exports.urscript_commands import urscript
 from cellapp.cell.exports.words import export_lines
 from cellapp.cell.profile import load_profile
 from cellapp.cell.programs.script_targets import read_script

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.planning.factor_correlations import correlations, travel_time
+from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.sequence import sequenced
 from cellapp.cell.planning.transit_paths import TransitPlanner

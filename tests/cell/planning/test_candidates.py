@@ -12,9 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import ks_2samp
 
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool, random_configurations
-from cellapp.cell.planning.exclusions import exclusions
-from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
+from cellapp.cell.planning.candidates import (
+    CandidatePool,
+    draw_joints,
+    draw_pool,
+    exclusions,
+    joint_ranges,
+    random_configurations,
+)
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
 from cellapp.ground.counting import listed_numbers

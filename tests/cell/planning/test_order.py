@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.cell.planning.arrangement import Arrangement, arrange, block_count
+from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, block_count
 from cellapp.cell.planning.balance import balanced_levels, fair_blocks, standardised
-from cellapp.cell.planning.order_repair import repair_order
 from cellapp.cell.planning.plan import draw_stops
-from cellapp.cell.planning.stop_set import StopSet
+from cellapp.cell.planning.sequence import repair_order
 from cellapp.cell.planning.tour import Move, TourTask, best_order
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.many_motions import FreeMotions

@@ -12,6 +12,7 @@ import pytest
 
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.design_records import ArmDesign
+from cellapp.cell.planning.designed import select_stops
 from cellapp.cell.planning.information import (
     EXPECTED_EFFECT_M,
     POTENTIAL_CYCLES,
@@ -21,10 +22,9 @@ from cellapp.cell.planning.information import (
     information_model,
 )
 from cellapp.cell.planning.plan_quality import arm_design
-from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.estimation.design.gaps import gap_limits, largest_gaps
+from cellapp.estimation.design.block_choice import gap_limits, largest_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.factor_correlations import correlations, travel_time
+from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequenced

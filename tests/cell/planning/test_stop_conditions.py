@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.cell.planning.stop_conditions import STOP_CONDITIONS_RESULT, read_stop_conditions
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_stop_conditions
 from cellapp.cell.run import RunFile
 from cellapp.ground.errors import InputError
 from tests.twin import small_twin

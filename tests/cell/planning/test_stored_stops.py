@@ -8,22 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.planned_stops import PlannedStops, joined, last_motions, routes, straight_stops
-from cellapp.cell.planning.proposal.propose import ProposedStop
-from cellapp.cell.planning.proposed_stops import append_proposed_stops
-from cellapp.cell.planning.stop_conditions import (
-    STOP_CONDITIONS_RESULT,
-    StopConditions,
-    proposed_stops,
-    read_stop_conditions,
-    stop_conditions_json,
-)
-from cellapp.cell.planning.stored_stops import (
+from cellapp.cell.planning.planned_stops import (
     PLANNED_STOPS_RESULT,
+    STOP_CONDITIONS_RESULT,
+    PlannedStops,
+    StopConditions,
+    joined,
+    last_motions,
+    proposed_stops,
     read_plan_design,
     read_planned_stops,
+    read_stop_conditions,
+    routes,
+    stop_conditions_json,
+    straight_stops,
     write_planned_stops,
 )
+from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.ground.errors import InputError
 from tests.cell.planning.hand_made import same_stops, some_stops

@@ -7,10 +7,8 @@ import pytest
 
 from cellapp.cell.driving.records import SweepCount
 from cellapp.cell.planning.planned_stops import straight_stops
-from cellapp.cell.planning.sweep_design import SweepDesign
-from cellapp.cell.planning.sweep_forecast import forecast_sweeps
-from cellapp.cell.planning.sweeps import PlannedSweep
-from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
+from cellapp.cell.planning.sweeps import PlannedSweep, SweepDesign, forecast_sweeps
+from cellapp.commands.plan.check_view import sweep_sentences, sweep_tables
 from cellapp.ground.errors import InputError
 from cellapp.robot.paths.sweep import Sweep
 from tests.twin import small_twin

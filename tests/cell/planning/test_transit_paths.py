@@ -8,13 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from cellapp.cell.planning.balance import correlations
 from cellapp.cell.planning.duration import motion_s, route_s, stop_times_of
-from cellapp.cell.planning.factor_correlations import correlations
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import straight_stops
-from cellapp.cell.planning.reach import ArmRoadmap
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
-from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner, random_tree_path
+from cellapp.cell.planning.transit_paths import ArmRoadmap, TransitPath, TransitPlanner, random_tree_path
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.cell.planning.candidates import draw_pool
-from cellapp.cell.planning.designed import design_stops
-from cellapp.cell.planning.within_reach import free_ways, hubs_of, within_reach
+from cellapp.cell.planning.designed import design_stops, free_ways, hubs_of, within_reach
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

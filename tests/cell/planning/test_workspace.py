@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.workspace import workspace_configurations
+from cellapp.cell.planning.candidates import workspace_configurations
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_alone, visible

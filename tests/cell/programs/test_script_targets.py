@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.programs.constants import pose_matrix, pose_numbers
-from cellapp.cell.programs.expressions import Unreadable, parse_expression, tokens_of
 from cellapp.cell.programs.records import CorrectedTarget
-from cellapp.cell.programs.rewriting import rewritten
 from cellapp.cell.programs.script_targets import read_script
+from cellapp.cell.programs.solving import rewritten
 from cellapp.cell.programs.targets import ReadProgram
+from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
 from cellapp.ground.errors import InputError
 
 pytestmark = pytest.mark.fast

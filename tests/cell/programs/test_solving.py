@@ -11,12 +11,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cellapp.cell.programs.constants import pose_matrix, pose_numbers
-from cellapp.cell.programs.correction import aim, controller_chain, flange_of, nearest_vector, outside, true_flange
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
-from cellapp.cell.programs.rewriting import rewritten
 from cellapp.cell.programs.script_targets import read_script
-from cellapp.cell.programs.solving import Workplace, solve_targets
+from cellapp.cell.programs.solving import (
+    Workplace,
+    aim,
+    controller_chain,
+    flange_of,
+    nearest_vector,
+    outside,
+    rewritten,
+    solve_targets,
+    true_flange,
+)
+from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.commands.correct.view import correct_table
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.statics import Bodies

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.cell.programs.records import CorrectedTarget
-from cellapp.cell.programs.rewriting import rewritten
+from cellapp.cell.programs.solving import rewritten
 from cellapp.cell.programs.targets import ReadProgram
 from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.ground.errors import InputError

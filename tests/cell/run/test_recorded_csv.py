@@ -119,13 +119,14 @@ def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) 
         read_recorded(written(tmp_path, text))
 
 
-def test_measured_columns_are_preferred_and_torques_kept(tmp_path: Path) -> None:
+def test_measured_columns_are_preferred_and_torques_are_not_used(tmp_path: Path) -> None:
     text = text_of("target_q_0,target_q_1,target_q_2,actual_q_0,actual_q_1,actual_q_2", Q + 1.0, Q)
     lines = text.replace("actual_q_2", "actual_q_2,x_um,y_um,z_um,tau_0,tau_1,tau_2").splitlines()
     rows = [f"{line},{','.join(map(repr, (1e6 * p).tolist()))},1,2,3" for line, p in zip(lines[1:], P, strict=True)]
     found = read_recorded(written(tmp_path, "\n".join([lines[0], *rows, "# end of the table"])))
     header, cells = converted(found, "rad", "um", "robot")
-    assert header[2:] == ("q1", "q2", "q3", "x_m", "y_m", "z_m", "tau1", "tau2", "tau3")
+    assert header[2:] == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
+    assert found.unknown[-3:] == ("tau_0", "tau_1", "tau_2")
     np.testing.assert_allclose(np.array([row[2:8] for row in cells], dtype=float), np.hstack([Q, P]), atol=1e-9)
 
 

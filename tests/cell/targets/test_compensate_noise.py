@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.cell.targets.measuring_noise import MeasuringNoise
+from cellapp.cell.targets.ranges import MeasuringNoise
 from cellapp.estimation.readings import Readings
 
 pytestmark = pytest.mark.fast

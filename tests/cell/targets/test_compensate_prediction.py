@@ -12,12 +12,9 @@ from hypothesis import strategies as st
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import Inverted
-from cellapp.cell.targets.measuring_noise import MeasuringNoise
-from cellapp.cell.targets.prediction import outside_notes, predictions, spread_of
-from cellapp.cell.targets.ranges import ConditionRanges
-from cellapp.cell.targets.sides import sided_commands
-from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
-from cellapp.cell.targets.unknown_conditions import approach_sides, unknown_conditions
+from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
+from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise
+from cellapp.cell.targets.unknown_conditions import approach_sides, sided_commands, unknown_conditions
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.posterior import PosteriorDraws

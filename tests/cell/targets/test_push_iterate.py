@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.measured_correction import (
+from cellapp.cell.driving.motion import Mover
+from cellapp.cell.driving.push import push
+from cellapp.cell.driving.target_visit import (
     FARTHEST_M,
     CorrectionRefused,
     corrected_command,
     distance_explained_by_noise,
     explained_by_noise,
 )
-from cellapp.cell.driving.motion import Mover
-from cellapp.cell.driving.push import push
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate

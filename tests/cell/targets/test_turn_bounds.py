@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.targets.tolerance import length_bounds
-from cellapp.cell.targets.turn_prediction import _with_noise
+from cellapp.cell.targets.prediction import _with_noise, length_bounds
 from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
 

@@ -12,8 +12,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
-from cellapp.commands.doctor.redaction import REDACTED, redacted
+from cellapp.commands.doctor.bundle import REDACTED, bundle, newest_run, redacted, run_log
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.doctor.run import run as doctor

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.arms import ur_path_supervisor, ur_states, ur_supervisor, ur_worker
+from drivers.arms import ur_path_supervisor, ur_supervisor, ur_worker
 from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_motion import Motion, RestCriterion
 from drivers.arms.ur_path_supervisor import PathSupervisor
@@ -29,7 +29,6 @@ class DelayedClient:
         self.q, self.stamp = list(HOME), 0.0
         self.playing, self.running, self.local = True, False, False
         self.fraction, self.safety, self.mode, self.speed = 1.0, 1, 7, 0.0
-        self.current_a = [0.0] * 6
 
     def tick(self, _: float) -> None:
         self.stamp += 0.16  # a cell at twenty times the pace
@@ -42,9 +41,6 @@ class DelayedClient:
 
     def getActualQd(self) -> list[float]:
         return [self.speed] * 6
-
-    def getActualCurrent(self) -> list[float]:
-        return self.current_a
 
     def getJointTemperatures(self) -> list[float]:
         return [30.0] * 6
@@ -110,8 +106,7 @@ def delayed_worker(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Moni
     """Return the client, which is in a motion from HOME to AWAY, and what runs its worker."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
-    for module in (ur_path_supervisor, ur_states):
-        monkeypatch.setattr(module, "time", clock)
+    monkeypatch.setattr(ur_path_supervisor, "time", clock)
     for module in (ur_worker, ur_supervisor):
         monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.arms.protocol import JointLimits, LimitExceeded
+from drivers.arms.ur import checked_rows
 from drivers.arms.ur_checks import UrExpectation, load_checks
 from drivers.arms.ur_probe import UrProbe
-from drivers.arms.ur_requests import checked_rows
 from drivers.arms.ur_rtde_reader import UrSample
 
 pytestmark = pytest.mark.fast

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.arms.protocol import ArmError, HostStalled, LinkLost, ProtectiveStop
-from drivers.arms.ur_doubt import FirstDoubt
+from drivers.arms.ur_guarded_link import FirstDoubt
 
 pytestmark = pytest.mark.fast
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.arms.protocol import ArmError
-from drivers.arms.ur_answers import arm_error
+from drivers.arms.ur_guarded_link import arm_error
 from drivers.arms.ur_motion import Unrest
 from drivers.arms.ur_rtde_reader import UrSample
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_stop_line import StopLine
+from drivers.arms.ur_guarded_link import StopLine
 from drivers.patience import Patience
 from tests.drivers.arms.emulated_ur_cell import PATIENT_S, pause
 from tests.waiting import until

@@ -17,9 +17,9 @@ import pytest
 from drivers.arms import ur_worker
 from drivers.arms.protocol import ArmError, EmergencyStop, HostStalled, LinkLost, NotInRemoteControl, ProtectiveStop
 from drivers.arms.ur import UrArm
-from drivers.arms.ur_answers import REFUSALS, arm_error, arm_state
 from drivers.arms.ur_checks import checks
 from drivers.arms.ur_control import Refusal, _open_refusal
+from drivers.arms.ur_guarded_link import REFUSALS, arm_error, arm_state
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import last_words
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor

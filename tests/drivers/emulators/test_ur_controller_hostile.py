@@ -30,8 +30,8 @@ from drivers.emulators.ur_controller import (
     start_in_process,
 )
 from drivers.emulators.ur_controller.control import _COMMANDS
-from drivers.emulators.ur_controller.control_script import ControlScript
 from drivers.emulators.ur_controller.links import FAULTS, Link, Port
+from drivers.emulators.ur_controller.script import ControlScript
 from drivers.emulators.ur_controller.variables import INPUTS, OUTPUTS, layout
 from drivers.plant import Plant
 from tests.drivers.emulators.test_ur_controller_state import control_text

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from drivers.emulators.ur_controller import Series
-from drivers.emulators.ur_controller.control_script import ControlScript
+from drivers.emulators.ur_controller.controller import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.dashboard import answer
-from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
-from drivers.emulators.ur_controller.script import ForeignProgram
+from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram
 from tests.drivers.emulators.test_ur_controller_state import MOVE, STOP_JOINTS, WATCHDOG, Bench
 
 pytestmark = pytest.mark.fast

@@ -12,11 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.emulators.ur_controller import ControllerConfig, FreeMotions, Series, personality, poses
-from drivers.emulators.ur_controller.control_script import ControlScript
-from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.dashboard import answer
-from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
-from drivers.emulators.ur_controller.script import Upload
+from drivers.emulators.ur_controller.script import ControlScript, Upload
 
 pytestmark = pytest.mark.fast
 

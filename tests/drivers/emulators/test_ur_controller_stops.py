@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.emulators.ur_controller import Braking
+from drivers.emulators.ur_controller.controller import Runtime
 from drivers.emulators.ur_controller.dashboard import answer
-from drivers.emulators.ur_controller.modes import Runtime
 from drivers.emulators.ur_controller.script import ForeignProgram
 from tests.drivers.emulators.test_ur_controller_state import MOVE, STOP_JOINTS, Bench, goal
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.plant import GeometryErrors
-from drivers.plant.climate import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
+from drivers.plant.plant import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
 from drivers.plant.transforms import rigid, transform_points
 
 pytestmark = pytest.mark.fast

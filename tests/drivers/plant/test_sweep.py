@@ -8,7 +8,7 @@ from scipy.linalg import eigh
 
 from cellapp.cell.driving.cell import build_plant
 from drivers.plant import Plant
-from drivers.plant.inertia import Bodies, inertia_torques
+from drivers.plant.mechanism import Bodies, inertia_torques
 from drivers.plant.servo import LOOKAHEAD_S
 from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from tests.twin import small_twin

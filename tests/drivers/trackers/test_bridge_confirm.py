@@ -14,9 +14,8 @@ import pytest
 
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_links import Link
-from drivers.trackers.bridge_server import TrackerService
+from drivers.trackers.bridge_server import Reply, TrackerService
 from drivers.trackers.bridge_wire import Line
-from drivers.trackers.bridge_worker import Reply
 from drivers.trackers.protocol import Point, Preparation, Tracker, TrackerLinkLost, TrackerTimeout
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
 from tests.latency import attempts

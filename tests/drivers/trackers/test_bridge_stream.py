@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
-from drivers.trackers import bridge_points
-from drivers.trackers.bridge_points import TrackBuffer, read_limits, read_packet
+from drivers.trackers import bridge_wire
+from drivers.trackers.bridge import StreamingBridgeTracker
 from drivers.trackers.bridge_server import TrackerService
-from drivers.trackers.bridge_tracks import StreamingBridgeTracker
-from drivers.trackers.bridge_wire import BadField
+from drivers.trackers.bridge_wire import BadField, TrackBuffer, read_limits, read_packet
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import (
     Packet,
@@ -168,7 +167,7 @@ def test_rates_out_of_range_are_refused_before_anything_is_sent(make_plant: Any)
 
 
 def test_a_client_that_is_too_slow_loses_points_and_the_stamps_tell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bridge_points, "MOST_WAITING", 50)
+    monkeypatch.setattr(bridge_wire, "MOST_WAITING", 50)
     buffer = TrackBuffer("track-0001")
     for k in range(10):
         stamps = k + 0.1 * np.arange(10.0)

@@ -14,10 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.trackers.lmf import MEASURING_S, LmfTracker
-from drivers.trackers.lmf_finder import FoundTracker, find_trackers
-from drivers.trackers.lmf_objects import LmfMissing, load_lmf
-from drivers.trackers.lmf_results import ErrorLaw
+from drivers.trackers.lmf import MEASURING_S, FoundTracker, LmfTracker, find_trackers
+from drivers.trackers.lmf_objects import ErrorLaw, LmfMissing, load_lmf
 from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
     Halted,

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration import batch_training
+from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.learning import learn, require_learner
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
@@ -39,7 +39,7 @@ def trained():
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
     q = poses(8_000)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(batch_training, "_FEWEST_STEPS", 500)
+        patched.setattr(learning, "_FEWEST_STEPS", 500)
         return learn(BATCHES, q, fine(q) + noise(len(q)), np.arange(8_000.0), seed=3)
 
 
@@ -76,7 +76,7 @@ def test_the_stored_network_needs_no_torch(trained):
 
 def test_noise_gets_no_network(monkeypatch):
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(batch_training, "_FEWEST_STEPS", 100)
+    monkeypatch.setattr(learning, "_FEWEST_STEPS", 100)
     training = learn(BATCHES, poses(1500), noise(1500), np.arange(1500.0), seed=3)
     assert training.network is None
     assert training.batches is not None
@@ -85,8 +85,8 @@ def test_noise_gets_no_network(monkeypatch):
 
 def test_the_committee_stays_where_batches_are_not_better(monkeypatch):
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(batch_training, "_FEWEST_STEPS", 20)
-    monkeypatch.setattr(batch_training, "_MOST_STEPS", 20)
+    monkeypatch.setattr(learning, "_FEWEST_STEPS", 20)
+    monkeypatch.setattr(learning, "_MOST_STEPS", 20)
     q = poses(600)
     smooth = 3e-4 * np.stack([np.cos(q[:, 1]), np.sin(q[:, 2]), np.cos(q[:, 1])], axis=1) + noise(600)
     training = learn(BATCHES, q, smooth, np.arange(600.0), seed=3)
@@ -99,7 +99,7 @@ def test_the_committee_stays_where_batches_are_not_better(monkeypatch):
 def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     """Residuals that belong to a block of time and to no posture: folds drawn by reading would learn them."""
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(batch_training, "_FEWEST_STEPS", 200)
+    monkeypatch.setattr(learning, "_FEWEST_STEPS", 200)
     rng = np.random.default_rng(5)
     time_s = rng.permutation(2400).astype(float)
     block = (time_s // 100).astype(int)

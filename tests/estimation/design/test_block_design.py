@@ -9,7 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.design.block_choice import Candidates, Effort, choose_blocks, most_informative_first
+from cellapp.estimation.design.block_choice import (
+    Candidates,
+    Effort,
+    choose_blocks,
+    most_informative_first,
+)
 from cellapp.estimation.design.block_design import BlockDesign, Criterion, Shares, information_of, reference_errors
 from cellapp.ground.progress import Cancelled, CancelToken
 from tests.estimation.design.relaxation import least_errors

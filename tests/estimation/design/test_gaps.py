@@ -5,9 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.design.block_choice import Candidates, choose_blocks
+from cellapp.estimation.design.block_choice import (
+    GAP_OF_EVEN_STOPS,
+    Candidates,
+    choose_blocks,
+    close_gaps,
+    gap_limits,
+    largest_gaps,
+    without_turns,
+)
 from cellapp.estimation.design.block_design import Criterion, Shares, reference_errors
-from cellapp.estimation.design.gaps import GAP_OF_EVEN_STOPS, close_gaps, gap_limits, largest_gaps, without_turns
 from cellapp.ground.progress import CancelToken
 
 pytestmark = pytest.mark.fast

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.cell.planning.proposal.candidate_poses import Effort
+from cellapp.cell.planning.proposal.arm_candidates import Effort
 from cellapp.cell.planning.proposal.propose import Proposal, propose_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run

@@ -13,8 +13,7 @@ from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.discover.result import discover_result
-from cellapp.commands.discover.run import discover_run
+from cellapp.commands.discover.run import discover_result, discover_run
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.formulas import formulas
+from cellapp.estimation.discovery.accepted import formulas
 from cellapp.robot.effects.data_driven import Quantity, Variable
 
 pytestmark = pytest.mark.fast

@@ -15,18 +15,15 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
 from cellapp.cell.planning.proposal import propose as proposing
-from cellapp.cell.planning.proposal.approaches import DWELLS_S, STEPS_RAD
-from cellapp.cell.planning.proposal.candidate_poses import Effort
-from cellapp.cell.planning.proposal.propose import Proposal
-from cellapp.cell.planning.proposed_stops import append_proposed_stops
-from cellapp.cell.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
+from cellapp.cell.planning.proposal.arm_candidates import DWELLS_S, STEPS_RAD, Effort
+from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
-from cellapp.commands.discover.proposal_view import proposal_lines
-from cellapp.commands.discover.result import proposal_result
-from cellapp.commands.discover.run import propose_after
+from cellapp.commands.discover.run import proposal_result, propose_after
+from cellapp.commands.discover.view import proposal_lines
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

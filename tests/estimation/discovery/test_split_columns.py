@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cellapp.estimation.discovery.all_readings import SplitColumns
 from cellapp.estimation.discovery.joint_fit import LinearModel
-from cellapp.estimation.discovery.split_columns import SplitColumns
 from cellapp.robot.effects import Channel, EffectColumn
 from tests.arms import OFF_AXIS, UR10, at_station
 

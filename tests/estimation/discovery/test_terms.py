@@ -16,8 +16,8 @@ from cellapp.estimation.discovery.terms import (
     without_term,
 )
 from cellapp.robot.effects import EFFECTS, joint_column
+from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.effects.periodic import CURVE
-from cellapp.robot.effects.smooth import circle_variances
 from tests.estimation.discovery.linear_problem import PLAIN
 from tests.robot.effects.cell import context_of
 

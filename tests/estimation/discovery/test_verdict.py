@@ -8,8 +8,7 @@ import pytest
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.records import AcceptedEffect, BeforeAfter, Evidence, Place, RunnerUp
 from cellapp.estimation.discovery.search.comparison import Scatter
-from cellapp.estimation.discovery.sentences import remaining_structure
-from cellapp.estimation.discovery.structure import CHANCE
+from cellapp.estimation.discovery.structure import CHANCE, remaining_structure
 from cellapp.estimation.discovery.verdict import verdict
 from cellapp.robot.effects import EFFECTS, EffectTerm
 

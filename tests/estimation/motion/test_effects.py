@@ -11,8 +11,7 @@ from cellapp.estimation.motion.effects import _Search, effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import joint_path, play
-from cellapp.estimation.motion.shaped import vibration
-from cellapp.estimation.motion.steps import State, Step, effects_of
+from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses, of_all_joints, torques_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, MeasurementConditions
 from cellapp.robot.effects.term import displacement

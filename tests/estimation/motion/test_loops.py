@@ -11,7 +11,7 @@ from cellapp.estimation.discovery.records import Picture
 from cellapp.estimation.motion.discovery import loop_picture
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, motion_problem
-from cellapp.estimation.motion.loops import loops
+from cellapp.estimation.motion.steps import loops
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry
 from tests.estimation.motion.simulated import UR10, record, sweep, true_arm

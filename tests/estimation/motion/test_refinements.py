@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellapp.estimation.motion.effects import refining_terms
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path
-from cellapp.estimation.motion.refinements import refining_terms
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, Masses, state_at_rest, state_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions

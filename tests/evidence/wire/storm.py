@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
 from cellapp.cell.run.records import MissingReading

@@ -22,8 +22,7 @@ import pytest
 
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
-from cellapp.cell.planning.planned_stops import straight_stops
-from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.planning.planned_stops import straight_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.interfaces import cli
 from drivers.findings import Finding

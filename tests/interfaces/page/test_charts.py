@@ -22,7 +22,7 @@ from cellapp.commands.collect.charts import (
     standard_error_chart,
 )
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
-from cellapp.commands.plan.charts_map import cell_map_chart
+from cellapp.commands.plan.charts_obstacles import cell_map_chart
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, mm
 from cellapp.estimation.calibration.records import PairHeldOut, PairMethodResult

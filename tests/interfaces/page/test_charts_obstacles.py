@@ -11,8 +11,13 @@ import pytest
 from pydantic import TypeAdapter
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.plan.charts_map import cell_map_chart
-from cellapp.commands.plan.charts_obstacles import blocked_directions, outlined_obstacles, seen_from, surface_points
+from cellapp.commands.plan.charts_obstacles import (
+    blocked_directions,
+    cell_map_chart,
+    outlined_obstacles,
+    seen_from,
+    surface_points,
+)
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Chart, Series
 from cellapp.ground.profile import Profile

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.calibrate.charts_joints import joint_curve_charts
-from cellapp.commands.collect.charts_drift import residual_drift_chart
+from cellapp.commands.calibrate.charts_accuracy import joint_curve_charts
+from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.readings import Readings

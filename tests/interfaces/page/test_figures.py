@@ -18,15 +18,14 @@ from cellapp.commands.calibrate.charts_accuracy import certainty_chart
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.discover.charts import is_line
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
-from cellapp.commands.view.scene import Capsules, CellScene, ErrorVectors, SceneArm
+from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
-from cellapp.interfaces.page import plotly_script
-from cellapp.interfaces.page.cell_figures import scene_figure
-from cellapp.interfaces.page.chart_svg import chart_svg
-from cellapp.interfaces.page.figure import chart_figure
-from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
+from cellapp.interfaces.page import templates
+from cellapp.interfaces.page.chart_svg import chart_figure, chart_svg
+from cellapp.interfaces.page.drawn import scene_figure
+from cellapp.interfaces.page.templates import plotly_base64, plotly_notice
 from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
-from cellapp.interfaces.render.chart_data import chart_data, rounded
+from cellapp.interfaces.render.chart_style import chart_data, rounded
 from tests.interfaces.page.cases import picture
 
 pytestmark = pytest.mark.fast
@@ -152,7 +151,7 @@ def test_the_script_of_the_page_is_that_of_the_package_and_always_the_same_text(
 
 
 def test_without_the_package_the_page_has_no_script_to_unpack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plotly_script, "find_spec", lambda name: None)
+    monkeypatch.setattr(templates, "find_spec", lambda name: None)
     assert plotly_base64.__wrapped__() == ""
     assert plotly_notice() == ""
 

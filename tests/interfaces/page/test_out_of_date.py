@@ -13,7 +13,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.report.result import read_results
-from cellapp.commands.report.tables import all_tables, out_of_date_sentences
+from cellapp.commands.report.view import all_tables, out_of_date_sentences
 from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY

@@ -45,7 +45,7 @@ from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.sections import report_sections
-from cellapp.commands.report.tables import all_tables
+from cellapp.commands.report.view import all_tables
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section

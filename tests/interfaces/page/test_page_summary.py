@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 from cellapp.cell.profile import load_profile
 from cellapp.commands.report.before_after import BeforeAfterFigure, ComparedErrors, before_after_figure
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.report.judged import judged_matrix
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.report.sections import SECTIONS, placed
-from cellapp.commands.report.summary import summary, verdict
-from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS, judged_sentence, judgement_table
+from cellapp.commands.report.summary import judged_matrix, summary, verdict
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
+from cellapp.commands.view.words import CHARACTERISTIC_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile

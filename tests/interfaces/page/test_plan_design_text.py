@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.driving.records import PlanResult
-from cellapp.cell.planning.stored_stops import (
+from cellapp.cell.planning.planned_stops import (
     PLAN_DESIGN_RESULT,
     read_plan_design,
     read_planned_stops,
     write_planned_stops,
 )
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.check_view import design_sentences, design_tables, plan_lines, plan_result_tables
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
 from cellapp.ground.errors import InputError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.plan.section import plan_section

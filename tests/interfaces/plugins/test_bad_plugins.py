@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.exports.formats import format_named
-from cellapp.commands.discover.result import discover_result
+from cellapp.commands.discover.run import discover_result
 from cellapp.commands.doctor.run import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError

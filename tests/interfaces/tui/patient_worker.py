@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from drivers.arms import ur_states
+from drivers.arms import ur_supervisor
 from tests.interfaces.tui.patient_program import BUSY_HOST_S
 
 if __name__ == "__main__":
-    ur_states.SILENT_S = BUSY_HOST_S
+    ur_supervisor.SILENT_S = BUSY_HOST_S
     from drivers.arms.ur_worker import main  # it takes what was set
 
     main()

@@ -9,8 +9,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp

@@ -20,9 +20,10 @@ from cellapp.commands.view.charts import Axis, Chart, Limit, Series, bar_chart, 
 from cellapp.ground.progress import StopReport
 from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
 from cellapp.interfaces.tui.plots import ChartPlot
-from cellapp.interfaces.tui.plots.drawing import MARKS, draw
-from cellapp.interfaces.tui.plots.raster import (
+from cellapp.interfaces.tui.plots.drawing import (
+    MARKS,
     braille,
+    draw,
     no_dots,
     occupied_cells,
     set_bars,

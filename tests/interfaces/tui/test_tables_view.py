@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from textual.app import App
 
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 
 pytestmark = pytest.mark.fast

@@ -6,8 +6,7 @@ from collections.abc import Collection
 
 from cellapp.robot.effects import EffectContext, Law
 from cellapp.robot.effects.data_driven import DataChannel, Variable, channels
-from cellapp.robot.effects.data_functions import PAIR_ORDER
-from cellapp.robot.effects.unknown import curve_families, pair_families
+from cellapp.robot.effects.unknown import PAIR_ORDER, curve_families, pair_families
 
 
 def curve_laws(context: EffectContext) -> list[Law]:

@@ -10,7 +10,7 @@ import pytest
 from cellapp.robot.effects import EFFECTS, EffectTerm, term_from_json, term_to_json
 from cellapp.robot.effects.data_driven import FIELD, POSITION, form_named, position_in_base, variables
 from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_functions, field_variances
-from cellapp.robot.effects.smooth import AMPLITUDE
+from cellapp.robot.effects.law import AMPLITUDE
 from tests.robot.effects.cell import context_of
 
 pytestmark = pytest.mark.fast

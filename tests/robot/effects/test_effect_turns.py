@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law
-from cellapp.robot.effects.smooth import AMPLITUDE, LENGTH
+from cellapp.robot.effects.law import AMPLITUDE, LENGTH
 from tests.robot.effects.cell import EYE, by_name, context_of
 
 pytestmark = pytest.mark.fast

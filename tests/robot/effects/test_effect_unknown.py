@@ -17,8 +17,7 @@ from cellapp.robot.effects.data_driven import (
     form_named,
     variables,
 )
-from cellapp.robot.effects.data_functions import PAIR_ORDER
-from cellapp.robot.effects.unknown import own_angles, pair_families
+from cellapp.robot.effects.unknown import PAIR_ORDER, own_angles, pair_families
 from cellapp.robot.kinematics.transforms import rotation_z
 from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
 from tests.robot.effects.data_driven_laws import curve_laws, pair_laws

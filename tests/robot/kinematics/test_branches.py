@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.robot.kinematics.branches import all_branches, turned_into
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
-from cellapp.robot.kinematics.closed_form import structure_of
-from cellapp.robot.kinematics.inverse import solve_pose
+from cellapp.robot.kinematics.inverse import all_branches, solve_pose, structure_of, turned_into
 from tests.robot.kinematics.test_closed_form import UR, apart, geometry
 
 pytestmark = pytest.mark.fast

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from cellapp.robot.kinematics.chain import (
     JointAngles,
+    Workspace,
     flange_poses,
     frame_poses,
     jacobian,
@@ -18,7 +19,6 @@ from cellapp.robot.kinematics.chain import (
     smr_positions,
 )
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
-from cellapp.robot.kinematics.workspace import Workspace
 from tests.arms import OFF_AXIS, SEVEN, STATION, UR5, UR10, at_station, plant_of
 
 pytestmark = pytest.mark.fast

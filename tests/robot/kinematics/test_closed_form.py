@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
-from cellapp.robot.kinematics.closed_form import closed_form_solutions, structure_of
-from cellapp.robot.kinematics.inverse import solve_pose
+from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, structure_of
 
 pytestmark = pytest.mark.fast
 

@@ -25,8 +25,7 @@ from cellapp.robot.kinematics.chain import flange_poses, parameter_names, smr_po
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
-from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
-from cellapp.robot.paths.pieces import Arc
+from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008

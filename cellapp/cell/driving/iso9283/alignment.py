@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.targets.choice import admissible_configurations
+from cellapp.cell.targets.invert import admissible_configurations
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import with_probe

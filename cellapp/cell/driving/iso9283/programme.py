@@ -11,8 +11,7 @@ import scipy
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
-from cellapp.cell.targets.choice import LARGEST_CORRECTION
-from cellapp.cell.targets.invert import invert, with_approach
+from cellapp.cell.targets.invert import LARGEST_CORRECTION, invert, with_approach
 from cellapp.cell.targets.working_conditions import beside
 from cellapp.estimation.iso9283.cube import CYCLE, POSES
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place

@@ -3,27 +3,86 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.proposal.approaches import Approaches, all_approaches
-from cellapp.cell.planning.proposal.candidate_design import CandidateDesign, joined_context
-from cellapp.cell.planning.proposal.candidate_poses import CandidatePoses, Effort
-from cellapp.cell.planning.proposal.hypotheses import Hypothesis, refitted_discovery
-from cellapp.cell.planning.proposal.open_hypotheses import open_hypotheses
-from cellapp.cell.planning.stop_conditions import StopConditions
+from cellapp.cell.planning.plan import draw_stops, rolled_stops
+from cellapp.cell.planning.planned_stops import StopConditions
+from cellapp.cell.planning.proposal.hypotheses import (
+    CandidateDesign,
+    Hypothesis,
+    joined_context,
+    open_hypotheses,
+    refitted_discovery,
+)
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.many_motions import free_motions
 from cellapp.estimation.design.discrimination import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import DriverVariable, MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+
+# -- Approaches to a pose: the last step of each joint and the dwell before the measurement ---------------------------
+
+
+STEPS_RAD = (0.03, 0.5)
+"""Small and large last step of a joint [rad]: within and far beyond the play and wind-up of a gear (1e-4 to 1e-3)."""
+DWELLS_S = (0.5, 5.0)
+"""Short and long rest before a measurement [s]: within and beyond the settling of an arm (about 1 s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Approaches:
+    """The approaches (f of them) to each pose of one arm.
+
+    ``steps`` (n, f, N) are last steps [rad], all zero without a detour; ``dwells`` (f,) [s].
+    """
+
+    steps: Array
+    dwells: Array
+
+    def __len__(self) -> int:
+        return len(self.dwells)
+
+    def first(self, poses: int) -> Approaches:
+        """Return the approaches to the first ``poses`` poses."""
+        return Approaches(self.steps[:poses], self.dwells)
+
+    def needed_for(self, variables: Collection[DriverVariable]) -> Approaches:
+        """Leave out detours and dwells that no variable depends on."""
+        steps, dwells = self.steps, self.dwells
+        if DriverVariable.DWELL not in variables:
+            steps, dwells = steps[:, :: len(DWELLS_S)], np.zeros(len(dwells) // len(DWELLS_S))
+        if not {DriverVariable.APPROACH, DriverVariable.STEP} & set(variables):
+            dwells = np.unique(dwells)
+            steps = np.zeros((len(steps), len(dwells), steps.shape[2]))
+        return Approaches(steps, dwells)
+
+
+def all_approaches(poses: int, joints: int, rng: np.random.Generator) -> Approaches:
+    """Combine each of 12 last steps with each dwell.
+
+    Signs: all joints forward, all backward, two opposite mixtures. Sizes: small, large, mixed.
+    """
+    mixed = rng.choice([-1.0, 1.0], (poses, 1, joints))
+    forward = np.ones((poses, 1, joints))
+    signs = np.concatenate([forward, -forward, mixed, -mixed], axis=1)
+    small, large = STEPS_RAD
+    sizes = (np.full(signs.shape, small), np.full(signs.shape, large), rng.choice(STEPS_RAD, signs.shape))
+    steps = np.concatenate([signs * size for size in sizes], axis=1)
+    return Approaches(np.repeat(steps, len(DWELLS_S), axis=1), np.tile(np.array(DWELLS_S), steps.shape[1]))
+
 
 _MEMORY_BYTES = 3e8
 """Memory for the candidates' columns of one arm: a share that leaves room on a machine of 2 GB."""
@@ -251,3 +310,130 @@ def _decidable(comparison: list[Discrimination], needed: float, count: int) -> l
         if most > HOPELESS * needed:
             decidable.append(one)
     return decidable or comparison
+
+
+# -- Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach ------
+
+
+_NEIGHBOURS = 7
+"""Number of other poses (besides home) from which a straight motion to a pose is checked."""
+_LEAST_REACHED_FROM = 3
+"""Number of these motions that must be free: an isolated pose (above the floor, folded) rarely fits into an order."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The number of candidates from which a proposal is chosen; its time grows in proportion.
+
+    Attributes
+    ----------
+    drawn : int
+        Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
+    kept : int
+        Poses that are kept of these.
+    rolls : int
+        Copies of each with other angles of the last joint, which rotate the SMR with little motion.
+    candidates : int
+        Upper limit of poses times approaches of one arm.
+    """
+
+    drawn: int = 280
+    kept: int = 200
+    rolls: int = 2
+    candidates: int = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class CandidatePoses:
+    """Poses of all arms, drawn together.
+
+    Attributes
+    ----------
+    q : mapping
+        Arm -> joint positions (n, N) [rad].
+    posture : array, shape (n,)
+        Number shared by poses that differ in wrist rolls only.
+    gate : CellBodies or None
+        Checks motions; None where the profile does not describe the cell.
+    homes : mapping
+        Arm -> home position (N,) [rad]; empty without a gate.
+    """
+
+    q: Mapping[str, Array]
+    posture: NDArray[np.intp]
+    gate: CellBodies | None
+    homes: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.posture)
+
+    def first(self, count: int) -> CandidatePoses:
+        """Return the first ``count`` poses."""
+        return replace(self, q={name: q[:count] for name, q in self.q.items()}, posture=self.posture[:count])
+
+
+def candidate_poses(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    effort: Effort,
+    rng: np.random.Generator,
+    cancel: CancelToken,
+) -> tuple[CandidatePoses, list[str]]:
+    """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    described = profile.tracker.pose is not None and all(
+        arm.base is not None and arm.home is not None and arm.type.capsules for arm in profile.arms.values()
+    )
+    if described:
+        return _drawn_poses(profile, effort, rng, cancel), []
+    note = (
+        "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
+        " the motions to them were not checked for collisions"
+    )
+    return _measured_poses(readings, effort, rng), [note]
+
+
+def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
+    gate, homes = cell_bodies(profile), home_positions(profile)
+    drawn = draw_stops(gate, profile, effort.drawn, rng, cancel)
+    reached = np.all([_within_reach(gate, name, q, homes[name]) for name, q in drawn.items()], axis=0)
+    if not reached.any():
+        raise InputError("propose: no candidate can be reached on a straight motion; make plan.clearance smaller")
+    kept = {name: q[reached][: effort.kept] for name, q in drawn.items()}
+    q, posture = rolled_stops(gate, kept, effort.rolls, rng)
+    mixed = rng.permutation(len(posture))
+    return CandidatePoses({name: rows[mixed] for name, rows in q.items()}, posture[mixed], gate, homes)
+
+
+def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
+    common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
+    most = effort.kept * (1 + effort.rolls)
+    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[:most].tolist()
+    if not stops:
+        raise InputError("propose: the arms have no stop in common from which candidates could be made")
+    q = {}
+    for name, arm in readings.items():
+        row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
+        q[name] = arm.q[[row_of[stop] for stop in stops]]
+    return CandidatePoses(q, np.arange(len(stops)), None, {})
+
+
+def _within_reach(gate: CellBodies, name: str, q: Array, home: Array) -> NDArray[np.bool_]:
+    """Mask (n,) of configurations (n, N) that an arm alone in the cell reaches on straight motions from others."""
+    without_others = alone(gate, name)
+    free = np.zeros(len(q), dtype=np.intp)
+    neighbours = (np.roll(q, -1 - i, axis=0) for i in range(min(_NEIGHBOURS, len(q) - 1)))
+    for start in (np.broadcast_to(home, q.shape), *neighbours):
+        left = np.flatnonzero(free < _LEAST_REACHED_FROM)
+        free[left] += free_motions(without_others, {name: start[left]}, {name: q[left]})
+    return np.asarray(free >= _LEAST_REACHED_FROM)
+
+
+def alone(gate: CellBodies, name: str) -> CellBodies:
+    """Return the cell with one arm only."""
+    return replace(gate, arms={name: gate.arms[name]})

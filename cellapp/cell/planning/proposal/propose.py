@@ -2,26 +2,147 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.cell.planning.proposal.arm_candidates import ArmCandidates, ArmHypotheses
-from cellapp.cell.planning.proposal.candidate_poses import Effort, candidate_poses
-from cellapp.cell.planning.proposal.predictions import PredictedDiscrimination, predict_arm
-from cellapp.cell.planning.proposal.stop_selection import StopSelection
-from cellapp.cell.planning.stop_conditions import StopConditions
+from cellapp.cell.planning.planned_stops import (
+    PlannedStops,
+    StopConditions,
+    can_go,
+    joined,
+    proposed_stops,
+    read_planned_stops,
+    read_stop_conditions,
+    straight_stops,
+    write_planned_stops,
+)
+from cellapp.cell.planning.proposal.arm_candidates import (
+    ArmCandidates,
+    ArmHypotheses,
+    CandidatePoses,
+    Effort,
+    alone,
+    candidate_poses,
+    last_known,
+)
+from cellapp.cell.planning.proposal.hypotheses import CandidateDesign, Hypothesis
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.gate import refuse_motion, visible_stops
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.design.discrimination import Discrimination
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
-from cellapp.robot.effects import DriverVariable
+from cellapp.robot.effects import EFFECTS, DriverVariable, varies
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
+
+# -- Value of proposed stops: discrimination of each hypothesis now, with them, and with equally many random ones -----
+
+
+_RANDOM_DESIGNS = 8
+"""Number of random designs that are averaged for comparison, so that no single draw decides."""
+_LOAD_SHARE = 0.25
+"""Suggested further payload as a share of the arm's own mass: what arms of this class may carry."""
+_LEAST_LOAD_STEP_KG = 0.5
+"""Suggested payloads are multiples of this: common weights."""
+_WORTH_A_LOAD = 1.5
+"""Factor by which another payload must raise the discrimination to be suggested."""
+
+
+@dataclass(frozen=True)
+class PredictedDiscrimination:
+    """Non-centrality lambda of one hypothesis: now, with the proposed stops, with the same number of random ones.
+
+    ``against`` is empty where the question is whether the effect can be seen at all.
+    """
+
+    arm: str
+    effect: str
+    against: str
+    needed: float
+    now: float
+    proposed: float
+    random: float
+
+    @property
+    def gain_over_random(self) -> float:
+        """Ratio of the discrimination with the proposed stops to that with random ones."""
+        return self.proposed / max(self.random, 1e-12)
+
+
+def predict_arm(
+    arm: ArmCandidates,
+    poses: CandidatePoses,
+    pose: NDArray[np.intp],
+    approach: NDArray[np.intp],
+    rng: np.random.Generator,
+) -> tuple[list[PredictedDiscrimination], list[str]]:
+    """Predict the hypotheses of one arm with the chosen candidates; return also advice to change its payload."""
+    chosen = pose * len(arm.approaches) + approach
+    draws = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
+    nothing = np.array([], dtype=np.intp)
+    predictions, advice = [], []
+    for one, comparison in arm.comparisons:
+        prediction = PredictedDiscrimination(
+            arm=arm.name,
+            effect=one.effect,
+            against=one.against,
+            needed=one.needed,
+            now=_least(comparison, nothing),
+            proposed=_least(comparison, chosen),
+            random=float(np.mean([_least(comparison, draw) for draw in draws])),
+        )
+        predictions.append(prediction)
+        advice += _load_advice(arm, one, poses, pose, approach, prediction)
+    return predictions, advice
+
+
+def _least(comparison: Sequence[Discrimination], chosen: NDArray[np.intp]) -> float:
+    """Return the least discrimination over the laws of the rival."""
+    return min(one.noncentrality(chosen) for one in comparison)
+
+
+def _load_advice(
+    arm: ArmCandidates,
+    hypothesis: Hypothesis,
+    poses: CandidatePoses,
+    pose: NDArray[np.intp],
+    approach: NDArray[np.intp],
+    prediction: PredictedDiscrimination,
+) -> list[str]:
+    """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
+    conditions = arm.run.conditions
+    depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
+    decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
+    if not depends or decided or varies(conditions.payload_kg):
+        return []
+    bodies = hypothesis.data.model.bodies
+    present = last_known(conditions.payload_kg, 1)
+    now_kg = bodies.payload_mass if present is None else float(present[0])
+    steps = round(_LOAD_SHARE * float(bodies.masses.sum()) / _LEAST_LOAD_STEP_KG)
+    more_kg = max(steps * _LEAST_LOAD_STEP_KG, _LEAST_LOAD_STEP_KG)
+    load_kg: Array = now_kg + more_kg * (np.arange(len(pose)) % 2).astype(np.float64)
+    q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
+    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
+    loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
+    if loaded < _WORTH_A_LOAD * prediction.proposed:
+        return []
+    titles = " and ".join(EFFECTS[slug].title for slug in hypothesis.effects)
+    aim = f"distinguish {titles}" if hypothesis.against else f"show {titles}"
+    return [
+        f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
+        f" second stop would bring the discrimination to {loaded:.0f} instead of {prediction.proposed:.0f}; a person"
+        " must attach it, if the arm may carry it, and enter it in the controller"
+    ]
+
 
 DEFAULT_EFFORT = Effort()
 """Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
@@ -104,3 +225,246 @@ def propose_stops(
     stops = tuple(ProposedStop(selection.target(one), selection.conditions(one)) for one in chosen)
     listener(Progress("propose", count, count, "done"))
     return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
+
+
+# -- Greedy choice of further stops for all arms, among candidates that the safety gate lets them reach ---------------
+#
+# Stop by stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The chosen stops are
+# then put in random order, so that time is confounded with nothing, as far as the arms can move from each to the next.
+# Stops that fit nowhere in that order are replaced.
+
+
+_MOST_OFTEN = 3
+"""How often a posture, whatever its wrist roll, is proposed at most: optimal designs repeat few stops, which would hide
+that a law is wrong elsewhere."""
+_REFUSALS = 400
+"""Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
+_ROUNDS = 4
+"""Rounds of replacing stops that fit nowhere in the order; each fills the gaps of the one before."""
+
+
+@dataclass(frozen=True)
+class ChosenStop:
+    """The pose of each arm, and the approach to it."""
+
+    poses: tuple[int, ...]
+    approaches: tuple[int, ...]
+
+
+@dataclass(eq=False)
+class StopSelection:
+    """The selection of stops for all arms.
+
+    Attributes
+    ----------
+    arms, poses
+        The candidates.
+    paired : bool
+        Keep poses of all arms together that were drawn together, as where an effect depends on the other arm. Else
+        each arm's best poses are combined, if the gate accepts it.
+    rng
+    refused : set of ChosenStop
+        Combinations that the gate refused.
+    reachable : dict
+        Cached answers of the gate for motions from one stop to the start of another's last step; None is home.
+    """
+
+    arms: Sequence[ArmCandidates]
+    poses: CandidatePoses
+    paired: bool
+    rng: np.random.Generator
+    refused: set[ChosenStop] = field(default_factory=set)
+    reachable: dict[tuple[ChosenStop | None, ChosenStop | None], bool] = field(default_factory=dict)
+
+    def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
+        """Choose ``count`` stops, each reachable from the one before; fewer if the gate refuses."""
+        kept: list[ChosenStop] = []
+        for _ in range(_ROUNDS):
+            for number, arm in enumerate(self.arms):
+                arm.restart((one.poses[number], one.approaches[number]) for one in kept)
+            before = len(kept)
+            kept = self._ordered([*kept, *self._further(kept, count, listener, cancel)])
+            if len(kept) == count or len(kept) == before:
+                break
+        return kept
+
+    def target(self, stop: ChosenStop) -> dict[str, Array]:
+        """Return the joint positions of the arms at a stop."""
+        return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
+
+    def conditions(self, stop: ChosenStop) -> dict[str, StopConditions]:
+        """Return approach and dwell that the collection has to realise at a stop."""
+        chosen = zip(self.arms, stop.poses, stop.approaches, strict=True)
+        return {arm.name: arm.stop_conditions(self.poses, pose, approach) for arm, pose, approach in chosen}
+
+    def _further(
+        self, kept: Sequence[ChosenStop], count: int, listener: Listener, cancel: CancelToken
+    ) -> list[ChosenStop]:
+        """Choose the missing stops one by one, each the best in addition to those before."""
+        used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
+        for earlier in kept:
+            self._count(used, earlier)
+        found: list[ChosenStop] = []
+        while len(kept) + len(found) < count:
+            cancel.check()
+            listener(Progress("propose", len(kept) + len(found), count, "stops"))
+            stop = self._next(used, count - len(kept) - len(found))
+            if stop is None:
+                break
+            for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
+                arm.add(pose, approach)
+            self._count(used, stop)
+            found.append(stop)
+        return found
+
+    def _count(self, used: list[NDArray[np.intp]], stop: ChosenStop) -> None:
+        """Count the postures of a stop."""
+        for counts, pose in zip(used, stop.poses, strict=True):
+            counts[self.poses.posture[pose]] += 1
+
+    def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
+        """Choose the best stop whose last steps the gate accepts; None if there is none."""
+        gains = [arm.gains(stops_left) for arm in self.arms]
+        for gain, counts in zip(gains, used, strict=True):
+            gain[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
+        for _ in range(_REFUSALS):
+            stop = self._best(gains)
+            if stop is None:
+                return None
+            refused_arms = self._arms_refused_alone(stop)
+            if not refused_arms and stop not in self.refused and not self._refused_together(stop):
+                return stop
+            self.refused.add(stop)
+            for number in refused_arms:
+                self.arms[number].allowed[stop.poses[number], stop.approaches[number]] = False
+            for number in refused_arms or [_least_loss(gains, stop)]:
+                gains[number][stop.poses[number], stop.approaches[number]] = -math.inf
+        return None
+
+    def _best(self, gains: Sequence[Array]) -> ChosenStop | None:
+        """Return the stop of the largest gains (n, f) of each arm; None if an arm has no candidate left."""
+        by_pose = [gain.max(axis=1) for gain in gains]
+        if self.paired:
+            by_pose = [np.sum(by_pose, axis=0)] * len(self.arms)
+        poses = tuple(int(np.argmax(best)) for best in by_pose)
+        if any(not math.isfinite(float(best[pose])) for best, pose in zip(by_pose, poses, strict=True)):
+            return None
+        return ChosenStop(poses, tuple(int(np.argmax(gain[pose])) for gain, pose in zip(gains, poses, strict=True)))
+
+    def _start(self, stop: ChosenStop) -> dict[str, Array]:
+        """Return where the last steps to a stop begin; an arm without one is there already."""
+        starts = self.target(stop)
+        for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
+            start = arm.start_of_last_step(self.poses, pose, approach)
+            if start is not None:
+                starts[arm.name] = start
+        return starts
+
+    def _arms_refused_alone(self, stop: ChosenStop) -> list[int]:
+        """Return indices of the arms whose last step the gate refuses whatever the others do."""
+        gate = self.poses.gate
+        if gate is None:
+            return []
+        target, start = self.target(stop), self._start(stop)
+        return [
+            number
+            for number, arm in enumerate(self.arms)
+            if start[arm.name] is not target[arm.name]
+            and refuse_motion(alone(gate, arm.name), {arm.name: start[arm.name]}, {arm.name: target[arm.name]})
+        ]
+
+    def _refused_together(self, stop: ChosenStop) -> bool:
+        """Return whether the tracker misses an SMR at a stop, or the gate refuses the last steps together."""
+        gate = self.poses.gate
+        if gate is None:
+            return False
+        target = self.target(stop)
+        if not self.paired and not visible_stops(gate, {name: q[None] for name, q in target.items()})[0]:
+            return True
+        return bool(refuse_motion(gate, self._start(stop), target))
+
+    def _ordered(self, chosen: Sequence[ChosenStop]) -> list[ChosenStop]:
+        """Put the stops in random order, each reachable from the one before, without those that fit nowhere."""
+        waiting = [chosen[k] for k in self.rng.permutation(len(chosen))]
+        if self.poses.gate is None:
+            return waiting
+        path: list[ChosenStop] = []
+        grown = True
+        while waiting and grown:
+            grown = False
+            for stop in list(waiting):
+                place = self._place_in(path, stop)
+                if place is not None:
+                    path.insert(place, stop)
+                    waiting.remove(stop)
+                    grown = True
+        self.refused.update(waiting)
+        return path
+
+    def _place_in(self, path: Sequence[ChosenStop], stop: ChosenStop) -> int | None:
+        """Find a random place in the order from and to which the arms can move; None if there is none."""
+        for place in self.rng.permutation(len(path) + 1).tolist():
+            before = path[place - 1] if place else None
+            after = path[place] if place < len(path) else None
+            if self._can_go(before, stop) and self._can_go(stop, after):
+                return int(place)
+        return None
+
+    def _can_go(self, before: ChosenStop | None, after: ChosenStop | None) -> bool:
+        """Return whether the arms can move from one stop to the start of another's last step; None is home."""
+        if (before, after) not in self.reachable:
+            gate = self.poses.gate
+            assert gate is not None
+            here = self.poses.homes if before is None else self.target(before)
+            there = self.poses.homes if after is None else self._start(after)
+            self.reachable[before, after] = can_go(gate, here, there)
+        return self.reachable[before, after]
+
+
+def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
+    """Return the index of the arm whose second best candidate is nearest to its best."""
+    losses = []
+    for gain, pose, approach in zip(gains, stop.poses, stop.approaches, strict=True):
+        rest = gain.copy()
+        rest[pose, approach] = -math.inf
+        losses.append(float(gain[pose, approach] - rest.max()))
+    return int(np.argmin(losses))
+
+
+# -- Stops that discovery proposed, appended to the plan of a run that this program drives ----------------------------
+
+
+def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
+    """Append stops to the plan in place of earlier proposals that were not measured; return the first one's number."""
+    plan, done, proposed = read_planned_stops(run), run.stops_done(), proposed_stops(read_stop_conditions(run))
+    first = len(plan)
+    while first - 1 in proposed and first - 1 not in done:
+        first -= 1
+    further = range(first, first + len(stops))
+    whole = joined(plan.take(range(first)), _planned(stops))
+    block = np.where(np.arange(len(whole)) < first, whole.block, whole.block[:first].max(initial=-1) + 1)
+    load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # the last load
+    earlier = {stop for stop in proposed if stop < first}
+    write_planned_stops(run, replace(whole, block=block, load=load), proposed={*earlier, *further})
+    return first
+
+
+def why_not_driven(run: RunFile) -> str:
+    """Say why this program cannot drive further stops of a run; empty if it can."""
+    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
+    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
+    if missing:
+        return f"the driver of {missing[0]} is 'none'"
+    return "" if run.read_plan() else "the run has no plan (it was imported)"
+
+
+def _planned(stops: Sequence[ProposedStop]) -> PlannedStops:
+    """Convert the proposed stops to planned ones with straight motions."""
+    planned = straight_stops({name: np.array([stop.q[name] for stop in stops]) for name in stops[0].q})
+    for k, stop in enumerate(stops):
+        for name in planned.q:
+            one = stop.conditions.get(name, StopConditions())
+            planned.dwell_s[name][k] = one.dwell_s
+            if one.via is not None:
+                planned.approach_from[name][k] = one.via
+    return planned

@@ -14,7 +14,7 @@ import numpy as np
 
 from cellapp.cell.planning.check import required_plan
 from cellapp.cell.planning.method import make_stops
-from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.power.result import (

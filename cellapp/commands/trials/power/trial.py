@@ -33,7 +33,7 @@ from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS
 from drivers.plant import Plant, suggest_other_law
-from drivers.plant.conditions import Conditions
+from drivers.plant.plant import Conditions
 
 _JOINT_RISE_K, _WARM_UP_S = 10.0, 3000.0
 """Final temperature of joints above the air [K], and its time constant [s]."""

@@ -9,12 +9,11 @@ from typing import TypeVar
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, refit
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.significance import corrected_p_value
+from cellapp.estimation.discovery.search.scan import LawScan, corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
 from cellapp.ground.errors import tried
-from cellapp.ground.memory import give_back
 from cellapp.ground.progress import CancelToken
+from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.contradiction import is_contradiction
 from cellapp.robot.kinematics.transforms import Array

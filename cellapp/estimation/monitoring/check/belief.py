@@ -24,7 +24,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.relocation import relocated
+from cellapp.robot.model.model import relocated
 
 _FEWEST_HELD_OUT = 20
 """Fewest held-out readings with which their scatter is estimated."""

@@ -10,11 +10,10 @@ import numpy as np
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.alternatives import alternatives_of, directions_of
 from cellapp.estimation.monitoring.check.conclusion import concluded
-from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
+from cellapp.estimation.monitoring.check.linear import Moments, StopRows, calibration_motions, stop_rows, visibility
 from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS, CheckBelief, Conclusion, SequentialState
 from cellapp.estimation.monitoring.check.naming import Design, explain, with_station
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest, looks
-from cellapp.estimation.monitoring.check.visible import calibration_motions, visibility
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array

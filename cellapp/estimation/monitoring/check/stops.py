@@ -16,9 +16,8 @@ import numpy as np
 
 from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
 from cellapp.estimation.monitoring.check.belief import noise_covariance
-from cellapp.estimation.monitoring.check.linear import conditions_now
+from cellapp.estimation.monitoring.check.linear import calibration_motions, conditions_now, motions, visibility
 from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief, ChosenStops, Power
-from cellapp.estimation.monitoring.check.visible import calibration_motions, motions, visibility
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions

@@ -22,14 +22,13 @@ from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens import accept_jobs
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables, show_next_tab
 from cellapp.interfaces.tui.widgets.verdict_bars import VerdictBars
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.report.verdict_view import RunVerdict
+    from cellapp.commands.report.summary import RunVerdict
     from cellapp.commands.view.parts import Parts
 
 _NOT_JUDGED = "Nothing is judged yet."
@@ -200,7 +199,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
             self._draw_verdict(event.verdict, _UNREADABLE)
 
     def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
-        from cellapp.commands.report.verdict_view import verdict_sentences, verdict_tables
+        from cellapp.commands.report.summary import verdict_sentences, verdict_tables
 
         tables = self.query_one("#verdict-tables", TablesView)
         self.query_one(VerdictBars).judgements = () if verdict is None else verdict.judgements

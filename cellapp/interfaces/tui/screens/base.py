@@ -17,8 +17,8 @@ from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.widgets.arm_panel import JobPanel
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
-from cellapp.interfaces.tui.widgets.job_panel import JobPanel
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
 from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, Workspace

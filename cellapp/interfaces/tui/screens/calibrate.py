@@ -38,8 +38,7 @@ from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import TablesView
-from cellapp.interfaces.tui.widgets.tabs import show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _PLOTS = ("stages", "errors", "joints", "space")

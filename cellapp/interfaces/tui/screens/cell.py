@@ -35,9 +35,7 @@ from cellapp.interfaces.tui.widgets.cell_findings import (
     devices_of,
 )
 from cellapp.interfaces.tui.widgets.cell_map import CellMap
-from cellapp.interfaces.tui.widgets.tables import WrappedTables
-from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TextTable, WrappedTables, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:

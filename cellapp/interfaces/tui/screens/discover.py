@@ -13,9 +13,8 @@ from textual.widgets import Static, TabbedContent, TabPane
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
-from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import explanation_text
+from cellapp.commands.discover.view import explanation_text, proposal_lines
 from cellapp.commands.discover.words import verdict_lines, verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
@@ -27,8 +26,7 @@ from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import WrappedTables
-from cellapp.interfaces.tui.widgets.tabs import show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import WrappedTables, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _PLOTS = ("gap", "pictures")

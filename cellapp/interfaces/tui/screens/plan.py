@@ -31,7 +31,7 @@ from cellapp.interfaces.tui.widgets.plan_tables import (
     PairsTable,
     StopsTable,
 )
-from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -293,9 +293,8 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Make the charts of the design in a thread: the numerics take half a second to load."""
-        from cellapp.commands.plan.design_view import load_sentences
+        from cellapp.commands.plan.check_view import load_sentences, sweep_sentences, sweep_tables
         from cellapp.commands.plan.section import design_charts_of, design_tables_of
-        from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
@@ -307,7 +306,7 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="view")
     def _make_view(self, profile: Profile, view: ViewResult) -> None:
         from cellapp.commands.plan.charts_view import view_charts
-        from cellapp.commands.plan.tracker_view import view_sentences, view_tables
+        from cellapp.commands.plan.check_view import view_sentences, view_tables
 
         self.post_message(Drawn(view, view_charts(profile, view), view_tables(view), view_sentences(view)))
 

@@ -33,7 +33,7 @@ from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import offer_to_resume
 from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:

@@ -45,13 +45,11 @@ from cellapp.interfaces.tui.dialogs.target_form import TargetForm
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens import targets_jobs
+from cellapp.interfaces.tui.screens import targets_state
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, listed_path, new_name
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
@@ -303,23 +301,23 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     def action_compensate(self) -> None:
         """Compute commands for the shown list."""
-        targets_jobs.begin_compensate(self, self._edits.targets)
+        targets_state.begin_compensate(self, self._edits.targets)
 
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
-        targets_jobs.ask_push(self, self._edits.targets)
+        targets_state.ask_push(self, self._edits.targets)
 
     def action_verify(self) -> None:
         """Ask, then drive to the targets and measure."""
-        targets_jobs.ask_verify(self, self._edits.targets)
+        targets_state.ask_verify(self, self._edits.targets)
 
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
-        targets_jobs.ask_locate(self)
+        targets_state.ask_locate(self)
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
-        targets_jobs.ask_correct(self)
+        targets_state.ask_correct(self)
 
     def show_result(self, result: Result) -> None:
         """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from cellapp.interfaces.tui.keys import SHOWN
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult, Finding

@@ -72,7 +72,7 @@ class CellMap(ChartPlot):
 
     @work(thread=True)
     def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
-        from cellapp.commands.plan.charts_map import cell_map_chart
+        from cellapp.commands.plan.charts_obstacles import cell_map_chart
 
         self.post_message(self.Made(number, cell_map_chart(profile, stops, self._view)))
 

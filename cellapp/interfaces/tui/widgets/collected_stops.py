@@ -19,7 +19,7 @@ from cellapp.commands.view.table import Cell, Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.keys import SHOWN, bind
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TextTable
 
 _NAMES = ("stop", "arm")
 """Columns that are sorted in ascending order; the others in descending order."""

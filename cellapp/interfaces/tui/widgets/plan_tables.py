@@ -10,7 +10,7 @@ import numpy as np
 from rich.text import Text
 from textual.coordinate import Coordinate
 
-from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cellapp.estimation.discovery.process.components import CURVE_LENGTHS, Component
-from cellapp.estimation.discovery.process.evidence import (
+from cellapp.estimation.discovery.process import (
+    CURVE_LENGTHS,
+    Component,
     Hyperparameters,
     ProcessData,
     evidence,
@@ -20,7 +21,7 @@ from cellapp.estimation.discovery.process.evidence import (
 )
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.column import Wave
-from cellapp.robot.effects.smooth import circle_variances
+from cellapp.robot.effects.law import circle_variances
 
 pytestmark = pytest.mark.fast
 

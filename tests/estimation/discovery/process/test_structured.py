@@ -11,10 +11,10 @@ from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms, refit
-from cellapp.estimation.discovery.process.structured import LEAST_READINGS, fit_process, process_terms
+from cellapp.estimation.discovery.process import LEAST_READINGS, fit_process, process_terms
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects.smooth import circle_variances
+from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm

@@ -20,9 +20,9 @@ from cellapp.estimation.discovery.search.free_part import (
     possible_free_parts,
     with_free_parts,
 )
-from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
+from cellapp.estimation.discovery.search.stepwise import refinement
 from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken

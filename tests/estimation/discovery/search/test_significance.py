@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.discovery.candidates import CandidateLaw
-from cellapp.estimation.discovery.search.significance import (
+from cellapp.estimation.discovery.search.scan import (
     corrected_p_value,
     score_threshold,
     simulate_null_maxima,

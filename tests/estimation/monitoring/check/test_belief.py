@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief, choose_stops
 from cellapp.estimation.monitoring.check.alternatives import directions_of
 from cellapp.estimation.monitoring.check.belief import arm_belief
-from cellapp.estimation.monitoring.check.linear import stop_rows
-from cellapp.estimation.monitoring.check.visible import calibration_motions, visibility
+from cellapp.estimation.monitoring.check.linear import calibration_motions, stop_rows, visibility
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Prior, posterior
 from cellapp.estimation.readings import Readings

@@ -1,1 +1,0 @@
-"""Pictures of fitted terms: partial residuals and model against the variable of the term."""

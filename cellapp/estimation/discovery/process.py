@@ -1,0 +1,698 @@
+"""Fit of the structured process to a model's residuals: hyperparameters by evidence, needed components, terms.
+
+1. Start with the slower waves of all components that the data allow. Amplitudes, length scales and the noise maximise
+   the evidence. Drop amplitudes without signal, and components that fall short by as much as they would need.
+2. Weight the readings by the stated uncertainty and the scatter found; fit the remaining components with all waves.
+3. Remove components that the evidence does not need, the least needed first, and fit the others again.
+4. Turn the rest into smooth terms of the model, which is then fitted jointly with the geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.readings_noise import mean_variance
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
+from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
+from cellapp.robot.effects.data_driven import FIELD, position_in_base
+from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_variances
+from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
+from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, TransmissionError
+from cellapp.robot.kinematics.transforms import Array
+
+# -- Components of the structured process: an effect's smooth law on the data at hand, and its hyperparameters --------
+#
+# A component is a channel (what moves) with a driver (what it depends on), as a smooth form of a named effect. A turn
+# about the axis that depends on its own angle is a transmission error, one across the axis a wobble, one that depends
+# on gravity's torque a compliance, and so on. The columns are weighted by a spectrum that depends on an amplitude and,
+# for functions of an angle, on a length scale.
+
+
+CURVE_CYCLES = 80
+"""Highest cycle count of a joint's curve: at the shortest length scale, 3 degrees, 1 % of its variance is beyond."""
+_LEAST_LEVER = 0.05
+"""Share of the longest rms lever below which a joint gets no curve: its errors do not show at the SMR."""
+
+
+CURVE_LENGTHS = LengthRange(math.radians(5.0), math.radians(3.0), math.radians(40.0))
+"""Length scales of a joint's curve: a gear's errors have periods from a few degrees to a turn; below 3 degrees lines of
+the spectrum describe them."""
+FIELD_LENGTHS = LengthRange(0.5, 0.2, 3.0)
+"""Length scales of a field: layers of air and bent stands act over a good part of the workspace, and shorter fields
+need more readings than there are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A smooth law on the data at hand.
+
+    Attributes
+    ----------
+    slug : str
+        The effect.
+    columns : tuple of EffectColumn, length m
+    rows : array, shape (m, d)
+        Their whitened displacements.
+    constants : mapping
+        Constants of the law that are not hyperparameters.
+    form : LawForm
+    groups : array, shape (m,)
+        Index into ``amplitude_keys`` of each column's amplitude.
+    amplitude_keys : tuple of str
+        Constants of the law that hold the amplitudes.
+    start : float
+        First guess of the amplitudes.
+    weights : array, shape (m,)
+        Relative prior variances if no length scale is fitted; else unused.
+    lengths : LengthRange, optional
+    length_keys : tuple of str
+        Constants of the law that hold the length scale; one value for all.
+    frequencies : array, shape (m,), optional
+        For a field over the workspace: angular frequency of each column [1/m].
+    """
+
+    slug: str
+    columns: tuple[EffectColumn, ...]
+    rows: Array
+    form: LawForm
+    constants: Mapping[str, float]
+    groups: NDArray[np.intp]
+    amplitude_keys: tuple[str, ...]
+    start: float
+    weights: Array
+    lengths: LengthRange | None = None
+    length_keys: tuple[str, ...] = ()
+    frequencies: Array | None = None
+
+    @property
+    def hyperparameters(self) -> int:
+        """Number of fitted hyperparameters: amplitudes, and a length scale if there is one."""
+        return len(self.amplitude_keys) + (0 if self.lengths is None else 1)
+
+    def relative_variances(self, length: float) -> Array:
+        """Return prior variances (m,) at unit amplitude."""
+        if self.lengths is None:
+            return self.weights
+        if self.frequencies is not None:
+            return field_variances(length, self.frequencies)
+        return np.asarray(circle_variances(length, int(self._cycles.max()))[self._cycles - 1])
+
+    @cached_property
+    def _cycles(self) -> NDArray[np.intp]:
+        """Cycles a turn of each column (m,), zero for columns that are no waves."""
+        return np.array([column.cycles or 0 for column in self.columns], dtype=np.intp)
+
+    def law(self, amplitudes: Array, length: float) -> Law:
+        """Return the law with its hyperparameters."""
+        found = dict(self.constants)
+        found |= dict(zip(self.amplitude_keys, amplitudes.tolist(), strict=True))
+        found |= dict.fromkeys(self.length_keys, length)
+        return self.form.law(found)
+
+    def of_amplitudes(self, kept: Sequence[int]) -> Component:
+        """Return the component with some of its amplitudes only."""
+        places = np.flatnonzero(np.isin(self.groups, list(kept)))
+        keys = [self.amplitude_keys[k] for k in kept]
+        lengths = [key for key in self.length_keys if len(self.length_keys) == 1 or _same_joint(key, keys)]
+        some = self._take(places)
+        groups = np.searchsorted(np.asarray(sorted(kept)), some.groups)
+        return replace(some, groups=groups, amplitude_keys=tuple(keys), length_keys=tuple(lengths))
+
+    def coarse(self) -> Component:
+        """Return the component with the slower half of its waves, if it has a length scale."""
+        if self.lengths is None:
+            return self
+        fast = self._cycles if self.frequencies is None else self.frequencies
+        return self._take(np.flatnonzero(fast <= 0.5 * fast.max()))
+
+    def _take(self, places: NDArray[np.intp]) -> Component:
+        return replace(
+            self,
+            columns=tuple(self.columns[k] for k in places),
+            rows=self.rows[places],
+            groups=self.groups[places],
+            weights=self.weights[places],
+            frequencies=None if self.frequencies is None else self.frequencies[places],
+        )
+
+
+def _same_joint(length_key: str, amplitude_keys: Sequence[str]) -> bool:
+    number = length_key.removeprefix(CURVE_LENGTH.name)
+    return CURVE_AMPLITUDE.name + number in amplitude_keys
+
+
+def components(data: ArmData, fit: JointFit) -> list[Component]:
+    """Return all components that the data allow beside a fit."""
+    smooth = (_plain(data, fit, effect, law) for effect in EFFECTS.values() for law in effect.smooth_laws(data.context))
+    found = [_curves(data, fit), *smooth, _field(data, fit)]
+    return [one for one in found if one is not None]
+
+
+def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Component | None:
+    """Build a component with one amplitude and at most one length scale for all its columns; None if nothing moves.
+
+    The columns' priors at unit amplitude are the relative variances.
+    """
+    form = effect.form(law.form)
+    starts = {AMPLITUDE.name: 1.0} if law.lengths is None else {AMPLITUDE.name: 1.0, LENGTH.name: law.lengths.start}
+    columns = tuple(data.columns(effect.slug, form.law({**law.constants, **starts})))
+    rows = fit.displacements(columns) if columns else np.zeros((0, 3 * len(data)))
+    if not rows.any():
+        return None
+    return Component(
+        slug=effect.slug,
+        columns=columns,
+        rows=rows,
+        form=form,
+        constants=law.constants,
+        groups=np.zeros(len(columns), dtype=np.intp),
+        amplitude_keys=(AMPLITUDE.name,),
+        start=law.start,
+        weights=np.array([column.prior_sd**2 for column in columns]),
+        lengths=law.lengths,
+        length_keys=() if law.lengths is None else (LENGTH.name,),
+    )
+
+
+def _curves(data: ArmData, fit: JointFit) -> Component | None:
+    """Build curves of all joints with a lever: an amplitude for each, one length scale; None if there is none."""
+    levers = np.sqrt(np.mean(np.sum(fit.by_joint**2, axis=0), axis=1))
+    joints = np.flatnonzero(levers > _LEAST_LEVER * levers.max()).tolist()
+    if not joints:
+        return None
+    constants: dict[str, float] = {CYCLES.name: float(CURVE_CYCLES)}
+    keys = {joint: (CURVE_AMPLITUDE.key(joint), CURVE_LENGTH.key(joint)) for joint in joints}
+    full = {**constants} | {key: 1.0 for pair in keys.values() for key in pair}
+    columns = tuple(data.columns(TransmissionError.slug, CURVE.law(full)))
+    place = {joint: k for k, joint in enumerate(joints)}
+    return Component(
+        slug=TransmissionError.slug,
+        columns=columns,
+        rows=fit.displacements(columns),
+        form=CURVE,
+        constants=constants,
+        groups=np.array([place[c.joint] for c in columns if c.joint is not None], dtype=np.intp),
+        amplitude_keys=tuple(amplitude for amplitude, _ in keys.values()),
+        start=2e-4,
+        weights=np.ones(len(columns)),
+        lengths=CURVE_LENGTHS,
+        length_keys=tuple(length for _, length in keys.values()),
+    )
+
+
+def _field(data: ArmData, fit: JointFit) -> Component:
+    """Build a field over the workspace: one amplitude for its three directions, one length scale."""
+    box = box_of(position_in_base(data.context))
+    law = FIELD.law({**box, AMPLITUDE.name: 1.0, FIELD_LENGTH.name: FIELD_LENGTHS.start})
+    columns = tuple(data.columns(UNKNOWN, law))
+    return Component(
+        slug=UNKNOWN,
+        columns=columns,
+        rows=fit.displacements(columns),
+        form=FIELD,
+        constants=box,
+        groups=np.zeros(len(columns), dtype=np.intp),
+        amplitude_keys=(AMPLITUDE.name,),
+        start=2e-5,
+        weights=np.ones(len(columns)),
+        lengths=FIELD_LENGTHS,
+        length_keys=(FIELD_LENGTH.name,),
+        frequencies=np.tile(field_frequencies(box), 3),
+    )
+
+
+# -- Evidence of a structured process from one Gram matrix, its gradient, and the hyperparameters that maximise it ----
+#
+#     y = X w + e,   w_k ~ N(0, v_k(theta)),   e ~ N(0, s I)
+#
+# y and the columns X are taken in the complement of the nuisance parameters (geometry, named laws). The evidence
+# (marginal likelihood) follows from ``G = X^T X``, ``b = X^T y`` and ``y^T y`` alone (Rasmussen, Williams, Gaussian
+# Processes for Machine Learning, 2006, section 5.4, in weight space, section 2.1): its cost does not depend on the
+# number of readings. Columns whose prior is negligible against the noise are left out.
+
+
+NEGLIGIBLE_COLUMN = 1e-2
+"""Ratio of prior signal variance to noise variance below which a column is left out: it would change the log evidence
+by half of that. All such columns of a measured arm together change it by less than 0.5."""
+_LOG_AMPLITUDE = (-7.0, 5.0)
+"""Bounds of the log ratio of an amplitude to its first guess: from a thousandth to 150 times."""
+_LOG_NOISE = (-9.0, 0.5)
+"""Bounds of the log ratio of the noise variance to that of the data: at most slightly above all of it."""
+_START_NOISE = 0.2
+"""First guess of the noise's share of the variance."""
+_LENGTH_STEP = 1e-4
+"""Step of the log length scale for the derivative of its spectrum by forward difference."""
+_LEAST_GAIN = 1e-6
+"""Relative gain of the evidence at which the optimiser stops: 1e-3 on usual values, far below a score that counts."""
+_IMPOSSIBLE = 1e300
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessData:
+    """G (m, m), b (m,) and y^T y of the columns of some components in order; d independent coordinates."""
+
+    gram: Array
+    moment: Array
+    square: float
+    coordinates: float
+
+    @classmethod
+    def behind(cls, normal: NormalMatrix, flat: int, precision: Array, coordinates: int) -> ProcessData:
+        """Eliminate the first ``flat`` columns, with prior precisions (flat,), and keep the others."""
+        rest, determined = normal.behind(flat, precision)
+        return cls(rest.gram, rest.moment, rest.square, coordinates - determined)
+
+    def take(self, places: NDArray[np.intp]) -> ProcessData:
+        """Return the data of some of the columns."""
+        return ProcessData(self.gram[np.ix_(places, places)], self.moment[places], self.square, self.coordinates)
+
+
+@dataclass(frozen=True, eq=False)
+class Hyperparameters:
+    """Amplitudes of each component, its length scale (1 if it has none), and the noise variance s."""
+
+    amplitudes: tuple[Array, ...]
+    lengths: tuple[float, ...]
+    noise: float
+
+    def without(self, component: int) -> Hyperparameters:
+        """Return the hyperparameters of all components but one."""
+        return Hyperparameters(
+            self.amplitudes[:component] + self.amplitudes[component + 1 :],
+            self.lengths[:component] + self.lengths[component + 1 :],
+            self.noise,
+        )
+
+    def variances(self, components: Sequence[Component]) -> Array:
+        """Return the prior variances of all columns."""
+        found = [
+            one.relative_variances(length) * amplitudes[one.groups] ** 2
+            for one, amplitudes, length in zip(components, self.amplitudes, self.lengths, strict=True)
+        ]
+        return np.concatenate(found) if found else np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Log evidence, and its derivatives with respect to log v_k (m,) and to log s."""
+
+    value: float
+    by_variance: Array
+    by_noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Factored:
+    """Indices of the active columns, the roots of their prior variances, and ``I + V^1/2 G V^1/2 / s = L L^T``."""
+
+    active: NDArray[np.intp]
+    root: Array
+    gram: Array
+    lower: Array
+
+    @classmethod
+    def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
+        """Factor the matrix; None if it is not positive definite, as the noise is nearly zero."""
+        active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
+        root = np.sqrt(variance[active])
+        gram = data.gram if len(active) == len(variance) else data.gram[active].take(active, axis=1)
+        A = gram * (root / noise)
+        A *= root[:, None]
+        A.flat[:: len(A) + 1] += 1.0
+        if not len(active):
+            return cls(active, root, gram, A)
+        # transposed: in the order of LAPACK, without a copy
+        lower, failed = scipy.linalg.lapack.dpotrf(A.T, lower=1, overwrite_a=1)
+        return None if failed else cls(active, root, gram, lower)
+
+    def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
+        """Return the log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
+        scaled = self.root * data.moment[self.active] / noise
+        solution = scipy.linalg.lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
+        log_determinant = 2.0 * float(np.log(np.diag(self.lower)).sum())
+        left = data.square / noise - float(scaled @ solution)
+        return -0.5 * (data.coordinates * math.log(noise) + log_determinant + left), solution
+
+
+def log_evidence(data: ProcessData, variance: Array, noise: float) -> float:
+    """Return the log evidence at prior variances (m,) and a noise variance."""
+    factored = _Factored.of(data, variance, noise)
+    return -_IMPOSSIBLE if factored is None else factored.value(data, noise)[0]
+
+
+def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
+    """Return the evidence at prior variances (m,) and a noise variance, with its derivatives."""
+    factored = _Factored.of(data, variance, noise)
+    if factored is None:  # this low value makes the optimiser step back
+        return Evidence(-_IMPOSSIBLE, np.zeros(len(variance)), 0.0)
+    value, solution = factored.value(data, noise)
+    active = factored.active
+    by_variance = np.zeros(len(variance))
+    inverse = np.zeros(0)
+    if len(active):
+        # single precision is enough for a gradient; zero above the diagonal, like the factor
+        triangle = scipy.linalg.lapack.strtri(factored.lower.astype(np.float32), lower=1)[0]
+        inverse = np.einsum("kl,kl->l", triangle, triangle).astype(np.float64)
+        by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
+    fitted = factored.root * solution
+    explained = float(fitted @ data.moment[active])
+    left = data.square - 2.0 * explained + float(fitted @ (factored.gram @ fitted))
+    by_noise = -0.5 * (data.coordinates - float(np.sum(1.0 - inverse))) + 0.5 * left / noise
+    return Evidence(value, by_variance, by_noise)
+
+
+def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]) -> Array:
+    """Return the loss of log evidence (c,) without each of c consecutive groups of columns, which end at ``ends``.
+
+    With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
+    ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
+    """
+    factored = _Factored.of(data, variance, noise)
+    if factored is None:
+        return np.full(len(ends), math.inf)
+    _, solution = factored.value(data, noise)
+    inverse = scipy.linalg.lapack.dpotri(factored.lower, lower=1)[0] if len(solution) else factored.lower
+    found, first = np.zeros(len(ends)), 0
+    for group, end in enumerate(np.searchsorted(factored.active, ends).tolist()):
+        if end > first:
+            block, x = inverse[first:end, first:end], solution[first:end]
+            lower = scipy.linalg.lapack.dpotrf(block, lower=1)[0]
+            explained = float(x @ scipy.linalg.lapack.dpotrs(lower, x, lower=1)[0])
+            found[group] = float(np.log(np.diag(lower)).sum()) + 0.5 * explained
+        first = end
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Packing:
+    """Conversion of hyperparameters to one vector of logarithms: amplitudes, existing length scales, noise."""
+
+    components: tuple[Component, ...]
+
+    def pack(self, values: Hyperparameters) -> Array:
+        amplitudes = [np.log(one) for one in values.amplitudes]
+        lengths = [math.log(length) for one, length in zip(self.components, values.lengths, strict=True) if one.lengths]
+        return np.concatenate([*amplitudes, np.array([*lengths, math.log(values.noise)])])
+
+    def unpack(self, theta: Array) -> Hyperparameters:
+        amplitudes, at = [], 0
+        for one in self.components:
+            amplitudes.append(np.exp(theta[at : at + len(one.amplitude_keys)]))
+            at += len(one.amplitude_keys)
+        lengths = []
+        for one in self.components:
+            lengths.append(math.exp(theta[at]) if one.lengths else 1.0)
+            at += 1 if one.lengths else 0
+        return Hyperparameters(tuple(amplitudes), tuple(lengths), math.exp(theta[-1]))
+
+    def bounds(self, noise: float) -> list[tuple[float, float]]:
+        low, high = _LOG_AMPLITUDE
+        starts = [math.log(one.start) for one in self.components for _ in one.amplitude_keys]
+        found = [(start + low, start + high) for start in starts]
+        found += [(math.log(one.lengths.least), math.log(one.lengths.most)) for one in self.components if one.lengths]
+        return [*found, (math.log(noise) + _LOG_NOISE[0], math.log(noise) + _LOG_NOISE[1])]
+
+    def gradient(self, values: Hyperparameters, found: Evidence) -> Array:
+        by_amplitude, by_length, at = [], [], 0
+        for one, length in zip(self.components, values.lengths, strict=True):
+            here = found.by_variance[at : at + len(one.columns)]
+            at += len(one.columns)
+            by_amplitude.append(2.0 * np.bincount(one.groups, here, minlength=len(one.amplitude_keys)))
+            if one.lengths:
+                longer = one.relative_variances(length * math.exp(_LENGTH_STEP))
+                by_length.append(float(here @ np.log(longer / one.relative_variances(length))) / _LENGTH_STEP)
+        return np.concatenate([*by_amplitude, np.array([*by_length, found.by_noise])])
+
+
+def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperparameters:
+    """Return start values of the hyperparameters."""
+    return Hyperparameters(
+        tuple(np.full(len(one.amplitude_keys), one.start) for one in components),
+        tuple(one.lengths.start if one.lengths else 1.0 for one in components),
+        _START_NOISE * data.square / data.coordinates,
+    )
+
+
+def most_evident(
+    components: Sequence[Component], data: ProcessData, start: Hyperparameters, evaluations: int
+) -> tuple[Hyperparameters, float]:
+    """Maximise the evidence near ``start``; return the hyperparameters and the log evidence there."""
+    packing = _Packing(tuple(components))
+
+    def objective(theta: Array) -> tuple[float, Array]:
+        values = packing.unpack(theta)
+        found = evidence(data, values.variances(components), values.noise)
+        return -found.value, -packing.gradient(values, found)
+
+    bounds = packing.bounds(data.square / data.coordinates)
+    low, high = np.array(bounds).T
+    found = scipy.optimize.minimize(
+        objective,
+        np.clip(packing.pack(start), low, high),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxfun": evaluations, "ftol": _LEAST_GAIN},
+    )
+    return packing.unpack(found.x), -float(found.fun)
+
+
+LEAST_READINGS = 40
+"""Least number of readings for a process: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
+_FIRST_EVALUATIONS = 40
+"""Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
+_NEXT_EVALUATIONS = 12
+"""Most evaluations after a change of weights or components, from the values found before."""
+_LEAST_SIGNAL = 0.03
+"""Ratio of signal to noise (rms) below which an amplitude is removed at once."""
+_SMALLEST = 1e-300
+"""Guard for the precision of columns without any variance."""
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredProcess:
+    """Components with their hyperparameters, in the complement of a model's parameters.
+
+    Attributes
+    ----------
+    components : tuple of Component
+    values : Hyperparameters
+    gram : ProcessData
+        Gram matrix of their columns.
+    log_evidence : float
+    """
+
+    components: tuple[Component, ...]
+    values: Hyperparameters
+    gram: ProcessData
+    log_evidence: float
+
+    @classmethod
+    def fitted(
+        cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None, evaluations: int
+    ) -> StructuredProcess:
+        """Find hyperparameters from ``start``; drop amplitudes that move the SMR by far less than the noise."""
+        gram = gathered(fit, chosen)
+        begin = first_guess(chosen, gram) if start is None else start
+        values, log_evidence = most_evident(chosen, gram, begin, evaluations)
+        return cls(tuple(chosen), values, gram, log_evidence).without_idle()
+
+    def without_idle(self) -> StructuredProcess:
+        """Return the process without amplitudes whose signal is negligible against the noise."""
+        kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
+        power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
+        for number, one in enumerate(self.components):
+            here = power[first : first + len(one.columns)]
+            signal = np.bincount(one.groups, here, minlength=len(one.amplitude_keys)) / self.values.noise
+            kept = np.flatnonzero(signal > _LEAST_SIGNAL**2)
+            if len(kept):
+                kept_components.append(one.of_amplitudes(kept.tolist()))
+                amplitudes.append(self.values.amplitudes[number][kept])
+                lengths.append(self.values.lengths[number])
+                places.append(first + np.flatnonzero(np.isin(one.groups, kept)))
+            first += len(one.columns)
+        taken = np.concatenate(places).astype(np.intp) if places else np.zeros(0, dtype=np.intp)
+        values = Hyperparameters(tuple(amplitudes), tuple(lengths), self.values.noise)
+        return StructuredProcess(tuple(kept_components), values, self.gram.take(taken), self.log_evidence)
+
+    def without(self, component: int) -> StructuredProcess:
+        """Return the process without one component, at the hyperparameters of the others."""
+        first = sum(len(one.columns) for one in self.components[:component])
+        count = len(self.components[component].columns)
+        taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
+        rest = self.components[:component] + self.components[component + 1 :]
+        values, gram = self.values.without(component), self.gram.take(taken)
+        return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
+
+    def without_hopeless(self, needed: float) -> StructuredProcess:
+        """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""
+        process, gains = self, self.gains()
+        while gains and min(gains) <= -needed:
+            process = process.without(gains.index(min(gains)))
+            gains = process.gains()
+        return process
+
+    def refitted(self, evaluations: int) -> StructuredProcess:
+        """Fit the hyperparameters again from their present values."""
+        values, log_evidence = most_evident(self.components, self.gram, self.values, evaluations)
+        return replace(self, values=values, log_evidence=log_evidence)
+
+    def price(self, component: int) -> float:
+        """Return the price of the hyperparameters of a component, by the Bayesian information criterion."""
+        return self.components[component].hyperparameters * math.log(self.gram.coordinates)
+
+    def gains(self) -> list[float]:
+        """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
+        ends = np.cumsum([len(one.columns) for one in self.components])
+        lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
+        return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
+
+
+def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
+    """Compute the Gram matrix of the components' columns in the complement of all parameters of a fit."""
+    rows = np.concatenate([fit.rows, *(one.rows for one in chosen)])
+    normal = NormalMatrix.of(rows, fit.target)
+    return ProcessData.behind(normal, len(fit.rows), fit.precision, len(fit.residual))
+
+
+def fit_process(
+    data: ArmData, fit: JointFit, needed: float, candidates: Sequence[Component] | None = None
+) -> tuple[StructuredProcess, Excess] | None:
+    """Fit the process that residuals need; return it and the scatter beyond the stated uncertainty. None if not needed.
+
+    ``needed`` is the gain of the score at which a component is kept. ``candidates`` are the components to choose from;
+    None for all that the data allow.
+    """
+    if len(data) < LEAST_READINGS:
+        return None
+    candidates = components(data, fit) if candidates is None else candidates
+    if not candidates:
+        return None
+    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
+    screened = screened.without_hopeless(needed)
+    if not screened.components:
+        return None
+    weighed = _weighed(data, fit, screened)
+    process = _fitted_anew(weighed, fit, _whole(candidates, screened.components), screened)
+    if data.turned is not None:  # the residuals of few waves give poor weights of positions and orientations
+        weighed = _weighed(weighed, fit_terms(weighed, fit.terms), process)
+        process = _fitted_anew(weighed, fit, process.components, process)
+    scatter = _scatter(weighed, process.values.noise)
+    process = needed_components(process, needed)
+    return (process, scatter) if process.components else None
+
+
+def _fitted_anew(
+    data: ArmData, fit: JointFit, chosen: Sequence[Component], before: StructuredProcess
+) -> StructuredProcess:
+    """Fit a process again after a change of weights, from the hyperparameters found ``before``."""
+    fit = fit_terms(data, fit.terms)
+    here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
+    return StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
+
+
+def _weighed(data: ArmData, fit: JointFit, process: StructuredProcess) -> ArmData:
+    """Return the data with weights that include the scatter about a process, beside the fit that it was fitted to."""
+    scatter = _scatter(data, process.values.noise)
+    if data.turned is not None:
+        of_points, of_turns = noise_of_kinds(fit, process, data.turned)
+        scatter = Excess(_scatter(data, of_points).m, _scatter(data, of_turns).rad)
+    return replace(data, sigma=uncertainty_with_scatter(data, scatter))
+
+
+def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the variances of positions and of orientations ``turned`` (n,) about a process, relative to the weights.
+
+    The sum of squared residuals of each kind is divided by its coordinates less the parameters that it determines
+    (MacKay, Neural Comput. 4 (1992) 415): at the maximum of the evidence this is its noise variance.
+    """
+    rows = np.concatenate([one.rows for one in process.components])
+    noise, projector = process.values.noise, fit.projector
+    projected = projector.project(rows)
+    A = process.gram.gram / noise + np.diag(1.0 / np.maximum(process.values.variances(process.components), _SMALLEST))
+    lower = scipy.linalg.cholesky(A, lower=True, check_finite=False)
+    half = scipy.linalg.solve_triangular(lower, projected, lower=True, check_finite=False, overwrite_b=True)
+    half /= math.sqrt(noise)
+    behind = fit.projected_residual.projected
+    left = behind - (half @ behind) @ half
+    determined = np.sum(half**2, axis=0) + np.sum(projector.basis**2, axis=1)
+    found = []
+    for kind in (~turned, turned):
+        of_kind = np.tile(kind, 3)
+        freedom = max(np.count_nonzero(of_kind) - float(determined[of_kind].sum()), 1.0)
+        found.append(float(left[of_kind] @ left[of_kind]) / freedom)
+    return found[0], found[1]
+
+
+def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
+    """Return the candidates with the amplitudes left by a screening, and with all their waves."""
+    found = []
+    for one in screened:
+        whole = next(other for other in candidates if (other.slug, other.form) == (one.slug, one.form))
+        found.append(whole.of_amplitudes([whole.amplitude_keys.index(key) for key in one.amplitude_keys]))
+    return found
+
+
+def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
+    """Remove the components that the evidence does not need, the least needed first.
+
+    Fitting the others again only raises the evidence without a component: that is done only if it may decide.
+    """
+    settled = True
+    while process.components:
+        gains = process.gains()
+        weakest = int(np.argmin(gains))
+        if gains[weakest] <= needed:
+            process, settled = process.without(weakest), False
+            continue
+        if not settled:
+            process, settled = process.refitted(_NEXT_EVALUATIONS), True
+            continue
+        if gains[weakest] > 2.0 * needed or len(process.components) == 1:
+            break
+        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS)
+        if 2.0 * (process.log_evidence - rest.log_evidence) - process.price(weakest) > needed:
+            break
+        process = rest
+    return process
+
+
+def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
+    """Return the components as smooth terms of a model, with the columns whose prior matters."""
+    terms, first = [], 0
+    variances = process.values.variances(process.components)
+    power = np.diag(process.gram.gram) * variances / process.values.noise
+    gains = process.gains()
+    for number, one in enumerate(process.components):
+        here = power[first : first + len(one.columns)]
+        first += len(one.columns)
+        names = tuple(one.columns[k].name for k in np.flatnonzero(here > NEGLIGIBLE_COLUMN))
+        law = one.law(process.values.amplitudes[number], process.values.lengths[number])
+        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter)))
+    return tuple(terms)
+
+
+def _scatter(data: ArmData, noise: float) -> Excess:
+    """Return standard deviations beyond the stated uncertainty, from the noise relative to the weights."""
+    if data.turned is None:
+        return Excess(_beyond(noise, data.sigma, data.stated))
+    kinds = (
+        (data.sigma[rows], None if data.stated is None else data.stated[rows]) for rows in (~data.turned, data.turned)
+    )
+    return Excess(*(_beyond(noise, *kind) for kind in kinds))
+
+
+def _beyond(noise: float, sigma: Array, stated: Array | None) -> float:
+    """Return the standard deviation beyond the stated one of readings with weights from ``sigma``."""
+    total = noise * mean_variance(sigma)
+    return math.sqrt(max(total - (0.0 if stated is None else mean_variance(stated)), 0.0))

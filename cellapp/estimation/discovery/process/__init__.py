@@ -1,1 +1,0 @@
-"""Residuals of geometry and named laws as one structured Gaussian process: components, evidence, fit."""
