@@ -35,7 +35,6 @@ def test_steps_of_the_search_for_an_order(benchmark, stops: int) -> None:
     assert order.shape == (2, stops // 100, 100)
 
 
-@pytest.mark.fast
 @pytest.mark.benchmark(group="levels of one factor, 100 variables")
 @pytest.mark.parametrize("stops", [400, 4000])
 def test_balanced_levels(benchmark, stops: int) -> None:

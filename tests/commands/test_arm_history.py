@@ -189,7 +189,6 @@ def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[
         return dict(arm_identities(run))
 
 
-@pytest.mark.fast
 def test_an_arm_is_known_by_its_controller_then_by_the_profile_then_by_names(tmp_path: Path) -> None:
     profile = two_arms()
     given = profile.model_copy(
@@ -209,14 +208,12 @@ def test_an_arm_is_known_by_its_controller_then_by_the_profile_then_by_names(tmp
     assert not bare["left"].is_other_than(bare["right"])
 
 
-@pytest.mark.fast
 def test_a_damaged_record_of_controllers_leaves_the_names(tmp_path: Path) -> None:
     with planned_run(tmp_path / "run") as run:
         run.write_result(CONTROLLERS_RESULT, "[]")
         assert arm_identities(run)["left"].known_by == "names"
 
 
-@pytest.mark.fast
 def test_simulated_arms_have_no_serial_number_of_their_own(tmp_path: Path) -> None:
     profile = small_twin()
     with RunFile.create(tmp_path / "run", profile) as run:

@@ -18,8 +18,6 @@ from cellapp.estimation.readings import Reading
 from cellapp.interfaces.cli import main
 from tests.cell.run.small_runs import collected_run
 
-pytestmark = pytest.mark.fast
-
 
 def measure_again(run: RunFile, stop: int) -> None:
     """As the session does it."""

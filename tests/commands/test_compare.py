@@ -153,7 +153,6 @@ def store(run: RunFile, result: DiscoverResult) -> None:
     append_stage(run, DISCOVER, result, basis_of(run))
 
 
-@pytest.mark.fast
 def test_runs_without_results_are_compared_by_their_profiles(tmp_path: Path) -> None:
     planned_run(tmp_path / "a").close()
     planned_run(tmp_path / "b").close()
@@ -186,7 +185,6 @@ def test_other_arms_and_other_types_are_sentences(two_runs: tuple[Path, Path], t
     assert any(key.startswith("arms.third.") and entry.a is None for key, entry in keys.items())
 
 
-@pytest.mark.fast
 def test_a_run_is_not_compared_with_itself(tmp_path: Path) -> None:
     planned_run(tmp_path / "a").close()
     with (

@@ -13,8 +13,6 @@ from cellapp.ground.profile import Profile
 from drivers.findings import Finding
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture
 def real() -> Profile:

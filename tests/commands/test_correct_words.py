@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.commands.correct.view import view
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.view.table import Table
-
-pytestmark = pytest.mark.fast
 
 
 def test_each_size_in_the_table_is_explained_below_it_and_in_the_chapter() -> None:

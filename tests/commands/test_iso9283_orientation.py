@@ -57,7 +57,6 @@ def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: py
         assert np.linalg.norm(pose.orientation.accuracy_mrad) < 5.0
 
 
-@pytest.mark.fast
 def test_the_formulas_are_those_of_angles_about_the_base() -> None:
     rng = np.random.default_rng(1)
     base_M, commanded_M = Rotation.random(2, random_state=1).as_matrix()

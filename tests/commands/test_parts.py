@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from cellapp.commands.view.charts import Axis, Chart
 from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
 from cellapp.commands.view.table import Column, Table
@@ -11,8 +9,6 @@ from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.page.templates import template
 from cellapp.interfaces.render.html_view import html_view
 from cellapp.interfaces.render.plain import plain_text
-
-pytestmark = pytest.mark.fast
 
 TABLE = Table("a table", (Column("name"),), (("<b>",),))
 CHART = Chart("a chart", Axis("x"), Axis("y"), (), "nothing")

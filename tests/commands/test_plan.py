@@ -102,7 +102,6 @@ def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: Plann
     assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
 
 
-@pytest.mark.fast
 def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(file: Path, tmp_path: Path) -> None:
     result = plan_from_file(quickly_planned(4, plan={"reserve": 1}), file, tmp_path / "other")
     assert (result.stops["left"], result.reserves) == (STOPS, 0)
@@ -111,7 +110,6 @@ def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(fil
         assert (other.profile.plan.stops, other.profile.plan.reserve) == (STOPS, 0)
 
 
-@pytest.mark.fast
 def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
     file: Path, plan: PlannedStops, tmp_path: Path
 ) -> None:
@@ -129,7 +127,6 @@ def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
         assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.fast
 def test_a_file_without_a_stop_of_an_arm_makes_no_run(file: Path, tmp_path: Path) -> None:
     lines = file.read_text("utf-8").splitlines()
     file.write_text("\n".join(line for line in lines if not line.startswith("2,right,stop")), "utf-8")
@@ -244,7 +241,6 @@ def test_reserves_are_planned_last(tmp_path: Path) -> None:
         assert not np.array_equal(first.q["left"], read_planned_stops(run).q["left"])
 
 
-@pytest.mark.fast
 def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run: RunFile, plan: PlannedStops) -> None:
     with taking_requests(run.folder, JobControl()):
         for change in (lambda: extend_plan(run, 2), lambda: replan(run)):
@@ -270,7 +266,6 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
     same_stops(*added)
 
 
-@pytest.mark.fast
 def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
     made = plan_new_run(quickly_planned(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
     with RunFile.open(tmp_path / "run") as run:

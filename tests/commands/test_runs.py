@@ -40,7 +40,6 @@ def names(result: RunsResult) -> list[str]:
     return [Path(run.run).name for run in result.runs]
 
 
-@pytest.mark.fast
 def test_every_run_below_a_folder_newest_first_and_nothing_else(tmp_path: Path) -> None:
     for minute, name in enumerate(("b/first", "second", "a/deep/third", ".hidden/run", "one/two/three/too-deep")):
         planned_run(tmp_path / name).close()
@@ -55,7 +54,6 @@ def test_every_run_below_a_folder_newest_first_and_nothing_else(tmp_path: Path) 
     assert names(list_runs(tmp_path / "second")) == ["second"], "the folder of a run is a list of one"
 
 
-@pytest.mark.fast
 def test_a_folder_without_runs_and_none_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert list_runs().runs == ()
@@ -68,7 +66,6 @@ def test_a_folder_without_runs_and_none_at_all(tmp_path: Path, monkeypatch: pyte
             list_runs(Path(path))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("outcome", "measured", "interrupted", "words"),
     [
@@ -99,14 +96,12 @@ def test_a_run_whose_last_session_ended_early_can_be_resumed(
     assert (f"cellapp collect {folder} --resume' continues it" in said) == interrupted
 
 
-@pytest.mark.fast
 def test_a_plan_alone_was_not_interrupted(tmp_path: Path) -> None:
     planned_run(tmp_path / "run").close()
     row = summarise(tmp_path / "run")
     assert (row.sessions, row.last_session, row.interrupted, row.next_verb) == (0, None, False, "collect")
 
 
-@pytest.mark.fast
 def test_the_newest_interrupted_run_is_offered(tmp_path: Path) -> None:
     for minute, (name, outcome) in enumerate((("old", "stopped"), ("newer", None), ("newest", "complete"))):
         collected_run(tmp_path / name, outcome, 4 if outcome == "complete" else 1)  # type: ignore[arg-type]
@@ -116,7 +111,6 @@ def test_the_newest_interrupted_run_is_offered(tmp_path: Path) -> None:
     assert Path(offer.run).name == "newer"
 
 
-@pytest.mark.fast
 def test_a_run_that_a_job_uses_is_not_offered_and_not_disturbed(tmp_path: Path) -> None:
     control = JobControl()
     with planned_run(tmp_path / "run") as run, taking_requests(run.folder, control):
@@ -133,7 +127,6 @@ def test_a_run_that_a_job_uses_is_not_offered_and_not_disturbed(tmp_path: Path) 
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["run.sqlite"]
 
 
-@pytest.mark.fast
 def test_jobs_elsewhere_gone_and_silent_ones(tmp_path: Path) -> None:
     folder = collected_run(tmp_path / "run", None)
     job = folder / JOB_FILE
@@ -149,7 +142,6 @@ def test_jobs_elsewhere_gone_and_silent_ones(tmp_path: Path) -> None:
     assert summarise(folder).resumable
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("spoil", "says"), SPOILED)
 def test_a_run_that_cannot_be_read_is_a_row_with_its_sentence(
     tmp_path: Path, spoil: Callable[[Path], None], says: str
@@ -172,7 +164,6 @@ def test_a_run_that_cannot_be_read_is_a_row_with_its_sentence(
     assert files(tmp_path) == before
 
 
-@pytest.mark.fast
 def test_a_locked_run_is_a_row_at_once(tmp_path: Path) -> None:
     folder = collected_run(tmp_path / "run", "complete", 4)
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite", isolation_level=None)) as other:
@@ -186,7 +177,6 @@ def test_a_locked_run_is_a_row_at_once(tmp_path: Path) -> None:
     assert "no other program holds the file" in problem
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     "statement",
     [

@@ -27,8 +27,6 @@ from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.tui.work import job_of
 from tests.interfaces.page.cases import discovery
 
-pytestmark = pytest.mark.fast
-
 SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
 TARGETS = (MeasuredTarget(name="t1", arm="left", nominal_mm=None, compensated_mm=None, note=""),)
 WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensated_mm=LARGE_MM)}, targets=TARGETS)

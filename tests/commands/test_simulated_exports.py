@@ -16,8 +16,6 @@ from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run
 from tests.twin import PROFILES, finished_twin
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture
 def run(finished_copy: Path) -> Path:
@@ -27,7 +25,6 @@ def run(finished_copy: Path) -> Path:
     return finished_copy
 
 
-@pytest.mark.slow
 def test_the_first_line_of_every_export_says_that_the_cell_is_simulated(run: Path, tmp_path: Path) -> None:
     with RunFile.open(run) as opened:
         for name, form in all_formats().items():

@@ -26,7 +26,6 @@ from tests.handbook import declarations
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
-pytestmark = pytest.mark.fast
 WITH_TOY = (*VERBS, GREET)
 
 
@@ -69,7 +68,6 @@ def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> 
     )
 
 
-@pytest.mark.slow
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

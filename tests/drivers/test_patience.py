@@ -11,8 +11,6 @@ import pytest
 from drivers import patience
 from drivers.patience import MOST_S, SLICE_S, Patience, RunningTime, patient_get
 
-pytestmark = pytest.mark.fast
-
 
 class Clock:
     """A clock that a test moves."""

@@ -12,8 +12,6 @@ import pytest
 from drivers import priority
 from tests.waiting import within
 
-pytestmark = pytest.mark.fast
-
 
 def refused(*_: object) -> None:
     raise PermissionError(1, "Operation not permitted")

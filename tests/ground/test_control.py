@@ -9,8 +9,6 @@ import pytest
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.progress import Cancelled
 
-pytestmark = pytest.mark.fast
-
 
 def test_stop_calls_the_brakes_in_the_callers_thread_when_the_request_stands() -> None:
     control, braked = JobControl(), list[tuple[str, str, int]]()

@@ -8,12 +8,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
-import pytest
-
 import cellapp
 from cellapp.ground.counting import counted
 
-pytestmark = pytest.mark.fast
 _NOUNS = ("targets", "stops", "readings", "cycles", "checks", "positions")
 _NUMBER = re.compile(
     r"len\(.*\)|count|left|rows|wanted|total|done|asked|n|.*\.(n|stops|cycles|readings|stops_left|targets)"
@@ -40,7 +37,6 @@ def _bare(path: Path) -> Iterator[str]:
                     yield f"{path.name}:{node.lineno}: {{{source}}} {word}"
 
 
-@pytest.mark.slow
 def test_what_a_person_reads_counts_with_one_function() -> None:
     root = Path(cellapp.__file__).parent
     found = [

@@ -63,7 +63,6 @@ def values(given: dict[str, int], work: Work, folder: Path | None = None) -> lis
     return [None if one is None else one.value for one in found.results]
 
 
-@pytest.mark.fast
 def test_one_process_is_this_one_and_listens_to_every_task() -> None:
     heard = list[Progress]()
     found = gather(square, partial(offset, 0.5), FOUR, Square, "squares", Work(listener=heard.append))
@@ -79,13 +78,11 @@ def square_of_squares(prepared: tuple[float, Path | None], number: int) -> Squar
     return square(prepared, int(inner.value))
 
 
-@pytest.mark.fast
 def test_a_task_may_gather_tasks_of_its_own() -> None:
     found = gather(square_of_squares, partial(offset, 0.5), {"three": 3}, Square, "squares", Work())
     assert [one.value for one in found.found] == [81.5]
 
 
-@pytest.mark.fast
 def test_a_task_that_fails_is_named_and_does_not_stop_the_others() -> None:
     found = gather(square, partial(offset, 0.0), {"a": -1, "b": 2}, Square, "squares", Work())
     assert found.results[0] is None
@@ -96,7 +93,6 @@ def test_a_task_that_fails_is_named_and_does_not_stop_the_others() -> None:
     assert not gather(square, partial(offset, 0.0), {"a": -1}, Square, "x", Work(), all_may_fail=True).found
 
 
-@pytest.mark.fast
 def test_what_a_results_file_holds_is_not_computed_again(tmp_path: Path) -> None:
     kept = tmp_path / "kept.jsonl"
     work = Work(results=kept)
@@ -114,7 +110,6 @@ def test_what_a_results_file_holds_is_not_computed_again(tmp_path: Path) -> None
     assert [one.value for one in other.found] == [3.0, 6.0, 11.0, 18.0], "what all tasks share is another"
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("text", ["cells\n", '{"no": 1}\n'])
 def test_another_file_is_no_results_file_and_stays(tmp_path: Path, text: str) -> None:
     kept = tmp_path / "notes.txt"
@@ -126,7 +121,6 @@ def test_another_file_is_no_results_file_and_stays(tmp_path: Path, text: str) ->
         values(FOUR, Work(results=tmp_path / "missing" / "kept.jsonl"))
 
 
-@pytest.mark.fast
 def test_a_cancelled_job_begins_nothing_and_keeps_what_ended(tmp_path: Path) -> None:
     cancel, kept = CancelToken(), tmp_path / "kept.jsonl"
 

@@ -10,8 +10,6 @@ from cellapp.ground.pace import eta_words, in_lines, with_eta
 from cellapp.ground.progress import Progress, SharedProgress, StateChange
 from tests.waiting import within
 
-pytestmark = pytest.mark.fast
-
 
 class Clocked:
     """Events with the estimates that a listener got, at times that the test sets."""

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from cellapp.cell.exports.formats import all_formats
 from cellapp.commands.docs.handbook import chapter_text
 
 
-@pytest.mark.fast
 def test_the_page_describes_every_format() -> None:
     described = re.findall(r"^\| `([a-z-]+)` \|", chapter_text("exports"), re.M)
     assert described == list(all_formats())

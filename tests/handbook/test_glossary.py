@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from cellapp.commands.docs.handbook import topic_text
-
-pytestmark = pytest.mark.fast
 
 
 def test_terms_stand_in_order_are_short_and_lead_to_a_chapter() -> None:

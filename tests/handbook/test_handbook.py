@@ -27,8 +27,6 @@ from tests.handbook.effect_figures import FIGURES, figure_svg
 from tests.handbook.figure_files import write_figures
 from tests.handbook.scene import Scene, joint_offset, smr_shift
 
-pytestmark = pytest.mark.fast
-
 ROOT = Path(__file__).parents[2]
 TWIN = ROOT / "profiles" / "twin.yaml"
 DOCS = Path(cellapp.docs.__file__).parent
@@ -147,12 +145,10 @@ def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None
     assert (found["schema"], found["topic"]) == ("cellapp-docs", "backlash")
 
 
-@pytest.mark.slow
 def test_all_figures_are_drawn(tmp_path: Path) -> None:
     assert {path.stem for path in write_figures(load_profile(TWIN), tmp_path / "new")} == DRAWN
 
 
-@pytest.mark.slow
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"'sorcery' is not a topic; topics are {', '.join(CHAPTERS)}, joint"):
         topic_text("sorcery")

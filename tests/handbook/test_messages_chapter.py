@@ -6,11 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 from cellapp.commands.docs.handbook import chapter_text
-
-pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).parents[2]
 SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/safety")
@@ -38,7 +34,6 @@ def quoted() -> list[str]:
     return [message for row in rows for message in re.findall(r"`([^`]+)`", row)]
 
 
-@pytest.mark.slow
 def test_every_quoted_message_is_one_that_the_program_has() -> None:
     texts = spoken()
     messages = quoted()

@@ -10,8 +10,6 @@ import pytest
 import cellapp.docs
 from cellapp.commands.docs.handbook import CHAPTERS, PARTS
 
-pytestmark = pytest.mark.fast
-
 README = Path(__file__).parents[2] / "README.md"
 DOCS = Path(cellapp.docs.__file__).parent
 TEXTS = {"README": README, **{chapter: DOCS / f"{chapter}.md" for chapter in CHAPTERS}}

@@ -12,8 +12,6 @@ from cellapp.commands.docs.sections import search, section_at, sections
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_the_sections_of_a_chapter_are_its_text_and_every_link_leads_somewhere(chapter: str) -> None:

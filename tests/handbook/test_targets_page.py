@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
-
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.words import PART_WORDS, advice
 from cellapp.commands.docs.handbook import chapter_text
@@ -16,7 +14,6 @@ from tests.twin import small_twin
 PAGE = chapter_text("targets")
 
 
-@pytest.mark.fast
 def test_the_lists_are_lists_of_targets(tmp_path: Path) -> None:
     profile = small_twin()
     for language in ("yaml", "csv"):
@@ -25,7 +22,6 @@ def test_the_lists_are_lists_of_targets(tmp_path: Path) -> None:
         assert load_targets(path, profile)
 
 
-@pytest.mark.fast
 def test_the_page_has_every_part_of_an_uncertainty_and_the_advice_that_is_printed() -> None:
     rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", PAGE, re.M))
     assert set(PART_WORDS.values()) <= set(rows)

@@ -9,7 +9,6 @@ import pytest
 
 from cellapp.commands.docs.handbook import chapter_text
 
-pytestmark = pytest.mark.fast
 _README = Path(__file__).parents[2] / "README.md"
 _TAKES = re.compile(r"\b(?:takes?|took) (?:some |about )?[\d.]+ (?:m?s|min)\b[^.;|]*")
 _KNOWN = ("figures", "AMD EPYC", "times", "of the cell", "simulated twin")

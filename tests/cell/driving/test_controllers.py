@@ -29,8 +29,6 @@ from drivers.arms.ur_settings import UrSettings
 from tests.loopback import own_address
 from tests.twin import small_twin, with_arm
 
-pytestmark = pytest.mark.fast
-
 _DELTAS = ("delta_theta", "delta_d", "delta_a", "delta_alpha")
 PROFILES = Path(__file__).parents[3] / "profiles"
 

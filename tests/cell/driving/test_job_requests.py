@@ -41,7 +41,6 @@ def job(folder: Path, braked: list[str]) -> Iterator[JobControl]:
         yield control
 
 
-@pytest.mark.fast
 def test_every_verb_is_done_before_it_is_answered(folder: Path, job: JobControl, braked: list[str]) -> None:
     steps: tuple[tuple[Verb, str, str], ...] = (
         ("pause", "after the present stop", "pause"),
@@ -57,7 +56,6 @@ def test_every_verb_is_done_before_it_is_answered(folder: Path, job: JobControl,
     assert job.cancelled
 
 
-@pytest.mark.fast
 def test_a_request_that_does_not_fit_the_state_is_refused_in_words(folder: Path, job: JobControl) -> None:
     cases: tuple[tuple[Verb | None, Verb, str], ...] = (
         (None, "resume", "neither paused nor stopped"),
@@ -73,7 +71,6 @@ def test_a_request_that_does_not_fit_the_state_is_refused_in_words(folder: Path,
         assert caught.value.exit_code == 2
 
 
-@pytest.mark.fast
 def test_a_job_that_nobody_attends_ends_after_a_stop_and_cannot_be_resumed(folder: Path) -> None:
     control = JobControl()
     with taking_requests(folder, control):
@@ -86,7 +83,6 @@ def test_a_job_that_nobody_attends_ends_after_a_stop_and_cannot_be_resumed(folde
         assert "stopped" in ask_running_job(folder, "stop"), "a second stop does no harm"
 
 
-@pytest.mark.fast
 def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(InputError, match="no run is here"):
         ask_running_job(tmp_path / "nowhere", "stop")
@@ -100,7 +96,6 @@ def test_no_run_no_job_and_a_job_that_ended(tmp_path: Path, folder: Path) -> Non
         ask_running_job(folder, "stop")
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"computer": "a", "port": "x", "token": ""}', "\x00"])
 def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
     (folder / JOB_FILE).write_text(text)
@@ -110,7 +105,6 @@ def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
         assert "stopped" in ask_running_job(folder, "stop")
 
 
-@pytest.mark.fast
 def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, braked: list[str]) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     (folder / JOB_FILE).write_text(json.dumps({**address, "token": "of an earlier job"}))
@@ -119,7 +113,6 @@ def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, 
     assert (job.request, braked) == ("none", [])
 
 
-@pytest.mark.fast
 def test_a_second_job_in_the_folder_is_refused(folder: Path, job: JobControl) -> None:
     with pytest.raises(InputError, match="another job runs here"), taking_requests(folder, JobControl()):
         pytest.fail("two jobs in one folder")
@@ -127,7 +120,6 @@ def test_a_second_job_in_the_folder_is_refused(folder: Path, job: JobControl) ->
     assert job.request == "stop", "the first job still takes requests"
 
 
-@pytest.mark.fast
 def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     (folder / JOB_FILE).write_text(json.dumps({**address, "computer": "cell-pc"}))
@@ -136,13 +128,11 @@ def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> No
     assert job.request == "none"
 
 
-@pytest.mark.fast
 @pytest.mark.skipif(os.name != "posix", reason="Windows has other rights")
 def test_only_the_owner_may_read_the_token(folder: Path, job: JobControl) -> None:
     assert stat.S_IMODE((folder / JOB_FILE).stat().st_mode) == 0o600
 
 
-@pytest.mark.fast
 def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: JobControl) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     lines = (b"\n", b"x" * 10_000, b"wrong abort\n", f"{address['token']} explode\n".encode(), b"\xff\xfe \x00\n")
@@ -168,7 +158,6 @@ def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: 
             ask_running_job(folder, "stop")
 
 
-@pytest.mark.fast
 def test_requests_of_many_at_once_are_all_answered(folder: Path, job: JobControl) -> None:
     answers: list[str] = []
     askers = [threading.Thread(target=lambda: answers.append(ask_running_job(folder, "stop"))) for _ in range(20)]
@@ -179,7 +168,6 @@ def test_requests_of_many_at_once_are_all_answered(folder: Path, job: JobControl
     assert len(answers) == 20
 
 
-@pytest.mark.fast
 def test_a_look_tells_the_state_and_how_far_the_job_is(folder: Path) -> None:
     control = JobControl(holds=True)
     assert look_at_job(folder) is None

@@ -16,7 +16,6 @@ from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostSt
 from drivers.trackers.protocol import TrackerLinkLost
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.fast
 WITHIN_S = WAIT_S
 
 

@@ -26,8 +26,6 @@ from drivers.trackers.lmf_stream import LmfStreamTracker
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import small_twin, write_profile
 
-pytestmark = pytest.mark.fast
-
 STOPS = 4
 
 

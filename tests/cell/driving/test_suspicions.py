@@ -15,7 +15,7 @@ from cellapp.robot.kinematics.transforms import rotation_from_vector
 from tests.series import Array, Series, series, twin
 
 STOPS, BEGIN = 130, 80
-SEEDS = [11, *(pytest.param(seed, marks=pytest.mark.long) for seed in (12, 13))]
+SEEDS = [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))]
 Fault = Callable[[Mapping[str, Series]], None]
 
 
@@ -65,12 +65,12 @@ def other_smr(readings: Mapping[str, Series]) -> None:
     readings["left"].p_M[BEGIN] = readings["right"].p_M[BEGIN] + 20e-6
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
 def test_gravity_and_backlash_raise_nothing(seed):
     assert raised(seed, stops=200) == []
 
 
-@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.long) for seed in (3, 4))])
+@pytest.mark.parametrize("seed", [2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 4))])
 def test_an_eccentric_encoder_raises_nothing_where_stops_follow_each_other_on_short_ways(seed):
     assert raised(seed, stops=200, short_ways=True) == []
 

@@ -23,7 +23,6 @@ from drivers.trackers.protocol import (
 )
 from tests.latency import attempts
 
-pytestmark = pytest.mark.fast
 _PATIENT_S = 20.0
 
 

@@ -94,7 +94,6 @@ def plain_rejection(cell: CellBodies, name: str, draws: int) -> np.ndarray:
     return np.asarray(q[clear_alone(cell, place(cell.arms[name], q))])
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("which", CELLS)
 def test_every_candidate_can_be_measured(which: str) -> None:
     cell, name = CELLS[which]
@@ -135,7 +134,6 @@ def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
         np.testing.assert_allclose(np.quantile(pool.q, level, axis=0), np.quantile(plain, level, axis=0), atol=0.25)
 
 
-@pytest.mark.fast
 def test_random_configurations_are_independent() -> None:
     cell, name = CELLS["UR10"]
     configurations = random_configurations(cell, small_twin(), name, np.random.default_rng(5))
@@ -145,7 +143,6 @@ def test_random_configurations_are_independent() -> None:
     assert visible(cell, name, q).all()
 
 
-@pytest.mark.fast
 def test_the_seed_makes_the_pool() -> None:
     cell, name = CELLS["UR10"]
     first, again, other = (pool_of(cell, name, seed) for seed in (1, 1, 2))
@@ -154,7 +151,6 @@ def test_the_seed_makes_the_pool() -> None:
     assert not np.any(np.all(first.q == other.q, axis=1))
 
 
-@pytest.mark.fast
 def test_joints_that_may_not_move_give_no_copies() -> None:
     cell, name = CELLS["UR10"]
     start = pool_of(cell, name).q[0]
@@ -173,7 +169,6 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
         draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
 
 
-@pytest.mark.fast
 def test_drawing_can_be_cancelled() -> None:
     token = CancelToken()
     token.cancel()
@@ -181,7 +176,6 @@ def test_drawing_can_be_cancelled() -> None:
         draw_pool(*CELLS["UR10"][:1], small_twin(), "left", 10, np.random.default_rng(0), token)
 
 
-@pytest.mark.fast
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
 def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:

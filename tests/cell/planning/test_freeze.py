@@ -18,8 +18,6 @@ from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 @given(st.sets(st.integers(0, 999), min_size=1))
 def test_any_set_of_stops_can_be_listed(stops: set[int]) -> None:

@@ -22,8 +22,6 @@ from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from drivers.plant.clearance import segment_distances
 from tests.twin import small_twin, with_arms
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:
@@ -153,7 +151,6 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
         plan_stops(profile)
 
 
-@pytest.mark.slow
 def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     profile = small_twin(3)
     home = profile.arms["right"].home

@@ -11,8 +11,6 @@ from scipy.optimize import lsq_linear
 
 from cellapp.cell.safety.bodies import segment_distance
 
-pytestmark = pytest.mark.fast
-
 KNOWN = [
     # a0, a1, b0, b1, distance
     ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), 1.0),  # parallel, side by side
@@ -46,7 +44,6 @@ def searched(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> 
 POINTS = hnp.arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: 0.25 * k))
 
 
-@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(points=POINTS, turned=st.floats(-1e-6, 1e-6))
 @example(points=np.zeros((4, 3)), turned=0.0)

@@ -11,8 +11,6 @@ from cellapp.cell.run import RunFile
 from cellapp.ground.errors import InputError
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.mark.parametrize(
     ("text", "says"),

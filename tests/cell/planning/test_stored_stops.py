@@ -30,8 +30,6 @@ from cellapp.ground.errors import InputError
 from tests.cell.planning.hand_made import same_stops, some_stops
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
     stops = some_stops(7)

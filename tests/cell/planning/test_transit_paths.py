@@ -65,7 +65,6 @@ def test_a_way_leads_round_a_pillar() -> None:
     assert way.seconds <= route_s(profile, here, (home, there)) + 1e-9
 
 
-@pytest.mark.fast
 def test_a_random_tree_leads_round_a_pillar() -> None:
     cell = cell_bodies(with_pillar(one_arm()))
     here, there = both_sides(cell)
@@ -89,7 +88,6 @@ def test_arms_that_would_meet_go_another_way() -> None:
         assert not isinstance(way, TransitPath) or replay(cell, here, way, there) == []
 
 
-@pytest.mark.fast
 def test_roadmaps_know_what_the_limits_shut_off() -> None:
     """With limits of half a turn, wrist 1 beyond a quarter turn is on the other side of the forearm."""
     profile = one_arm()
@@ -119,7 +117,7 @@ def test_an_arm_without_home_has_a_roadmap() -> None:
     assert refusals(cell, found.stops, first) == []
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_plans_among_obstacles_pass_the_gate(seed: int) -> None:
     profile = with_pillar(planned_twin(16))
     cell, homes = cell_bodies(profile), home_positions(profile)
@@ -129,7 +127,6 @@ def test_plans_among_obstacles_pass_the_gate(seed: int) -> None:
     assert refusals(cell, found.stops, homes, homes) == []
 
 
-@pytest.mark.fast
 def test_times_of_stops_are_those_of_their_motions() -> None:
     profile = planned_twin(6)
     stops = some_stops(6)
@@ -146,7 +143,6 @@ def test_times_of_stops_are_those_of_their_motions() -> None:
     np.testing.assert_allclose(stop_times_of(profile, straight).moving_s[1:], expected)
 
 
-@pytest.mark.fast
 def test_a_confounded_factor_is_found() -> None:
     """All last motions of joint 2 come from above where its sine is positive."""
     profile = planned_twin(40)

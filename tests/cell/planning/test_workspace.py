@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.cell.planning.candidates import workspace_configurations
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_alone, visible
 from tests.twin import small_twin
-
-pytestmark = pytest.mark.fast
 
 
 def test_targets_are_clear_wherever_the_smr_looks() -> None:

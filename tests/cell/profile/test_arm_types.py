@@ -14,8 +14,6 @@ from cellapp.ground.starters import starters_folder
 from cellapp.robot.kinematics.chain import flange_poses, nominal_geometry
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_x, rotation_y
 
-pytestmark = pytest.mark.fast
-
 Axes = list[tuple[tuple[float, float, float], tuple[float, float, float]]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MINUS_X, MINUS_Y, MINUS_Z = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)

@@ -12,8 +12,6 @@ from cellapp.commands.doctor.profile_view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 
 def written(folder: Path, *lines: str) -> Path:
     """The twin's profile with obstacles at its end."""

@@ -16,8 +16,6 @@ from cellapp.cell.programs.targets import ReadProgram
 from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
 from cellapp.ground.errors import InputError
 
-pytestmark = pytest.mark.fast
-
 TCP = "set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
 POSE, JOINTS = "p[0.4, -0.2, 0.3, 0, 3.1, 0]", "[0.1, -1.2, 1.3, -1.4, 1.5, 0.6]"
 OTHER = "p[0.5, -0.2, 0.3, 0, 3.1, 0]"
@@ -149,7 +147,6 @@ LINES = ["# movel(p[1,2,3,4,5,6])", 'textmsg("end")', "x = x + 1", "", "  sleep(
 NOISE = st.lists(st.sampled_from(LINES))
 
 
-@pytest.mark.slow
 @given(poses=st.lists(NUMBERS, min_size=1, max_size=5), noise=NOISE, ends=st.sampled_from(["\n", "\r\n"]))
 def test_programs_come_back_byte_for_byte(poses: list[list[float]], noise: list[str], ends: str) -> None:
     lines = [*noise]

@@ -32,8 +32,6 @@ from cellapp.robot.kinematics.transforms import rotation_vectors
 from cellapp.robot.model import ArmModel
 from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
-pytestmark = pytest.mark.fast
-
 Array = NDArray[np.float64]
 HOME = np.array([0.3, -1.4, 1.6, -1.7, 1.2, 0.4])
 TCP = (0.02, -0.03, 0.15, 0.1, 0.2, 0.3)
@@ -92,7 +90,6 @@ class Waves:
 MODELS = [arm_model(), arm_model(2, COMPLIANCE, ECCENTRICITY), arm_model(3, COMPLIANCE, network=Waves())]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("arm", MODELS)
 def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> None:
     q = HOME + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6))
@@ -109,7 +106,6 @@ def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> Non
         np.testing.assert_allclose(pose_matrix(pose.new or ()), pose_matrix(told), atol=1e-9)
 
 
-@pytest.mark.slow
 @settings(max_examples=15)
 @given(seed=st.integers(0, 2**31), length=st.floats(0.0, 2e-3), angle=st.floats(0.0, 3e-3))
 def test_any_arm_is_inverted_below_a_micrometre(seed: int, length: float, angle: float) -> None:

@@ -53,7 +53,6 @@ def refusal(path: Path) -> str:
     return str(caught.value)
 
 
-@pytest.mark.fast
 def test_a_file_of_two_arms(path: Path) -> None:
     write(path, *ROWS)
     readings, notes = read_readings_csv(path, JOINTS)
@@ -71,7 +70,6 @@ def test_a_file_of_two_arms(path: Path) -> None:
     assert notes == [f"{path}: column 'mood' is unknown; it is kept and not used"]
 
 
-@pytest.mark.fast
 def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     write(path, *reversed(ROWS))
     readings, _ = read_readings_csv(path, JOINTS)
@@ -80,7 +78,6 @@ def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     assert readings["left"].extras == {"mood": ("good", "bad")}
 
 
-@pytest.mark.fast
 def test_what_is_optional_may_be_absent(path: Path) -> None:
     write(path, "5,left,1,2,3,4,5", header="configuration,arm,q1,q2,x_m,y_m,z_m")
     readings, notes = read_readings_csv(path, JOINTS)
@@ -92,7 +89,6 @@ def test_what_is_optional_may_be_absent(path: Path) -> None:
     assert notes == [f"{path}: arm 'right' of the profile has no readings in this file"]
 
 
-@pytest.mark.fast
 def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) -> None:
     text = "\r\n".join([HEADER.replace(",", " , "), ROWS[0].replace(",", " , "), "", ROWS[2], "", ""])
     path.write_bytes(b"\xef\xbb\xbf" + text.encode())
@@ -100,7 +96,6 @@ def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) ->
     assert len(readings["left"]) == 2
 
 
-@pytest.mark.fast
 def test_a_misspelt_optional_column_is_pointed_out(path: Path) -> None:
     write(path, *ROWS, header=HEADER.replace("sigma_m", "sigma"))
     readings, notes = read_readings_csv(path, JOINTS)
@@ -142,7 +137,6 @@ BAD_CELLS = [
 ]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("row", "old", "new", "column", "says"), BAD_CELLS)
 def test_a_bad_cell_is_named_with_file_line_and_column(
     path: Path, row: int, old: str, new: str, column: str, says: str
@@ -157,7 +151,6 @@ def test_a_bad_cell_is_named_with_file_line_and_column(
     assert "\n" not in message
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("old", "new", "column", "says"),
     [
@@ -182,7 +175,6 @@ def test_a_bad_header_names_the_column(path: Path, old: str, new: str, column: s
     assert says in told
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("sign", ["2", "0.5", "+", "-2"])
 def test_approach_is_a_sign(path: Path, sign: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,approach1,approach2"
@@ -203,7 +195,6 @@ COVARIANCES = [
 ]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("six", "column", "says"), COVARIANCES)
 def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,sxx,sxy,sxz,syy,syz,szz"
@@ -224,7 +215,6 @@ def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str)
     assert says in message
 
 
-@pytest.mark.fast
 def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m"
     write(path, "0,left,1,2,3,4,5", "1,left,90,2,3,4,5", "2,left,10,-45,3,4,5", header=header)
@@ -234,7 +224,6 @@ def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -
     assert readings["left"].q[1, 0] == 13.0
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("content", "where", "says"),
     [
@@ -257,14 +246,12 @@ def test_a_file_that_holds_no_readings(path: Path, content: bytes, where: str, s
     assert says in message
 
 
-@pytest.mark.fast
 def test_a_missing_file_and_a_folder(path: Path) -> None:
     assert "file not found" in refusal(path)
     path.mkdir()
     assert "cannot be read" in refusal(path)
 
 
-@pytest.mark.fast
 def test_several_errors_are_told_together(path: Path) -> None:
     rows = [row.replace("0.2,", "x,", 1).replace("3.5", "y") for row in ROWS]
     write(path, *rows)
@@ -276,7 +263,6 @@ def test_several_errors_are_told_together(path: Path) -> None:
     ]
 
 
-@pytest.mark.fast
 def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
     write(path, *ROWS)
     with import_csv(two_arms(), path, tmp_path / "run") as run:
@@ -290,7 +276,6 @@ def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
         import_csv(two_arms(), path, tmp_path / "run")
 
 
-@pytest.mark.fast
 def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
     write(path, *(row for row in ROWS if "left" in row))
     with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
@@ -298,7 +283,6 @@ def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.fast
 def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
     header = "zeta," + HEADER + ",alpha,payload_kg"
     write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
@@ -313,7 +297,6 @@ def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "out.csv.new").exists()
 
 
-@pytest.mark.fast
 def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> None:
     rows = [row.replace("good", "=1+2").replace("bad", "-0.5") for row in ROWS]
     write(path, *rows)
@@ -407,7 +390,6 @@ def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_f
     shutil.rmtree(folder)
 
 
-@pytest.mark.fast
 @settings(max_examples=50, deadline=None)
 @given(content=st.text(alphabet='configuration,arm"qxyz_m123.\n-e5leftrigh', max_size=120))
 def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -422,7 +404,6 @@ def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.Temp
     shutil.rmtree(path.parent)
 
 
-@pytest.mark.fast
 def test_the_real_arm(tmp_path: Path) -> None:
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     with import_csv(profile, REAL, tmp_path / "run") as run:
@@ -445,7 +426,6 @@ def test_the_real_arm(tmp_path: Path) -> None:
         assert next(csv.reader(file)) == list(given_rows[0])
 
 
-@pytest.mark.fast
 def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Path, path: Path) -> None:
     """One row in degrees among rows in radians once ruined a calibration without a word."""
     rows = [f"{k},left,0.1,0.2,1,2,3" for k in range(5)]
@@ -465,7 +445,6 @@ def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Pa
     assert readings["left"].q[2, 1] == 12.5
 
 
-@pytest.mark.fast
 def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> None:
     text = REAL.read_text(encoding="utf-8").splitlines()
     cells = text[7].split(",")
@@ -478,7 +457,6 @@ def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> Non
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("column", "value"),
     [

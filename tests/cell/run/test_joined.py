@@ -7,8 +7,6 @@ import pytest
 
 from cellapp.estimation.readings import Reading, Readings, joined
 
-pytestmark = pytest.mark.fast
-
 
 def reading(number: int, **more: object) -> Readings:
     values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}

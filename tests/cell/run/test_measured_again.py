@@ -15,8 +15,6 @@ from cellapp.cell.run.measured_again import earlier_readings, replace_stop, repl
 from cellapp.estimation.readings import Reading
 from tests.cell.run.small_runs import add_stop, planned_run
 
-pytestmark = pytest.mark.fast
-
 
 def seen(joints: int, x_m: float) -> Reading:
     return Reading(q=np.zeros(joints), p_M=np.array([x_m, 0.0, 0.0]), time_s=9.0, split="train")

@@ -21,8 +21,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 
-pytestmark = pytest.mark.fast
-
 JOINTS = {"left": 2, "right": 3}
 HEADER = "configuration,arm,q1,q2,x_m,y_m,z_m"
 
@@ -151,7 +149,6 @@ def test_conditions_have_the_order_in_stops_and_no_made_up_time() -> None:
     np.testing.assert_array_equal(measurement_conditions(timed).order, [1, 0])
 
 
-@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     q=hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.just(2)), elements=st.floats(-3.0, 3.0)), data=st.data()

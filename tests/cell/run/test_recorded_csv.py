@@ -12,8 +12,6 @@ from hypothesis import strategies as st
 from cellapp.cell.run.recorded_csv import converted, read_recorded
 from cellapp.ground.errors import InputError
 
-pytestmark = pytest.mark.fast
-
 Q = np.array([[0.1, -1.2, 2.0], [1.4, -0.3, 1.1], [-2.2, 0.4, 0.9], [0.7, 1.9, -1.3]])
 P = np.array([[0.4, -3.2, 0.2], [0.5, -3.1, 0.3], [0.1, -3.3, 0.1], [0.2, -2.9, 0.6]])
 

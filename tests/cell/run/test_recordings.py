@@ -33,12 +33,10 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 @given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=1, max_dims=1, min_side=0, max_side=50)))
-@pytest.mark.fast
 def test_every_bit_of_a_column_comes_back(values: np.ndarray) -> None:
     assert unpacked(packed(values), len(values)).tobytes() == values.tobytes()
 
 
-@pytest.mark.fast
 def test_damaged_columns_are_noticed() -> None:
     data = packed(np.arange(10.0))
     for spoiled in (data[:-4], b"", b"nothing"):
@@ -71,7 +69,6 @@ def imported(tmp_path: Path, joints: Columns, points: Columns, arm: str | None =
     return RunFile.create(tmp_path / "run", two_arms(), fill)
 
 
-@pytest.mark.fast
 def test_a_recording_is_stored_and_exported_bit_for_bit(tmp_path: Path) -> None:
     joints, points = joint_columns(), point_columns()
     joints["voltage"] = 48.0 + joints["q1"]
@@ -105,7 +102,6 @@ def test_a_recording_is_stored_and_exported_bit_for_bit(tmp_path: Path) -> None:
         assert recordings_digest(again, "left")[0] == digest[0] == 2500
 
 
-@pytest.mark.fast
 def test_stamps_that_are_not_steady_are_kept_and_counted(tmp_path: Path) -> None:
     joints, points = joint_columns(), point_columns()
     joints["time_s"][501:] += 3.0  # the clock steps, which looks like a gap
@@ -126,7 +122,6 @@ def test_stamps_that_are_not_steady_are_kept_and_counted(tmp_path: Path) -> None
         assert said in notes
 
 
-@pytest.mark.fast
 def test_files_of_both_arms_and_several_names(tmp_path: Path) -> None:
     parts = [("left", "one"), ("left", "two"), ("right", "one")]
 
@@ -253,7 +248,6 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
 }
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_no_recording_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
     spoil, said = BAD[case]
@@ -261,7 +255,6 @@ def test_what_is_no_recording_is_refused_where_it_is_wrong(case: str, tmp_path: 
     assert re.search(said, message), message
 
 
-@pytest.mark.fast
 def test_which_arm_must_be_clear(tmp_path: Path) -> None:
     assert "which arm it is of; give --arm" in refused(tmp_path, joint_columns(), point_columns(), arm=None)
     assert "'top' is not in the profile" in refused(tmp_path, joint_columns(), point_columns(), arm="top")
@@ -272,7 +265,6 @@ def test_which_arm_must_be_clear(tmp_path: Path) -> None:
         read_recordings(two_arms(), [pair[0]] * 2, [pair[1]] * 2, "left")
 
 
-@pytest.mark.fast
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     good = write_columns(tmp_path / "p.csv", point_columns())
     binary = tmp_path / "j.csv"
@@ -290,7 +282,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         read_recordings(two_arms(), [tmp_path / "none.csv"], [good], "left")
 
 
-@pytest.mark.fast
 def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Path) -> None:
     with imported(tmp_path, joint_columns(), point_columns()) as run:
         path = run.path
@@ -309,7 +300,6 @@ def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Pat
             fill(older)
 
 
-@pytest.mark.fast
 def test_a_damaged_recording_is_named(tmp_path: Path) -> None:
     with imported(tmp_path, joint_columns(), point_columns()) as run:
         with run.change() as connection:

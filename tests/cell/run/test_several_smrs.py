@@ -25,7 +25,6 @@ from tests.cell.run.csv_rows import Rows, written
 from tests.commands.quiet_work import quiet_work
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
 STOPS = 24
 PLACES_S = {
     "A": (0.0, 0.0, 0.0),

@@ -17,7 +17,6 @@ from cellapp.robot.kinematics.transforms import apply, invert, transform
 from tests.cell.run.csv_rows import Rows, written
 from tests.cell.run.test_several_smrs import change, left_alone
 
-pytestmark = pytest.mark.fast
 T = transform(Rotation.from_euler("z", 1.2).as_matrix(), [2.0, -1.0, 0.2])
 NESTS = np.array([[2.0, 1.5, -0.5], [3.5, -1.0, -0.5], [4.5, 1.0, -0.4], [3.0, 0.2, -0.6], [4.8, -1.2, 0.3]])
 POINTS = np.random.default_rng(2).uniform(-0.8, 0.8, (12, 3)) + np.array([3.5, 0.0, 0.3])

@@ -8,8 +8,6 @@ import pytest
 from cellapp.cell.targets.ranges import MeasuringNoise
 from cellapp.estimation.readings import Readings
 
-pytestmark = pytest.mark.fast
-
 POINTS = np.random.default_rng(0).uniform([2.0, -2.0, -1.0], [6.0, 2.0, 1.0], (50, 3))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -16,8 +15,6 @@ from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.twin import small_twin
-
-pytestmark = pytest.mark.fast
 
 _AT_M = 1e-12
 """Rounding of a few transforms of coordinates of some metres."""
@@ -78,7 +75,6 @@ def check_goals(goals: ArmGoals, position_M: Array, rotation_M: Array) -> None:
     np.testing.assert_allclose(goals.rotation_M, np.broadcast_to(rotation_M, goals.rotation_M.shape), atol=_AT_M)
 
 
-@pytest.mark.slow
 @given(poses, poses)
 def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array) -> None:
     targets = everywhere(T_M_S, T_M_W)
@@ -87,7 +83,6 @@ def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array
     check_goals(goals, T_M_S[:3, 3], T_M_S[:3, :3])
 
 
-@pytest.mark.slow
 @given(poses, poses)
 def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array) -> None:
     goals = goals_of_arm(MODEL, everywhere(T_M_S, T_M_W), "left")
@@ -100,7 +95,6 @@ def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array
     np.testing.assert_allclose(goals.nominal_rotation_M, np.array(expected)[:, :3, :3], atol=_AT_M)
 
 
-@pytest.mark.slow
 @given(poses, poses, poses)
 def test_the_partner_is_seen_from_the_first_arm(T_M_S: Array, T_M_W: Array, T_S_P: Array) -> None:
     yaw, pitch, roll = zyx_angles(T_S_P[:3, :3])

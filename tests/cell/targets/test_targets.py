@@ -15,8 +15,6 @@ from cellapp.estimation.uncertainty.decision import target_verdict
 from cellapp.ground.errors import InputError
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 PROFILE = small_twin()
 HEAD = "schema: cellapp-targets\nversion: 1\ntargets:\n"
 GOOD = "  - {name: one, arm: left, position: [-0.4, 0.25, 1.0], rpy: [0, 0, 0]}\n"

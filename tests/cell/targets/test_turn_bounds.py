@@ -12,7 +12,6 @@ from cellapp.cell.targets.prediction import _with_noise, length_bounds
 from cellapp.estimation.calibration.readings_noise import readings_noise
 from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
 
-pytestmark = pytest.mark.fast
 AXES = np.array([5e-5, 6e-5, 2e-4])
 DRAWS = PosteriorDraws((0,), np.zeros((4, 1)), (), 1e-5, float(np.sqrt(np.mean(AXES**2))), AXES)
 

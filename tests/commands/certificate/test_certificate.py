@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of
 from cellapp.commands.report.result import RunResults
 from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pose_test, profile_with, results, verification
-
-pytestmark = pytest.mark.fast
 
 LEFT = [measured("a", "left", 0.03), measured("b", "left", 0.05, 0.4)]
 

@@ -10,8 +10,6 @@ from cellapp.commands.certificate.instruments import used_instruments
 from cellapp.ground.profile.acceptance import Instrument
 from tests.estimation.uncertainty.cases import profile_with
 
-pytestmark = pytest.mark.fast
-
 MEASURED = ("2026-03-02T23:59:59.000+00:00", "2026-03-04T08:00:00.000+00:00")
 
 

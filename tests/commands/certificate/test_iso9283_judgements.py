@@ -8,8 +8,6 @@ from cellapp.commands.certificate.iso9283_judgements import judge_characteristic
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
 from cellapp.ground.profile.acceptance import Tolerances
 
-pytestmark = pytest.mark.fast
-
 
 def arm(accuracy_mm: float, expanded_mm: float | None, n: int) -> ArmIso9283:
     value = IsoValue(value_mm=accuracy_mm, expanded_mm=expanded_mm, n=n)

@@ -15,8 +15,6 @@ from cellapp.ground.results import COMPENSATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
 
-pytestmark = pytest.mark.fast
-
 LEFT = [measured("a", "left", 0.03, 0.0), measured("b", "left", 0.05, 0.4)]
 RIGHT = [measured("c", "right", 0.02), measured("d", "right", 0.04, 0.3)]
 

@@ -19,8 +19,6 @@ from cellapp.robot.kinematics.transforms import apply, invert
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 ANSWERS = """\
 name: hall-3
 arms:

@@ -13,8 +13,6 @@ from drivers.arms.ur_checks import UrExpectation, load_checks
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import UrSample
 
-pytestmark = pytest.mark.fast
-
 EXPECTED = UrExpectation(
     "UR10",
     None,

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from drivers.arms.protocol import ArmError, HostStalled, LinkLost, ProtectiveStop
 from drivers.arms.ur_guarded_link import FirstDoubt
-
-pytestmark = pytest.mark.fast
 
 
 def test_a_doubt_that_came_before_anybody_listened_is_delivered() -> None:

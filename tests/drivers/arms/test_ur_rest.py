@@ -14,8 +14,6 @@ from drivers.arms.ur_rtde_reader import UrSample
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME
 
-pytestmark = pytest.mark.fast
-
 Delayed = tuple[DelayedClient, Monitor]
 STATE = {"do": "state"}
 MOVE = {"do": "move", "q": list(AWAY), "speed": [1.0] * 6, "acceleration": [1.0] * 6}

@@ -16,8 +16,6 @@ from drivers.patience import Patience
 from tests.drivers.arms.emulated_ur_cell import PATIENT_S, pause
 from tests.waiting import until
 
-pytestmark = pytest.mark.fast
-
 HOST = "127.0.0.1"
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 Answer = Callable[[socket.socket, str], bool]

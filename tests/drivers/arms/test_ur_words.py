@@ -27,8 +27,6 @@ from tests.drivers.arms.emulated_ur_cell import AWAY, expectation
 from tests.drivers.arms.test_ur_checks import EXPECTED, PROBE
 from tests.loopback import own_address
 
-pytestmark = pytest.mark.fast
-
 Delayed = tuple[DelayedClient, Monitor]
 TO_DO = re.compile(
     r"\b(see w|look at|close |raise |switch |jog |power the|go to the arm|connect again|set it|choose it|correct |check"

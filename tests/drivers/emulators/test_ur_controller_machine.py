@@ -16,8 +16,6 @@ from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram
 from tests.drivers.emulators.test_ur_controller_state import MOVE, STOP_JOINTS, WATCHDOG, Bench
 
-pytestmark = pytest.mark.fast
-
 SPEED = 2.0
 BRAKED_S = 0.024 + 0.5
 """Longest time from a stop to rest, from full speed."""
@@ -206,6 +204,5 @@ MODEST = settings(max_examples=60, stateful_step_count=20, deadline=None, derand
 ControllerMachine.TestCase.settings = MODEST
 Cb3Machine.TestCase.settings = MODEST
 TestControllerMachine = ControllerMachine.TestCase
-TestControllerMachine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]
 TestCb3Machine = Cb3Machine.TestCase
 TestCb3Machine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]

@@ -16,8 +16,6 @@ from drivers.emulators.ur_controller.controller import Controller, RobotMode, Ru
 from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ControlScript, Upload
 
-pytestmark = pytest.mark.fast
-
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
 MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END = 1, 34, 17, 29, 35, 47, 0, 255

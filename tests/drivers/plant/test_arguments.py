@@ -9,8 +9,6 @@ from drivers.plant import GeometryErrors
 from drivers.plant.plant import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
 from drivers.plant.transforms import rigid, transform_points
 
-pytestmark = pytest.mark.fast
-
 Q = np.random.default_rng(4).uniform(-2.5, 2.5, (6, 6))
 DRIFT = {"shift": [1e-3, 0.0, 0.0], "turn": [0.0, 0.0, 1e-3], "law": "linear", "time": 1000.0}
 SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}

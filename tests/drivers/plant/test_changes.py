@@ -11,7 +11,6 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from drivers.plant.changes import lengthened, link_moved, zero_shifted
 from tests.arms import OFF_AXIS, UR10, at_station, plant_of
 
-pytestmark = pytest.mark.fast
 Q = np.random.default_rng(4).uniform(-2.0, 2.0, (9, 6))
 SIZE = 1e-3
 

@@ -11,8 +11,6 @@ from hypothesis.extra.numpy import arrays
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
 
-pytestmark = pytest.mark.fast
-
 SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 3.0)
 coordinates = arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: k / 4))
 
@@ -23,7 +21,6 @@ def _slow(a, b, c, d, count=201):
     return np.linalg.norm(p[:, None] - q[None], axis=-1).min()
 
 
-@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(points=coordinates)
 def test_segment_distances_are_those_of_their_nearest_points(points):

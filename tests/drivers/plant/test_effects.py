@@ -14,8 +14,6 @@ from drivers.plant.effects import FACTORIES
 from drivers.plant.mechanism import Deflection
 from drivers.plant.transforms import rigid, transform_points
 
-pytestmark = pytest.mark.fast
-
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 
 

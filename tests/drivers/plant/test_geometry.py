@@ -12,8 +12,6 @@ from drivers.plant import CapsuleConfig, GeometryErrors
 from drivers.plant.mechanism import nominal, with_errors
 from drivers.plant.transforms import across, inverse, rigid
 
-pytestmark = pytest.mark.fast
-
 
 @settings(max_examples=40, deadline=None)
 @given(joints=st.integers(2, 8), seed=st.integers(0, 2**32 - 1))
@@ -54,7 +52,6 @@ def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
     assert np.std([cell.smr - drawn.smr for cell in cells]) == pytest.approx(2e-3, rel=0.11)
 
 
-@pytest.mark.slow
 def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
     errors = GeometryErrors(base_length=5e-3, base_angle=4e-3)
     arm = make_arm()

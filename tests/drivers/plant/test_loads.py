@@ -12,8 +12,6 @@ from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES
 from drivers.plant.mechanism import STANDARD_GRAVITY, Posture, nominal
 
-pytestmark = pytest.mark.fast
-
 Q = np.random.default_rng(7).uniform(-2.5, 2.5, (8, 6))
 DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 

@@ -7,8 +7,6 @@ import pytest
 
 from drivers.plant.motion import Motion, braked, travel
 
-pytestmark = pytest.mark.fast
-
 START, END = np.array([0.0, 1.0]), np.array([2.0, 0.0])
 
 

@@ -13,8 +13,6 @@ from drivers.plant import ArmConfig, GeometryErrors, Plant
 from drivers.plant.transforms import quaternion
 from drivers.trackers.simulated import SimulatedTracker
 
-pytestmark = pytest.mark.fast
-
 TURN = Rotation.from_euler("xyz", [0.3, -0.2, 2.0]).as_matrix()
 Q = np.array([[0.3, -1.2, 1.0, -0.5, 0.4, 0.7], [1.0, -0.7, 0.5, 0.2, -1.0, 2.0]])
 

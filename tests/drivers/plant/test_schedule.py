@@ -15,8 +15,6 @@ from drivers.trackers.protocol import TargetLost, TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 SLOW = np.full(6, 0.5)
 
 

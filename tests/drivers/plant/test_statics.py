@@ -42,7 +42,6 @@ def test_the_largest_gravity_torques_are_the_published_ones(make_arm, kind, payl
     assert found == pytest.approx(published, abs=within)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("payload", [0.0, 4.0])
 def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, dh_frames, payload):
     pose = np.eye(4)
@@ -64,7 +63,6 @@ def test_the_torque_is_the_slope_of_the_potential_energy(make_arm, dh_frames, pa
         assert np.abs(torque).max() > 1.0
 
 
-@pytest.mark.fast
 def test_springs_balance_gravity_at_the_deflected_posture(make_arm, make_config, make_plant, dh_smr):
     stiffness = np.array([2e4, 1.5e4, 1e4, 3e3, 3e3, 1e3])  # soft, so that the undeflected posture is not good enough
     arm = make_arm(
@@ -85,7 +83,6 @@ def test_springs_balance_gravity_at_the_deflected_posture(make_arm, make_config,
     assert np.abs(found - dh_smr(config, q)).max() > 1e-3
 
 
-@pytest.mark.fast
 def test_gravity_pulls_the_hand_down(make_arm, make_plant):
     arm = make_arm(effects={"joint_compliance": {"stiffness": [5e4] * 6}})
     stretched = np.zeros((1, 6))
@@ -93,14 +90,12 @@ def test_gravity_pulls_the_hand_down(make_arm, make_plant):
     assert -5e-3 < sag[0, 2] < -1e-3
 
 
-@pytest.mark.fast
 def test_an_infinite_stiffness_is_stiff(make_arm, make_plant):
     arm = make_arm(effects={"joint_compliance": {"stiffness": [float("inf")] * 6}})
     q = np.random.default_rng(0).uniform(-3, 3, (5, 6))
     assert np.array_equal(make_plant(arm).smr_positions("left", q), make_plant().smr_positions("left", q))
 
 
-@pytest.mark.fast
 def test_a_load_hung_on_later_acts_like_one_configured(make_arm, make_plant):
     effects = {"joint_compliance": {"stiffness": [5e4] * 6}}
     center = np.array([0.0, 0.02, 0.08])
@@ -114,7 +109,6 @@ def test_a_load_hung_on_later_acts_like_one_configured(make_arm, make_plant):
     assert plant.payload("left")[0] == 6.0
 
 
-@pytest.mark.fast
 def test_springs_too_soft_to_hold_the_arm_are_refused(make_arm, make_plant):
     arm = make_arm(effects={"joint_compliance": {"stiffness": [5.0] * 6}})
     with pytest.raises(ValueError, match="arm left: the hidden effects reach no equilibrium"):

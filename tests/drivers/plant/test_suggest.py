@@ -11,8 +11,6 @@ import pytest
 from drivers.plant import ONLY_MOVING, OUTSIDE, REALISTIC, suggest
 from drivers.plant.effects import FACTORIES, build
 
-pytestmark = pytest.mark.fast
-
 DURATION_S = 9000.0
 STOPS = 40
 
@@ -66,7 +64,6 @@ def test_onsets_lie_within_the_run(make_arm, slug):
         assert max(onsets) - min(onsets) > 0.3 * duration_s
 
 
-@pytest.mark.slow
 def test_every_variant_and_sign_comes_up(make_arm):
     rng, arm = np.random.default_rng(0), make_arm()
     drives = [suggest("transmission_error", rng, arm, DURATION_S) for _ in range(60)]

@@ -7,8 +7,6 @@ import pytest
 
 from drivers.plant.transforms import rigid, transform_points
 
-pytestmark = pytest.mark.fast
-
 Q = np.random.default_rng(3).uniform(-2.5, 2.5, (5, 6))
 SHIFT, TURN = [1e-4, -2e-4, 5e-5], [1e-4, 2e-5, -3e-4]
 GROWTH = {"expansion": 23e-6, "share": 0.8, "lag": 900.0}

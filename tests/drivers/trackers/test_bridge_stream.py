@@ -27,8 +27,6 @@ from drivers.trackers.protocol import (
 )
 from tests.drivers.trackers.virtual_serial_cable import serial_cable
 
-pytestmark = pytest.mark.fast
-
 NEST = np.array([1.5, 2.0, -0.3])
 INTERVAL_S = 0.001
 CLOCK = Imperfections(clock_offset_s=80211.0, clock_rate=20e-6, packet_jitter_s=0.04)

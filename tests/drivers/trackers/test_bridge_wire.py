@@ -23,8 +23,6 @@ from drivers.trackers.protocol import (
     TwoFace,
 )
 
-pytestmark = pytest.mark.fast
-
 DOCUMENT = Path(wire.__file__).with_name("BRIDGE.md")
 
 finite = st.floats(-100, 100)
@@ -69,7 +67,6 @@ def over_the_wire(fields):
     return wire.decode(wire.encode(7, "ok", fields)).fields
 
 
-@pytest.mark.slow
 @given(points(), points())
 def test_points_arrive_bit_for_bit(one, other):
     assert same_point(wire.read_point(over_the_wire(wire.point_fields(one))), one)
@@ -81,7 +78,6 @@ def test_points_arrive_bit_for_bit(one, other):
 keys = st.from_regex(r"[a-z][a-z0-9._]{0,9}", fullmatch=True)
 
 
-@pytest.mark.slow
 @given(st.integers(0, wire.LAST_SEQUENCE), st.dictionaries(keys, texts))
 def test_any_text_fits_a_field(sequence, fields):
     fields = {key: wire.text(value, 60) for key, value in fields.items()}

@@ -68,7 +68,7 @@ def reference(data, sigma, length, angle):
 
 
 @pytest.mark.parametrize("rows", ARMS.values(), ids=ARMS.keys())
-@pytest.mark.parametrize(("n", "sigma"), [(60, 30e-6), pytest.param(300, 15e-6, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("n", "sigma"), [(60, 30e-6), pytest.param(300, 15e-6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("length", "angle"), [(LENGTH, ANGLE), (1e-3, 10e-3)], ids=["usual errors", "large errors"])
 def test_on_narrow_ranges_it_is_as_good_as_a_reference_that_knows_noise_and_priors(rows, n, sigma, length, angle):
     ratios = []
@@ -80,7 +80,6 @@ def test_on_narrow_ranges_it_is_as_good_as_a_reference_that_knows_noise_and_prio
     assert np.exp(np.mean(np.log(ratios))) < 1.05
 
 
-@pytest.mark.fast
 @settings(max_examples=15, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), make=st.sampled_from(sorted(ARMS)))
 def test_all_parameters_predict_no_worse_than_the_determined_ones(seed, make):
@@ -90,7 +89,6 @@ def test_all_parameters_predict_no_worse_than_the_determined_ones(seed, make):
     assert data.error(found.geometry) < 1.05 * data.error(fewer.geometry)
 
 
-@pytest.mark.fast
 def test_anti_parallel_axes_have_a_hayati_angle_and_their_rank():
     geometry = at_station(ELBOW, OFF_AXIS)
     assert parallel_rows(geometry) == (1,)
@@ -99,7 +97,6 @@ def test_anti_parallel_axes_have_a_hayati_angle_and_their_rank():
     assert "beta2" in auto_set(geometry, q).names
 
 
-@pytest.mark.fast
 def test_the_table_states_the_combination_that_the_data_determine():
     # the same arm written in two ways: an offset in d3, or in d2; both shift axis 2's parallel neighbours alike
     q = np.random.default_rng(1).uniform(-2, 2, (100, 6))
@@ -116,7 +113,6 @@ def test_the_table_states_the_combination_that_the_data_determine():
     assert tables[1] == pytest.approx(tables[0], abs=1e-7)
 
 
-@pytest.mark.fast
 def test_noise_decides_what_the_table_states():
     rng = np.random.default_rng(2)
     nominal = at_station(UR10, np.array([1e-3, 0.0, 0.06]))  # 1 mm off the last axis, which tells two of its angles
@@ -130,7 +126,6 @@ def test_noise_decides_what_the_table_states():
     assert ranks == [27, 25]
 
 
-@pytest.mark.fast
 def test_stated_priors_are_used_as_stated_and_others_take_the_spread_of_the_arm():
     data = Narrow(UR10, 3, 60, 20e-6)
     free = identify(data.start, data.q, data.p_M)
@@ -171,7 +166,6 @@ def _prediction_covariance(found, q):
     return np.einsum("kna,kl,lnb->nab", J, found.estimated_covariance, J, optimize=True)
 
 
-@pytest.mark.fast
 def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     # the last axis keeps its direction, and curves of the joints stand for unmodelled physics
     rng = np.random.default_rng(2)
@@ -188,7 +182,6 @@ def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     assert rms[0] <= min(rms[1:]) * 1.001
 
 
-@pytest.mark.fast
 def test_a_set_by_name_has_no_priors_of_its_own():
     data = Narrow(UR10, 4, 60, 20e-6)
     full = identify(data.start, data.q, data.p_M, parameter_set="full")

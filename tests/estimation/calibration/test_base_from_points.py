@@ -13,8 +13,6 @@ from cellapp.estimation.calibration.base_from_points import base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
 
-pytestmark = pytest.mark.fast
-
 CORNERS = np.array([[0.8, 0.1, 0.3], [-0.2, 0.7, 0.9], [-0.6, -0.5, 0.2], [0.1, -0.4, 1.1]])
 coordinate = st.floats(-10.0, 10.0)
 turn = st.floats(-1.8, 1.8)  # per axis: rotation vectors up to about pi

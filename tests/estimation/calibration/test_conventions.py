@@ -16,8 +16,6 @@ from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, tra
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import UR10
 
-pytestmark = pytest.mark.fast
-
 ROOT = Path(__file__).parents[3]
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.calibration.identification import Eliminated, Estimate
 from cellapp.estimation.calibration.normal_equations import NormalEquations
-
-pytestmark = pytest.mark.fast
 
 SIZE, EFFECTS = 5, 40
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 READINGS = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
 
 
-@pytest.mark.parametrize("seed", [None, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
+@pytest.mark.parametrize("seed", [None, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     if seed is not None:
@@ -37,7 +37,7 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     assert np.linalg.norm(calibration.model.geometry.tool - [0.0, 0.0, 0.093]) < 2e-3
 
 
-@pytest.mark.parametrize("arm", ["right", pytest.param("left", marks=pytest.mark.long)])
+@pytest.mark.parametrize("arm", ["right", pytest.param("left", marks=pytest.mark.slow)])
 def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time(arm):
     results = [coverage.one({"arm": arm, "seed": seed, "stops": 100}) for seed in range(200)]
     held = np.array([found["held"] for found in results])

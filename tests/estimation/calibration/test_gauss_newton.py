@@ -9,8 +9,6 @@ from cellapp.estimation.calibration.gauss_newton import LeastSquares, Linearised
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.robot.kinematics.transforms import Array
 
-pytestmark = pytest.mark.fast
-
 
 def valley(x: Array) -> tuple[Array, Array]:
     """Residuals of a bent valley (Rosenbrock) and their derivatives; the minimum is at (1, 1)."""

@@ -31,8 +31,6 @@ from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plan
 from tests.series import series
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 SIGMA = 15e-6
 
 

@@ -13,8 +13,6 @@ from cellapp.estimation.calibration.inter_base_transform import distances, ident
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_zyx, transform
 
-pytestmark = pytest.mark.fast
-
 
 def cell(seed, n=100, noise=0.0):
     rng = np.random.default_rng(seed)

@@ -7,8 +7,6 @@ import pytest
 
 from cellapp.estimation.calibration.linear import cholesky, inverse_psd, orthonormal_basis, solve_psd
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture
 def design() -> np.ndarray:

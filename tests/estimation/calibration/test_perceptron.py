@@ -8,8 +8,6 @@ import pytest
 from cellapp.estimation.calibration.network_training import Perceptron
 from cellapp.robot.model.network import ResidualNetwork, network_inputs
 
-pytestmark = pytest.mark.fast
-
 NETS = [Perceptron(12, 7, 3), Perceptron(7, 1, 3), Perceptron(2, 4, 1)]
 
 

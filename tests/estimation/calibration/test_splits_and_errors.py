@@ -25,7 +25,6 @@ def interval_of_mean(summary: ErrorSummary) -> tuple[float, float]:
     return summary.mean_ci95
 
 
-@pytest.mark.fast
 @given(st.integers(2, 600), st.integers(1, 300), st.integers(0, 300), st.one_of(st.none(), st.integers(1, 300)))
 def test_split_sizes_fit_and_neither_identify_nor_validate_is_empty(n, identify, train, validate):
     sizes = split_sizes(n, identify, train, validate)
@@ -42,7 +41,6 @@ def test_split_sizes_fit_and_neither_identify_nor_validate_is_empty(n, identify,
         assert sizes.identify + sizes.train + sizes.validate == n
 
 
-@pytest.mark.fast
 @given(st.sets(st.integers(0, 10_000), min_size=5, max_size=80), st.integers(0, 100))
 def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
     ordered = np.array(sorted(numbers))
@@ -50,13 +48,11 @@ def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
     assert draw_splits(ordered, 2, 1, 1, seed) == draw_splits(shuffled, 2, 1, 1, seed)
 
 
-@pytest.mark.fast
 def test_another_seed_gives_another_draw():
     numbers = np.arange(400)
     assert draw_splits(numbers, 100, 200, 100, 0)[0] != draw_splits(numbers, 100, 200, 100, 1)[0]
 
 
-@pytest.mark.fast
 def test_errors_on_a_worked_example():
     measured = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
     computed = np.array([[0.0, 0, 0], [1.003, 0.004, 0], [0, 1.0, 0]])
@@ -70,7 +66,6 @@ def test_errors_on_a_worked_example():
     assert evaluate(measured[:1], computed[:1]).distance_mm is None
 
 
-@pytest.mark.fast
 @given(st.integers(0, 2**32 - 1))
 def test_a_rigid_motion_changes_no_distance(seed):
     rng = np.random.default_rng(seed)
@@ -88,7 +83,6 @@ def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
     assert 0.90 < held / 300 < 0.98
 
 
-@pytest.mark.fast
 def test_the_interval_of_distance_errors_accounts_for_shared_points():
     rng = np.random.default_rng(0)
     measured = rng.normal(size=(60, 3))
@@ -104,7 +98,6 @@ def test_the_interval_of_distance_errors_accounts_for_shared_points():
     assert summary.p50 < summary.p95 < summary.max
 
 
-@pytest.mark.fast
 def test_repeatability_is_that_of_the_repeats_alone():
     rng = np.random.default_rng(0)
     q = np.repeat(rng.uniform(-3, 3, (40, 6)), 10, axis=0)

@@ -10,8 +10,6 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("at", [60, 200, 333])

@@ -37,13 +37,12 @@ print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "kernels"),
     [
-        pytest.param(CHOICE, KERNELS, marks=pytest.mark.fast, id="choice"),
+        pytest.param(CHOICE, KERNELS, id="choice"),
         pytest.param(PLAN, ("Sandybridge",), id="plan"),
-        pytest.param(PLAN, KERNELS, marks=pytest.mark.long, id="plan, each kernel"),
+        pytest.param(PLAN, KERNELS, marks=pytest.mark.slow, id="plan, each kernel"),
     ],
 )
 def test_all_kernels_give_the_same(what: str, kernels: tuple[str, ...]) -> None:

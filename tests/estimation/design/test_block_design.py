@@ -19,8 +19,6 @@ from cellapp.estimation.design.block_design import BlockDesign, Criterion, Share
 from cellapp.ground.progress import Cancelled, CancelToken
 from tests.estimation.design.relaxation import least_errors
 
-pytestmark = pytest.mark.fast
-
 P, M, COUNT = 8, 300, 20
 ALL = Effort(subset=M)
 
@@ -80,7 +78,6 @@ def test_the_weights_are_the_derivative_of_the_criterion() -> None:
     assert np.trace(criterion.weights(C) @ direction) == pytest.approx(change / 2.0, rel=1e-5)
 
 
-@pytest.mark.slow
 @given(st.integers(0, 1000))
 @settings(max_examples=15, deadline=None)
 def test_exchange_never_makes_a_choice_worse(seed: int) -> None:

@@ -7,8 +7,6 @@ import pytest
 
 from cellapp.estimation.design.discrimination import Discrimination, SequentialDesign, joint_gains
 
-pytestmark = pytest.mark.fast
-
 
 def a_discrimination(seed: int, p: int = 6, d: int = 40, m: int = 15) -> Discrimination:
     rng = np.random.default_rng(seed)

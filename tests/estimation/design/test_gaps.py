@@ -17,8 +17,6 @@ from cellapp.estimation.design.block_choice import (
 from cellapp.estimation.design.block_design import Criterion, Shares, reference_errors
 from cellapp.ground.progress import CancelToken
 
-pytestmark = pytest.mark.fast
-
 COUNT, NONE = 30, np.empty((0, 2))
 
 

@@ -13,8 +13,6 @@ from cellapp.estimation.design.information import (
     visible_squares,
 )
 
-pytestmark = pytest.mark.fast
-
 N = 300
 
 

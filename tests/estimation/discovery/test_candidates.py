@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.robot.effects import Channel, EffectColumn
-
-pytestmark = pytest.mark.fast
 
 
 def test_joint_offsets_and_smr_shifts_are_whitened_alike() -> None:

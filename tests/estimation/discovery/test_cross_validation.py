@@ -11,8 +11,6 @@ import pytest
 from cellapp.estimation.discovery.cross_validation import _FOLD_SEED, cross_validated_gain
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 
-pytestmark = pytest.mark.fast
-
 READINGS, FOLDS, SEED = 60, 5, 3
 
 

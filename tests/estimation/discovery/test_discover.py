@@ -126,7 +126,7 @@ def test_readings_that_were_computed_without_noise_are_searched(tmp_path, plan):
     assert result.heldout_mm.after < 1e-3
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan, seed):
     _, found, _ = discovered(tmp_path / "run", plan, {}, seed=seed, noise_seed=seed)
     for discovery in found.values():
@@ -138,7 +138,7 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan, seed):
         assert discovery.result.heldout_mm.after == pytest.approx(discovery.result.noise_floor_mm, rel=0.25)
 
 
-@pytest.mark.parametrize("seed", [7, pytest.param(30, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [7, pytest.param(30, marks=pytest.mark.slow)])
 def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
     effects = {
         "left": {"joint_compliance": {"stiffness": STIFFNESS}, "encoder_eccentricity": ECCENTRIC},

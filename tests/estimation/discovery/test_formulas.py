@@ -8,8 +8,6 @@ import pytest
 from cellapp.estimation.discovery.accepted import formulas
 from cellapp.robot.effects.data_driven import Quantity, Variable
 
-pytestmark = pytest.mark.fast
-
 Q1, Q2, Q3 = (Variable(Quantity.JOINT_ANGLE, joint) for joint in range(3))
 
 

@@ -20,8 +20,6 @@ from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import covariances
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 STOPS = 60
 
 
@@ -46,7 +44,6 @@ def test_the_expected_noise_is_that_of_the_simulated_tracker() -> None:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
 def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ArmDesign) -> None:
     promised = next(one for one in planned_effects(design) if one.effect == slug)

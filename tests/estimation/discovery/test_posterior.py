@@ -22,8 +22,6 @@ from cellapp.robot.effects import Channel, EffectColumn
 from cellapp.robot.effects.periodic import LINES
 from tests.estimation.discovery.linear_problem import PLAIN, problem
 
-pytestmark = pytest.mark.fast
-
 THRESHOLD = 8.0
 COORDINATES = 900
 

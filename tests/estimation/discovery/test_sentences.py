@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
-
 from cellapp.estimation.discovery.structure import remaining_structure
-
-pytestmark = pytest.mark.fast
 
 
 def test_structure_counts_where_it_survives_the_number_of_tests() -> None:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.discovery.all_readings import SplitColumns
 from cellapp.estimation.discovery.joint_fit import LinearModel
 from cellapp.robot.effects import Channel, EffectColumn
 from tests.arms import OFF_AXIS, UR10, at_station
-
-pytestmark = pytest.mark.fast
 
 
 def test_products_and_moments_are_those_of_whole_columns():

@@ -22,8 +22,6 @@ from tests.arms import STATION
 from tests.latency import attempts
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 SIGMA_M = 10e-6
 PROFILE = load_profile(PROFILES / "twin.yaml")
 

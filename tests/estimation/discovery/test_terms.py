@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.discovery.terms import (
     Excess,
@@ -20,8 +19,6 @@ from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.effects.periodic import CURVE
 from tests.estimation.discovery.linear_problem import PLAIN
 from tests.robot.effects.cell import context_of
-
-pytestmark = pytest.mark.fast
 
 
 def test_each_term_has_its_columns_behind_the_geometry() -> None:

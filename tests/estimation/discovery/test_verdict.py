@@ -12,8 +12,6 @@ from cellapp.estimation.discovery.structure import CHANCE, remaining_structure
 from cellapp.estimation.discovery.verdict import verdict
 from cellapp.robot.effects import EFFECTS, EffectTerm
 
-pytestmark = pytest.mark.fast
-
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
 NONE = remaining_structure({"joints": 0.4, "time": 0.2}, CHANCE)

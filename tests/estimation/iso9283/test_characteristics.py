@@ -13,8 +13,6 @@ from hypothesis.extra.numpy import arrays
 from cellapp.estimation.iso9283 import characteristics as iso
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector, transform
 
-pytestmark = pytest.mark.fast
-
 CLOUDS = arrays(np.float64, (6, 3), elements=st.floats(-2.0, 2.0))
 MOTIONS = arrays(np.float64, (6,), elements=st.floats(-3.0, 3.0))
 

@@ -36,7 +36,6 @@ def line(lines: tuple[IsoLine, ...], words: str) -> IsoLine:
     return found
 
 
-@pytest.mark.fast
 def test_every_characteristic_of_the_norm_has_a_line_and_a_reason() -> None:
     lines = coverage(["pose"], {"left": posed(30)}, CONDITIONS)
     assert [one.clause for one in lines if one.words == NOT_OFFERED] == [
@@ -63,7 +62,6 @@ def test_every_characteristic_of_the_norm_has_a_line_and_a_reason() -> None:
     assert "distance accuracy AD, repeatability RD" in not_done(lines)[NOT_ASKED]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("n", "stopped", "status", "words"),
     [(5, "", "in part", "5 of 30 cycles"), (30, "", "done", "30 cycles")],
@@ -74,7 +72,6 @@ def test_fewer_cycles_than_the_norms_are_a_part(n: int, stopped: str, status: st
     assert found.words.startswith(words)
 
 
-@pytest.mark.fast
 def test_arms_that_differ_have_lines_of_their_own() -> None:
     reason = "this tracker's driver cannot measure a moving SMR"
     tests: list[IsoTest] = ["pose", "path"]
@@ -85,14 +82,12 @@ def test_arms_that_differ_have_lines_of_their_own() -> None:
     assert len([one for one in coverage(tests, arms, CONDITIONS) if one.clause == "7.2.3"]) == 1
 
 
-@pytest.mark.fast
 def test_what_stopped_the_job_is_the_reason() -> None:
     arm = ArmIso9283(payload_kg=0.3)
     found = line(coverage(["pose"], {"left": arm}, CONDITIONS, "stopped: arm left: protective stop"), "pose accuracy")
     assert (found.status, found.words) == ("not done", "stopped: arm left: protective stop")
 
 
-@pytest.mark.fast
 def test_a_short_drift_test_is_a_part() -> None:
     drift = DriftCharacteristics(
         pose="P1", minutes=60.0, accuracy=value(10), repeatability=value(10), shift_mm=0.0, groups=()
@@ -102,7 +97,6 @@ def test_a_short_drift_test_is_a_part() -> None:
     assert (found.status, found.words) == ("in part", "10 cycles a group, over 60 of 480 min, nominal commands")
 
 
-@pytest.mark.fast
 def test_speeds_and_loads_that_were_not_tested_are_named() -> None:
     lines = coverage(["pose"], {"left": posed(30)}, CONDITIONS)
     assert line(lines, "speeds").words == "50% of the profile's speed; 100%, 10%: not asked for"

@@ -21,8 +21,6 @@ from cellapp.estimation.iso9283.cube import (
     pose_positions,
 )
 
-pytestmark = pytest.mark.fast
-
 CENTRE, EDGE = np.array([0.3, -0.4, 0.5]), 0.6
 
 

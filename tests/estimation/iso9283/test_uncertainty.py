@@ -17,8 +17,6 @@ from cellapp.estimation.iso9283.uncertainty import (
     repeatability_value,
 )
 
-pytestmark = pytest.mark.fast
-
 SIGMA = 20e-6
 """Of a coordinate [m]."""
 TRACKER = np.diag([4e-6, 15e-6, 15e-6]) ** 2
@@ -45,7 +43,6 @@ def test_accuracy_holds_the_truth_in_95_of_100_tests(n: int) -> None:
     assert covered(values, float(np.linalg.norm(OFF))) >= 0.88
 
 
-@pytest.mark.slow
 def test_repeatability_and_distance_hold_the_truth() -> None:
     rng = np.random.default_rng(7)
     many = np.linalg.norm(SIGMA * rng.standard_normal((100_000, 3)), axis=1)

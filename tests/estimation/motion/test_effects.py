@@ -114,7 +114,6 @@ def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     assert discovery.heldout_after_mm < discovery.heldout_before_mm
 
 
-@pytest.mark.slow
 def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
     rng = np.random.default_rng(7)
     late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])

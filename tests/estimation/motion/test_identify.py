@@ -276,7 +276,7 @@ def test_recordings_that_tell_nothing_are_refused(case):
         fit_of(replace(recording, points=other.points))
 
 
-@pytest.mark.parametrize("seed", [21, *(pytest.param(seed, marks=pytest.mark.long) for seed in (22, 23))])
+@pytest.mark.parametrize("seed", [21, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (22, 23))])
 def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a_bad_one(seed):
     """What the model lacks is the same for all: none is followed at the cost of the others."""
     rng = np.random.default_rng(seed)
@@ -334,7 +334,6 @@ def test_an_arm_of_another_type_is_doubted(case):
     assert not any("type" in said for said in fit_of(recording).undetermined)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("digits", "polled"), [(None, 1), (3, 1), (None, 4)])
 def test_a_regular_clock_is_found_although_stamps_jitter_and_samples_are_lost_or_repeated(case, digits, polled):
     rng = np.random.default_rng(12)

@@ -7,8 +7,6 @@ import pytest
 
 from cellapp.estimation.motion.noise import bands_of, noise_model
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4])
 def test_a_recording_whose_residuals_vanish_is_not_worth_without_bound(size: float) -> None:

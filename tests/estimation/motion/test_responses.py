@@ -31,7 +31,6 @@ def even():
     return joint_path(JointStream(time_s=t, q=q, qd=qd)).even
 
 
-@pytest.mark.fast
 def test_a_time_constant_is_a_first_order_lag(even):
     T = 0.03
     start = [position(0.0) - T * speed(0.0)]
@@ -42,7 +41,6 @@ def test_a_time_constant_is_a_first_order_lag(even):
     np.testing.assert_allclose(by_T, (more - less) / 2e-4, atol=1e-3)
 
 
-@pytest.mark.fast
 def test_vibration_is_what_a_damped_spring_adds_to_its_slow_deflection(even):
     hz, damping = 9.0, 0.05
     w = 2.0 * np.pi * hz

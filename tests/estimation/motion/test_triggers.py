@@ -28,7 +28,6 @@ def pulses(rng: np.random.Generator, at_s: np.ndarray) -> tuple[np.ndarray, np.n
     return controller, OFFSET_S + (1.0 + 1e-6 * RATE_PPM) * at_s + rng.uniform(-5e-6, 5e-6, len(at_s))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("span_s", [5.0, 600.0])
 def test_the_offset_is_known_to_a_cycle(span_s: float) -> None:
     rng = np.random.default_rng(5)
@@ -49,7 +48,6 @@ def test_the_offset_is_known_to_a_cycle(span_s: float) -> None:
     assert checked(None, 0.0, 1.0) is None
 
 
-@pytest.mark.fast
 def test_pulses_may_be_missing_on_either_side_and_none_are_made_up() -> None:
     rng = np.random.default_rng(6)
     controller, tracker = pulses(rng, apart(rng, 0.0, 60.0, 12))

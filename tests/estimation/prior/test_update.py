@@ -24,7 +24,6 @@ from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_vectors, transform
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
-pytestmark = pytest.mark.fast
 TOOL = np.array([-0.03, 0.05, 0.11])
 
 
@@ -75,7 +74,6 @@ def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedA
     assert np.abs(off).max() < 2e-7
 
 
-@pytest.mark.slow
 def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prove(arm: SimulatedArm) -> None:
     six = arm.with_probe(np.array([0.1, -0.2, 0.3]))
     change = np.zeros((6, 5))
@@ -156,7 +154,6 @@ def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earl
     assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
 
 
-@pytest.mark.slow
 def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
     law = EFFECTS["encoder_eccentricity"].forms[0].law()
     readings = arm.readings(70, seed=6, learn=40)

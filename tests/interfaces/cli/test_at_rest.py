@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run.unseen_arms import note_halt
@@ -13,8 +12,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
 from cellapp.interfaces.cli.app import app
 from tests.cell.run.small_runs import planned_run
-
-pytestmark = pytest.mark.fast
 
 
 def test_a_person_says_that_an_arm_rests(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-import pytest
 from typer.testing import CliRunner
 
 from cellapp.commands.record import Asked, Request, Verb, View, Work
@@ -14,8 +13,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of
-
-pytestmark = pytest.mark.fast
 
 
 class ToyRequest(Request):

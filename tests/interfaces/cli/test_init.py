@@ -11,10 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from tests.interfaces.cli.test_cli import call, one_sentence  # noqa: F401 - a fixture
 
-pytestmark = pytest.mark.fast
 
-
-@pytest.mark.slow
 def test_the_twin_in_an_empty_folder(call: Any) -> None:  # noqa: F811
     ended = call("init", "--twin", "--json", "-")
     assert ended.code == 0
@@ -37,7 +34,6 @@ def test_answers_into_another_folder(call: Any) -> None:  # noqa: F811
     one_sentence(call("init", "elsewhere", "--answers", "b.yaml"), "b.yaml: file not found")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [(), ("--twin", "--from", "twin")])
 def test_one_source_is_needed(call: Any, arguments: tuple[str, ...]) -> None:  # noqa: F811
     ended = call("init", *arguments)

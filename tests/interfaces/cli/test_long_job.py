@@ -8,8 +8,6 @@ from cellapp.ground import pace
 from cellapp.ground.progress import Progress
 from cellapp.interfaces.cli.job import Job
 
-pytestmark = pytest.mark.fast
-
 
 def test_lines_on_standard_error_where_that_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

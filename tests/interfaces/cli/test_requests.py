@@ -71,7 +71,6 @@ def whole(*arguments: object) -> subprocess.CompletedProcess[str]:
     return asked(*arguments, program=("-c", "from cellapp.interfaces.cli.app import main; main()"))
 
 
-@pytest.mark.fast
 def test_only_plain_arguments_are_sent_at_once() -> None:
     for verb in VERBS:
         assert plain_request([verb, "logs/a"]) == JobRequest(verb, Path("logs/a"))

@@ -42,7 +42,6 @@ def test_a_plan_is_checked_and_foreseen_in_batch(tmp_path: Path, capsys: pytest.
     assert (tmp_path / "run" / "run.sqlite").read_bytes() == before
 
 
-@pytest.mark.fast
 def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     down = np.array([[0.0, 0.6, 0.0, -1.5, 0.0, 0.0]])  # bent down into the floor
     with RunFile.create(tmp_path / "run", small_twin(1), lambda run: run.write_plan({"left": down, "right": down})):
@@ -55,7 +54,6 @@ def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.Captu
     assert read_json(out)["refused"]
 
 
-@pytest.mark.fast
 def test_bad_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     RunFile.create(tmp_path / "imported", small_twin()).close()
     for arguments, words in (
@@ -109,7 +107,6 @@ def test_a_plan_is_extended_and_planned_again_in_batch(tmp_path: Path, capsys: p
     assert (code, json.loads(said)["stops"]) == (0, {"left": 8, "right": 8})
 
 
-@pytest.mark.fast
 def test_an_edited_plan_with_offences_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, profile = tmp_path / "plan.csv", PROFILES / "twin.yaml"
     columns = "configuration,arm,point,q1,q2,q3,q4,q5,q6"

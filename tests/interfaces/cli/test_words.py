@@ -43,7 +43,6 @@ def faults_of(text: str) -> Iterator[str]:
         ("method_1 0.39", "a key for people"),
     ],
 )
-@pytest.mark.fast
 def test_the_faults_are_found(text: str, name: str) -> None:
     (found,) = faults_of(text)
     assert found.startswith(name)

@@ -73,7 +73,6 @@ def certificate(*arms: str) -> CertificateResult:
     )
 
 
-@pytest.mark.fast
 def test_names_that_a_user_wrote_are_text() -> None:
     text = certificate_page(certificate(HOSTILE, "right"))
     assert "<script" not in text
@@ -81,7 +80,6 @@ def test_names_that_a_user_wrote_are_text() -> None:
     assert "http" not in text
 
 
-@pytest.mark.fast
 def test_a_contribution_that_is_not_given_leaves_the_sum_open() -> None:
     given = certificate("left", "right")
     changed = given.model_copy(update={"contributions": (*given.contributions, line("SMR", "left", None))})
@@ -90,7 +88,6 @@ def test_a_contribution_that_is_not_given_leaves_the_sum_open() -> None:
     assert rows["expanded, U"][1:3] == ("not given", f"{2.0 * 0.01 * 6**0.5:.4f}")
 
 
-@pytest.mark.fast
 def test_measured_errors_stand_before_predicted_ones() -> None:
     rows = [row[:2] for row in errors_table(certificate("left")).text_rows()]
     assert rows == [
@@ -100,7 +97,6 @@ def test_measured_errors_stand_before_predicted_ones() -> None:
     ]
 
 
-@pytest.mark.fast
 def test_marks_come_first_and_the_rule_is_said() -> None:
     said = certificate_sentences(certificate("left"))
     assert said[0].startswith("MARK: not verified")
@@ -109,7 +105,6 @@ def test_marks_come_first_and_the_rule_is_said() -> None:
     assert len(certificate_tables(certificate("left"))) == 4
 
 
-@pytest.mark.fast
 def test_a_simulated_cell_is_called_so_in_the_first_line() -> None:
     simulated = certificate("left").model_copy(update={"warnings": (f"{SIMULATED}: no real arm was measured",)})
     first = "Simulated cell: no calibration of real arms."

@@ -35,8 +35,6 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.interfaces.page.cases import ERRORS, calibration, nothing_missing, picture, unknown_effect
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 HOME = (0.0, -1.2, 1.4, -1.7, -1.5, 0.3)
 
 

@@ -25,8 +25,6 @@ from cellapp.ground.profile.obstacles import AnyObstacle
 from cellapp.robot.model.nominal import pose_matrix
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 READ: TypeAdapter[dict[str, AnyObstacle]] = TypeAdapter(dict[str, AnyObstacle])
 PILLAR = {"shape": "cylinder", "radius": 0.08, "length": 2.4, "pose": {"position": [2.4, 0.9, 1.0]}}
 TABLE = {"shape": "box", "size": [1.2, 0.8, 0.05], "pose": {"position": [1.6, 0.0, -2.0]}}

@@ -14,8 +14,6 @@ from cellapp.interfaces.page.chart_svg import chart_figure
 from cellapp.interfaces.render.chart_style import Look
 from tests.interfaces.page.plan_cases import TIME, arm_design, correlation, plan_design
 
-pytestmark = pytest.mark.fast
-
 
 def test_errors_fall_with_the_stops_beside_random_ones() -> None:
     chart = information_chart("left", arm_design())

@@ -29,8 +29,6 @@ from tests.cell.run.small_runs import add_stop, planned_run
 from tests.interfaces.page.parsed_page import NOON
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 HOSTILE = "<script>alert(1)</script>"
 
 
@@ -57,7 +55,6 @@ def run(folder: Path) -> Iterator[RunFile]:
         yield opened
 
 
-@pytest.mark.slow
 def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: RunFile) -> None:
     state = collection_state(run)
     assert state is not None

@@ -54,8 +54,6 @@ from tests.interfaces.page.cases import (
 )
 from tests.robot.effects.cell import context_of
 
-pytestmark = pytest.mark.fast
-
 
 def terminal_lines(result: DiscoverResult) -> list[str]:
     """What a terminal shows, tables as their cells, a line each."""

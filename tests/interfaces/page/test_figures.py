@@ -28,7 +28,6 @@ from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
 from cellapp.interfaces.render.chart_style import chart_data, rounded
 from tests.interfaces.page.cases import picture
 
-pytestmark = pytest.mark.fast
 HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
 
 

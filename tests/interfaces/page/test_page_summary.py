@@ -26,8 +26,6 @@ from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceabili
 from tests.interfaces.page.cases import discovery
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 TWIN = load_profile(PROFILES / "twin.yaml")
 TODAY = date(2026, 6, 1)
 STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")

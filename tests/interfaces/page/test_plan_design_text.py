@@ -22,8 +22,6 @@ from cellapp.ground.errors import InputError
 from tests.interfaces.page.plan_cases import TIME, plan_design
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 def test_tables_state_candidates_errors_gaps_and_errors_by_stops() -> None:
     tables = {table.title: table for table in design_tables(plan_design())}

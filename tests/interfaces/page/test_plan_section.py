@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
@@ -14,8 +12,6 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section
 from tests.interfaces.page.plan_cases import plan_design
 from tests.twin import small_twin
-
-pytestmark = pytest.mark.fast
 
 
 def charts_of(section: Section) -> list[Chart]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from cellapp.cell.targets.records import (
     ArmVerification,
@@ -40,8 +39,6 @@ from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.interfaces.page.chart_svg import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
 from tests.interfaces.page.cases import ERRORS
-
-pytestmark = pytest.mark.fast
 
 PARTS = UncertaintyParts(
     parameters=0.010, effects=0.006, network=0.004, extrapolation=0.0, noise=0.012, conditions=0.002

@@ -74,7 +74,6 @@ def test_the_model_of_an_arm_explains_a_mistaken_shape(run: Run, method: str) ->
             ask(q)
 
 
-@pytest.mark.fast
 def test_a_single_wide_row_is_not_taken_for_degrees() -> None:
     q = np.zeros((3, 6))
     q[1, 2] = 90.0

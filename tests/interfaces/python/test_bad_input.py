@@ -12,8 +12,6 @@ import pytest
 import cellapp
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 N = 6
 RNG = np.random.default_rng(1)
 

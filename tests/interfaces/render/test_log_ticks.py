@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cellapp.commands.view.charts import Axis
 from cellapp.interfaces.render.chart_axis import log_ticks, scale_of
 
-pytestmark = pytest.mark.fast
 
-
-@pytest.mark.slow
 @example(low=2.0, decades=1.5, most=2)
 @given(
     low=st.floats(min_value=1e-9, max_value=1e6),

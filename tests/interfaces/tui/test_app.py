@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 from textual.geometry import Region
 from textual.widgets import Input
 
@@ -182,7 +181,6 @@ async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> Non
         assert await exit_code(pilot, app) == 3
 
 
-@pytest.mark.fast
 async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
     app = CellApp(tmp_path)
@@ -195,7 +193,6 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         assert not Path("logs").exists()
 
 
-@pytest.mark.fast
 async def test_the_whole_day_asks_before_it_begins() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -279,7 +276,6 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     assert not held.thread.is_alive()
 
 
-@pytest.mark.fast
 async def test_an_application_that_goes_away_ends_its_job() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -344,7 +340,6 @@ async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path:
     assert chosen == [tmp_path / "cell-one.yaml"]
 
 
-@pytest.mark.fast
 def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
     for name in ("b.yaml", "b.txt", ".b.yaml"):
         (tmp_path / name).write_text("")

@@ -23,8 +23,6 @@ from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsT
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.fast
-
 BROKEN = "schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n"
 UR = DeviceReport(model="UR10", serial="2015", state="RUNNING, NORMAL", joints_c=(25.0, 31.0))
 
@@ -44,7 +42,6 @@ def device_rows(app: CellApp) -> list[list[str]]:
     return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
 async def test_a_profile_stands_in_words_and_the_doctor_has_one_line(size: tuple[int, int]) -> None:
     app = CellApp(PROFILES)
@@ -89,7 +86,6 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         assert tracker[2] == "never"
 
 
-@pytest.mark.slow
 async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path / "profiles")
     app = CellApp(tmp_path / "profiles")
@@ -110,7 +106,6 @@ async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path:
         assert app.day_screen.query_one(FindingsTable).row_count == 0
 
 
-@pytest.mark.slow
 async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, ...]] = []
     go_on = threading.Event()
@@ -155,7 +150,6 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
         assert [row[3] for row in device_rows(app)] == [row[3] for row in before]
 
 
-@pytest.mark.slow
 async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None:
     app = CellApp(tmp_path / "nowhere")
     async with app.run_test(size=SMALL) as pilot:
@@ -174,7 +168,6 @@ async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None
         assert device_rows(app) == []
 
 
-@pytest.mark.slow
 async def test_a_profile_from_elsewhere_joins_the_list_and_a_run_is_closed_by_enter_only(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path / "elsewhere")
     app = CellApp(PROFILES)

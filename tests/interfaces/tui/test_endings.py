@@ -16,8 +16,6 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 
-pytestmark = pytest.mark.fast
-
 RUN = Path("logs/monday")
 SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
 TARGETS = (MeasuredTarget(name="t1", arm="left", nominal_mm=None, compensated_mm=None, note=""),)

@@ -24,8 +24,6 @@ from cellapp.ground.progress import (
 )
 from cellapp.interfaces.tui.job_record import MOST_LINES, ArmRecord, JobRecord, level_of
 
-pytestmark = pytest.mark.fast
-
 Q0, Q1 = (0.0, 0.1), (1.0, 1.1)
 WARM = (30.0, 31.0)
 

@@ -31,14 +31,12 @@ def screens() -> list[type[DayScreen]]:
     return [type(entry.make()) for entry in SCREENS]  # type: ignore[misc]
 
 
-@pytest.mark.fast
 def test_a_key_has_one_meaning_and_a_meaning_one_key() -> None:
     used = [name for key in KEYS.values() for name in key.keys.split(",")]
     assert len(used) == len(set(used))
     assert len({key.shown for key in KEYS.values()}) == len(KEYS)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("of", [CellApp, *screens()])
 def test_every_binding_is_from_the_table_and_bound_once(of: type[DOMNode]) -> None:
     bound = [one for one in of.BINDINGS if isinstance(one, Binding)]
@@ -48,7 +46,6 @@ def test_every_binding_is_from_the_table_and_bound_once(of: type[DOMNode]) -> No
     assert len(keys) == len(set(keys))
 
 
-@pytest.mark.fast
 def test_every_way_to_a_verb_is_a_key_of_its_screen() -> None:
     by_step = {entry.step: type(entry.make()) for entry in SCREENS}
     for verb, (step, meaning) in WAYS.items():
@@ -56,7 +53,6 @@ def test_every_way_to_a_verb_is_a_key_of_its_screen() -> None:
         assert KEYS[meaning].keys in keys, verb
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("width", [60, 80, 120, 200])
 def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int) -> None:
     own = [Entry(letter, "A few words", "") for letter in "abcdefghijklmnop"]

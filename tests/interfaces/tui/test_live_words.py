@@ -7,8 +7,6 @@ import pytest
 from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState
 from cellapp.interfaces.tui.live_words import banner_of, strip_of
 
-pytestmark = pytest.mark.fast
-
 
 def arm(age_s: float | None = 0.05, *, moving: bool = False, halt: HaltState | None = None) -> ArmLive:
     return ArmLive(age_s, moving, None if halt is None else Halt(halt, "why"))

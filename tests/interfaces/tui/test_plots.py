@@ -35,8 +35,6 @@ from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from tests.interfaces.page.cases import picture, unknown_effect
 
-pytestmark = pytest.mark.fast
-
 SIZES = [(80, 24), (120, 40), (200, 60)]
 NARROW = (38, 18)
 """One of four plots on a terminal of 80 x 24, with its words."""
@@ -279,7 +277,6 @@ NUMBERS = st.one_of(
 )
 
 
-@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),

@@ -12,7 +12,6 @@ from tests.interfaces.tui.pilot import PROFILES, SMALL, opened
 from tests.interfaces.tui.recorded_day import Recorder, main
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("arguments", [[], ["day", "1x1"]])
 def test_what_cannot_be_recorded_is_refused_with_the_usage(
     arguments: list[str], capsys: pytest.CaptureFixture[str]

@@ -167,7 +167,6 @@ async def test_no_sentence_contradicts_the_state(
             await until(pilot, lambda: not [word for word in RUNS if word in words(app)], "a screen without the job")
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("name", STATES)
 def test_the_table_of_states_says_what_the_cases_ask_and_nothing_that_contradicts(name: str, tmp_path: Path) -> None:
     said = " ".join(sentences(*state_and_record(name)).values())
@@ -254,7 +253,6 @@ async def test_until_what_a_job_stored_is_read_no_sentence_says_what_was_true_be
 # -- the marks ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 def test_a_tick_is_no_verdict(finished_run: Path) -> None:
     held = load_workspace(None, finished_run)
     assert held.results is not None
@@ -275,7 +273,6 @@ def test_a_tick_is_no_verdict(finished_run: Path) -> None:
     assert len(set(SIGNS.values())) == len(SIGNS), "each conclusion has its own mark"
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("conformity", "sign"), [("conforms", "≤"), ("cannot say", "?"), ("does not conform", "✗"), (None, "✓")]
 )
@@ -284,7 +281,6 @@ def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, fi
     assert SIGNS[marks_of(held, 1, 1, 0, None)["accept"].kind] == sign
 
 
-@pytest.mark.fast
 def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
     marks = marks_of(Workspace(), 0, 0, 0, "plan")
     assert marks["plan"].kind == "running"
@@ -292,7 +288,6 @@ def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
     assert marks["cell"].kind == "next"
 
 
-@pytest.mark.fast
 def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
     assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"

@@ -147,7 +147,6 @@ async def test_a_tiny_terminal_gets_a_sentence_and_stop() -> None:
         assert "larger" not in shown_text(app)
 
 
-@pytest.mark.fast
 def test_no_terminal_is_said_in_a_sentence(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cellapp"]
     ended = subprocess.run(

@@ -8,8 +8,6 @@ from textual.app import App
 from cellapp.interfaces.tui.widgets.charts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 
-pytestmark = pytest.mark.fast
-
 
 def shown(view: TablesView) -> list[str]:
     return [str(child.render()) for child in view.children]

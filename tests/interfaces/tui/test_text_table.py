@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
-import pytest
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.widgets import DataTable
 
 from cellapp.interfaces.tui.widgets.tables import TextTable
 from tests.interfaces.tui.pilot import WAIT_S
-
-pytestmark = pytest.mark.fast
 
 
 class TableApp(App[None]):

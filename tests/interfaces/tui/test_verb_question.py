@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from textual.widgets import Input, OptionList
 
 from cellapp.commands.correct.request import VERB as CORRECT
@@ -19,11 +18,9 @@ from cellapp.interfaces.tui.offers import WRITE
 from tests.commands.test_record import VERB, ToyRequest
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 
-pytestmark = pytest.mark.fast
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
 
 
-@pytest.mark.slow
 async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_field_has_the_focus() -> None:
     app, answers = CellApp(PROFILES), list[Request | None]()
     async with app.run_test(size=SMALL) as pilot:
@@ -43,7 +40,6 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
     ]
 
 
-@pytest.mark.slow
 async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
     app, answers = CellApp(PROFILES), list[Request | None]()
     async with app.run_test(size=SMALL) as pilot:
@@ -63,7 +59,6 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
     assert answers == [ExportRequest(folder=Path("day"), form="urdf", out=Path("mine.urdf"))]
 
 
-@pytest.mark.slow
 async def test_an_emptied_number_is_refused() -> None:
     answered: list[Request | None] = []
     app = CellApp(PROFILES)

@@ -7,8 +7,6 @@ import pytest
 from cellapp.estimation.uncertainty.records import Conformity, Judgement
 from cellapp.interfaces.tui.widgets.verdict_bars import error_bar, verdict_lines
 
-pytestmark = pytest.mark.fast
-
 
 def judged(value: float | None, expanded: float | None, conformity: Conformity, tolerance: float = 0.1) -> Judgement:
     return Judgement(

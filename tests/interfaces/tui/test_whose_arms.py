@@ -22,8 +22,6 @@ from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.fast
-
 REAL = PROFILES / "ur10-ur5.yaml"
 
 
@@ -32,7 +30,6 @@ def beside_a_simulated_run(app: CellApp) -> Workspace:
     return Workspace(REAL, app.workspace.profile, Path("logs/simulated"), beside_run=load_profile(REAL))
 
 
-@pytest.mark.slow
 async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -52,7 +49,6 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
         await ended(pilot, app)
 
 
-@pytest.mark.slow
 async def test_what_was_asked_for_before_a_job_began_does_not_hide_its_arms() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -77,7 +73,6 @@ def test_a_profile_that_was_edited_after_the_question_moves_nothing(tmp_path: Pa
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow
 async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
     moving = MovingJob()
     answers: list[bool] = []
@@ -93,7 +88,6 @@ async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
         await ended(pilot, app)
 
 
-@pytest.mark.slow
 async def test_a_dialog_names_the_key_that_closes_it_while_escape_stops() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)

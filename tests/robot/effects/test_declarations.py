@@ -31,8 +31,6 @@ from cellapp.robot.effects import (
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
 from tests.robot.effects.cell import context_of
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of()
 FORMS = [(slug, form) for slug, effect in EFFECTS.items() for form in effect.forms]
 

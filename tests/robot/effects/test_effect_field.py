@@ -13,8 +13,6 @@ from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies,
 from cellapp.robot.effects.law import AMPLITUDE
 from tests.robot.effects.cell import context_of
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of(60)
 UNKNOWN = EFFECTS["unknown"]
 

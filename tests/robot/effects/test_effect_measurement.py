@@ -10,8 +10,6 @@ import pytest
 from cellapp.robot.effects import EFFECTS
 from tests.robot.effects.cell import by_name, context_of, shifts, slope
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of(10)
 
 

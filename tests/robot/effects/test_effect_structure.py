@@ -16,8 +16,6 @@ from cellapp.robot.effects.time_functions import lagged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.robot.effects.cell import EYE, by_name, chain, context_of, shifts, slope, under
 
-pytestmark = pytest.mark.fast
-
 GRAVITY = 9.80665
 CONTEXT = context_of(10)
 RUN = context_of(60, seed=3)

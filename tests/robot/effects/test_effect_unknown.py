@@ -22,8 +22,6 @@ from cellapp.robot.kinematics.transforms import rotation_z
 from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
 from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of(40)
 CONDITIONS: Any = CONTEXT.conditions
 UNKNOWN = EFFECTS["unknown"]

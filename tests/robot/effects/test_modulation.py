@@ -13,8 +13,6 @@ from cellapp.robot.effects.data_driven import Quantity, Variable
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver, modulations, with_modulations
 from tests.robot.effects.cell import context_of, offsets, shifts, under
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of()
 COMPLIANCE = EFFECTS["joint_compliance"]
 STIFF = [column for column in COMPLIANCE.columns(CONTEXT, COMPLIANCE.law()) if not column.refines][1:3]

@@ -151,7 +151,6 @@ def a_term() -> EffectTerm:
     return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
 
 
-@pytest.mark.fast
 def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
     term = a_term()
     again = term_from_json(term_to_json(term), EFFECTS)
@@ -159,7 +158,6 @@ def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
     np.testing.assert_array_equal(again.values, term.values)
 
 
-@pytest.mark.fast
 def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:
     with installed(add_example(tmp_path)):
         content = term_to_json(a_term())

@@ -12,8 +12,6 @@ from cellapp.robot.effects import Channel, Effect, EffectContext, Linear, Measur
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.robot.effects.cell import context_of
 
-pytestmark = pytest.mark.fast
-
 N = 7
 
 

@@ -13,8 +13,6 @@ from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.inverse import all_branches, solve_pose, structure_of, turned_into
 from tests.robot.kinematics.test_closed_form import UR, apart, geometry
 
-pytestmark = pytest.mark.fast
-
 H = 0.5 * np.pi
 GENERAL = geometry([[0.0, 0.3, 0.1, 1.4, 0.0], [0.0, 0.1, 0.4, 0.3, 0.0], *UR[2:]])
 """Axes 2 and 3 are not parallel: no closed form."""
@@ -59,7 +57,6 @@ def test_chains_without_a_closed_form_are_solved_from_samples(chain: Geometry) -
         assert gaps.min() > 1e-5, "no solution twice"
 
 
-@pytest.mark.slow
 def test_samples_find_nearly_all_branches_of_a_general_arm() -> None:
     position, rotation = poses(GENERAL, 8, seed=2)
     found = found_by(GENERAL, position, rotation)

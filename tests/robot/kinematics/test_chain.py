@@ -21,8 +21,6 @@ from cellapp.robot.kinematics.chain import (
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from tests.arms import OFF_AXIS, SEVEN, STATION, UR5, UR10, at_station, plant_of
 
-pytestmark = pytest.mark.fast
-
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -51,7 +49,6 @@ def plain_product(geometry, q):
     return T
 
 
-@pytest.mark.slow
 @given(seeds, st.integers(2, 8))
 @settings(max_examples=60, deadline=None)
 def test_positions_agree_with_the_product_of_matrices(seed, joints):
@@ -66,7 +63,6 @@ def test_positions_agree_with_the_product_of_matrices(seed, joints):
         np.testing.assert_allclose(smr_positions(geometry, q)[k], T[:3, :3] @ geometry.tool + T[:3, 3], atol=1e-12)
 
 
-@pytest.mark.slow
 @given(seeds, st.integers(2, 8))
 @settings(max_examples=40, deadline=None)
 def test_jacobian_is_the_derivative_of_the_positions(seed, joints):

@@ -8,8 +8,6 @@ import pytest
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, structure_of
 
-pytestmark = pytest.mark.fast
-
 BASE = np.array([0.4, -0.3, 0.2, 0.1, -0.2, 0.7])
 TOOL = np.array([0.03, -0.02, 0.11])
 H = 0.5 * np.pi

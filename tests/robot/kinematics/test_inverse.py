@@ -10,8 +10,6 @@ from cellapp.robot.kinematics.inverse import solve_pose
 from cellapp.robot.kinematics.transforms import rotation_from_vector
 from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR10, at_station, true_geometry
 
-pytestmark = pytest.mark.fast
-
 
 def test_poses_of_a_calibrated_arm_are_reached_from_near_by():
     rng = np.random.default_rng(0)

@@ -18,8 +18,6 @@ from tests.arms import (
     at_station,
 )
 
-pytestmark = pytest.mark.fast
-
 UP = np.array([0.0, 0.0, 1.0])
 
 

@@ -18,8 +18,6 @@ from cellapp.robot.kinematics.transforms import (
     zyx_angles,
 )
 
-pytestmark = pytest.mark.fast
-
 angles = st.floats(-3.0, 3.0)
 
 

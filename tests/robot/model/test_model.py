@@ -14,8 +14,6 @@ from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
-pytestmark = pytest.mark.fast
-
 
 def network(rng):
     """A committee of two with random weights: 12 inputs, 4 hidden, 3 outputs."""

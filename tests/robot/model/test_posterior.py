@@ -16,8 +16,6 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.posterior import DRAWS, PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
-pytestmark = pytest.mark.fast
-
 COLUMNS = tuple(range(12))
 COMPLIANCE = EffectTerm(
     "joint_compliance",

@@ -92,7 +92,6 @@ def square(**changes: Any) -> CartesianPath:
 # -- geometry ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 @settings(max_examples=30)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9))
 def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
@@ -107,7 +106,6 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
 
 
-@pytest.mark.fast
 def test_a_path_is_run_through_by_its_arc_length() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 20_001)
@@ -118,7 +116,6 @@ def test_a_path_is_run_through_by_its_arc_length() -> None:
     np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
 
 
-@pytest.mark.fast
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
@@ -128,7 +125,6 @@ def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
 
 
-@pytest.mark.fast
 def test_distances_are_geometric() -> None:
     path = square()
     s = np.linspace(0.01, path.length - 0.01, 50)
@@ -235,7 +231,6 @@ def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: Cell
     assert without.reversals == ()
 
 
-@pytest.mark.fast
 def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
     trajectory = planned(profile, model, spec()).trajectory
     assert trajectory is not None
@@ -248,7 +243,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
-@pytest.mark.fast
 def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
     content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
@@ -312,7 +306,6 @@ BAD: dict[str, tuple[str, str, str]] = {
 }
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("name", BAD, ids=BAD)
 def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile) -> None:
     good, bad, words = BAD[name]

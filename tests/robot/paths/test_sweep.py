@@ -7,8 +7,6 @@ import pytest
 
 from cellapp.robot.paths.sweep import Sweep
 
-pytestmark = pytest.mark.fast
-
 
 def drawn(seed: int = 0) -> Sweep:
     rng = np.random.default_rng(seed)

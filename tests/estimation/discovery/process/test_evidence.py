@@ -23,8 +23,6 @@ from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.column import Wave
 from cellapp.robot.effects.law import circle_variances
 
-pytestmark = pytest.mark.fast
-
 N = 300
 CYCLES = 20
 FORM = LawForm("smooth", "smooth")

@@ -91,14 +91,12 @@ def test_a_curve_of_two_joints_is_found_with_its_hyperparameters(stated):
     assert np.std(after.identification.residuals) == pytest.approx(SIGMA_M * np.sqrt(750.0 / 900.0), rel=0.1)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("stated", [True, False])
 def test_noise_needs_no_process(stated):
     data = data_of(np.zeros_like, N=150, stated=stated)
     assert fit_process(data, fit_terms(data, ()), NEEDED) is None
 
 
-@pytest.mark.fast
 def test_few_readings_have_no_process():
     data = data_of(curves(np.random.default_rng(3)), N=LEAST_READINGS - 1)
     assert fit_process(data, fit_terms(data, ()), NEEDED) is None

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.discovery.candidates import CandidateLaw
 from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem, refining_law
-
-pytestmark = pytest.mark.fast
 
 
 def test_columns_of_one_block_come_together() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.search import stepwise
@@ -14,8 +13,6 @@ from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
 from tests.estimation.discovery.search.test_data_driven import readings_with
-
-pytestmark = pytest.mark.fast
 
 
 def test_laws_that_take_all_that_the_readings_hold_have_no_free_part():

@@ -14,8 +14,6 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.robot.effects import EffectColumn
 from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem
 
-pytestmark = pytest.mark.fast
-
 
 def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
     one = problem(0)

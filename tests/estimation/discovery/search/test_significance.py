@@ -16,8 +16,6 @@ from cellapp.estimation.discovery.search.scan import (
 )
 from tests.estimation.discovery.linear_problem import PLAIN, column, problem
 
-pytestmark = pytest.mark.fast
-
 
 def test_the_stated_false_alarm_rate_is_kept() -> None:
     one = problem(4)

@@ -25,7 +25,6 @@ from cellapp.robot.model import CellModel
 from tests.estimation.monitoring.check.conftest import SIGMA_M, SimulatedCell, readings_of
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
 T = transform(rotation_from_vector(np.array([0.2, -0.3, 1.2])), np.array([0.4, -1.0, 0.2]))
 
 
@@ -128,7 +127,6 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     assert 4e-5 < spread[1] < 1e-4
 
 
-@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 8))
 def test_stops_are_judged_alike_in_any_order(pair: SimulatedCell, seed: int, count: int) -> None:
@@ -154,7 +152,6 @@ def test_what_the_tracker_can_follow_is_less_visible(single: SimulatedCell, pair
         assert not visibility(free, directions, calibration_motions(free, directions))[1][:6].any()
 
 
-@pytest.mark.slow
 def test_stops_are_approached_from_where_the_arm_is(pair: SimulatedCell) -> None:
     homes = {name: q[5] for name, q in pair.candidates.items()}
     few = {name: q[:40] for name, q in pair.candidates.items()}
