@@ -133,11 +133,6 @@ def test_the_chosen_stop_is_marked_in_the_chart_of_residuals() -> None:
     assert len(stored_residual_chart(stops, (), stops[-1]).series) == 2
 
 
-def test_a_run_without_sessions_shows_nothing(single: RunFile) -> None:
-    assert collection_state(single) is None
-    assert "<h2>Collecting</h2>" not in page_text(single, NOON)
-
-
 def test_the_page_has_a_section_and_escapes_what_devices_said(double: RunFile) -> None:
     session = double.begin_session()
     double.record_request(session, "suspend", HOSTILE)

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.report.before_after import BeforeAfterFigure, ComparedErrors, before_after_figure
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.report.sections import SECTIONS, placed
@@ -139,30 +138,6 @@ def test_arms_stand_beside_each_other() -> None:
 
 
 # -- before and after -------------------------------------------------------------------------------------------------
-
-
-def figure_of(*rows: ComparedErrors) -> BeforeAfterFigure:
-    return BeforeAfterFigure(rows, 0.01, 10.0, "")
-
-
-def test_places_on_a_logarithmic_axis() -> None:
-    figure = figure_of()
-    assert [figure.percent(value) for value in (0.01, 0.1, 10.0)] == ["0.00%", "33.33%", "100.00%"]
-    assert figure.percent(0.0) == "0.00%"
-    assert figure.ticks == pytest.approx((0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0))
-    assert BeforeAfterFigure((), 1e-6, 10.0, "").ticks[:2] == (1e-6, 1e-5), "many decades have no room for more"
-
-
-@given(st.floats(1e-5, 1e3), st.floats(1.1, 1e6))
-def test_ticks_are_on_the_axis(low: float, span: float) -> None:
-    figure = BeforeAfterFigure((), low, low * span, "")
-    assert all(low <= tick <= low * span for tick in figure.ticks)
-    assert list(figure.ticks) == sorted(set(figure.ticks))
-    assert len(figure.ticks) <= 12, "labels of more would overlap on a phone"
-
-
-def test_no_figure_without_errors() -> None:
-    assert before_after_figure(data_of()) is None
 
 
 # -- findings and next steps ------------------------------------------------------------------------------------------

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.planned_stops import (
     PLAN_DESIGN_RESULT,
     read_plan_design,
@@ -15,11 +13,11 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.check_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.check_view import design_tables
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
 from cellapp.ground.errors import InputError
-from tests.interfaces.page.plan_cases import TIME, plan_design
+from tests.interfaces.page.plan_cases import plan_design
 from tests.twin import small_twin
 
 
@@ -43,23 +41,6 @@ def test_tables_state_candidates_errors_gaps_and_errors_by_stops() -> None:
     assert errors[0] == ("left", "designed", "400", "0.700", "0.0070", "0.0210")
     assert errors[2] == ("left", "equal to random", "", "840 stops", "640 stops", "1280 stops")
     assert tables["Largest gap of each joint"].text_rows()[0][:2] == ("left", "11.5")
-
-
-def test_sentences_state_balance_travel_and_detours() -> None:
-    words = " ".join(design_sentences(plan_design()))
-    assert "Largest correlation of a planned factor: 0.08 (step of joint 3 of left with dwell)" in words
-    assert "30 min, in random order 50 min: 40 % are saved" in words
-    assert "7 stops are reached by a detour, 10 stops repeat an earlier one, in 8 blocks" in words
-    assert "joint 6 was not asked for phase coverage" in words
-
-
-def test_lines_of_a_random_plan_have_no_design() -> None:
-    result = PlanResult(run="run", stops={"left": 8}, reserves=2, time=TIME, notes=("a note",))
-    assert plan_result_tables(result) == []
-    first, time, note = plan_lines(result)
-    assert (first, note) == ("arm left: 8 stops planned and 2 in reserve", "a note")
-    assert time.startswith("Collecting takes about 1 h 30 min")
-    assert "design" not in json.loads(result.to_json())
 
 
 def test_a_design_is_stored_with_its_plan_and_shown_from_the_run(tmp_path: Path) -> None:
