@@ -12,7 +12,7 @@ from textual.widgets import Input
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Progress
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, completions
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.palette import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
 from cellapp.interfaces.tui.endings import ERROR_LOG
@@ -338,19 +338,6 @@ async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path:
         await pilot.press("l", "enter")
         await until(pilot, lambda: chosen, "the choice")
     assert chosen == [tmp_path / "cell-one.yaml"]
-
-
-def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
-    for name in ("b.yaml", "b.txt", ".b.yaml"):
-        (tmp_path / name).write_text("")
-    (tmp_path / "bin").mkdir()
-
-    def wanted(path: Path) -> bool:
-        return path.suffix == ".yaml"
-
-    assert completions(f"{tmp_path}/b", wanted) == [f"{tmp_path}/b.yaml", f"{tmp_path}/bin/"]
-    assert completions(f"{tmp_path}/.b", wanted) == [f"{tmp_path}/.b.yaml"]
-    assert completions(f"{tmp_path}/nowhere/x", wanted) == []
 
 
 def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:

@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
-from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
+from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
 from tests.waiting import WAIT_S
 
@@ -183,7 +183,3 @@ async def test_a_profile_from_elsewhere_joins_the_list_and_a_run_is_closed_by_en
         assert profiles.option_count == count + 1
         words = app.day_screen.query_one("#cell-words", DataTable)
         await until(pilot, lambda: words.row_count > 0 and "UR5" in str(words.get_row_at(0)[1]), "its words")
-
-
-def test_ages_in_words() -> None:
-    assert [age_words(seconds) for seconds in (0.5, 12.0, 200.0)] == ["now", "12 s ago", "3 min ago"]

@@ -14,7 +14,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
-from cellapp.interfaces.tui.screens.cell import problem_rows
 from tests.interfaces.tui.pilot import SIZES, SMALL, HeldJob, ended, opened, shows, tells, until
 from tests.interfaces.tui.terminal import Terminal
 from tests.waiting import WAIT_S
@@ -66,11 +65,6 @@ def edits(app: CellApp, monkeypatch: pytest.MonkeyPatch, before: str, after: str
 def rows(app: CellApp) -> list[list[str]]:
     table = app.day_screen.query_one("#cell-words", DataTable)
     return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
-
-
-def test_problems_stand_by_line() -> None:
-    found = problem_rows("profiles/a.yaml:12: plan.stops: expected a number\nprofiles/arms/b.yaml:3: x: y\nand 2 more")
-    assert found == [("a.yaml:12", "plan.stops: expected a number"), ("b.yaml:3", "x: y"), ("", "and 2 more")]
 
 
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[1]])

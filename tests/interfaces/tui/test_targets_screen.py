@@ -23,7 +23,7 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.screens import targets_state
 from cellapp.interfaces.tui.screens.targets import TargetsScreen
-from cellapp.interfaces.tui.screens.targets_state import TargetEdits, new_name
+from cellapp.interfaces.tui.screens.targets_state import TargetEdits
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
 from tests.twin import small_twin
@@ -334,25 +334,3 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
     (request,) = started
     assert request.targets == load_targets(few, small_twin())
     assert (request.verify, request.out_of_date) == (False, True)
-
-
-def test_undo_and_redo_are_a_stack() -> None:
-    one, two, three = LISTED[:3]
-    edits = TargetEdits(None, (one,), (one,)).with_target(1, two).with_target(0, three)
-    assert edits.targets == (three, two)
-    back = edits.undone()
-    assert back is not None
-    assert back.targets == (one, two)
-    assert back.redone() == edits
-    first = back.undone()
-    assert first is not None
-    assert not first.edited
-    assert first.undone() is None
-    assert first.without(0).redone() is None
-
-
-@pytest.mark.parametrize(
-    ("like", "name"), [("left-01", "left-03"), ("left-09", "left-10"), ("hole", "hole-2"), ("7", "8"), ("a99", "a100")]
-)
-def test_a_new_name_is_the_next_number(like: str, name: str) -> None:
-    assert new_name(like, LISTED[:2]) == name

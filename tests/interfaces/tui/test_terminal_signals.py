@@ -16,8 +16,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import JobRecord, Pace
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.terminal_signals import notice_sequence, since_words, title_sequence, title_words
-from cellapp.interfaces.tui.widgets.header import job_words
+from cellapp.interfaces.tui.terminal_signals import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, until
@@ -41,22 +40,6 @@ def test_the_title_says_state_and_percent() -> None:
     assert title_words(run_state(space, running), running) == "53 % collect · logs/day"
     stopped = record(HALF, LOST)
     assert title_words(run_state(space, stopped), stopped) == "STOPPED 53 % collect · logs/day"
-
-
-def test_a_job_that_waits_says_since_when_why_and_how_far_it_is() -> None:
-    stopped = record(HALF, LOST)
-    stopped.since = datetime(2026, 1, 2, 2, 14)
-    assert since_words(stopped) == "since 02:14, arm right: link lost, 215 of 400"
-
-
-def test_a_part_is_named_after_its_job_unless_it_is_called_the_same() -> None:
-    testing = record(Progress("find cube", 1, 2))
-    testing.name = "iso9283"
-    assert job_words(testing) == "iso9283 1/2"
-    testing.add(Progress("iso9283", 35, 604))
-    assert job_words(testing) == "iso9283 35/604"
-    testing.add(Progress("find cube", 2, 2))
-    assert job_words(testing) == "iso9283: find cube 2/2"
 
 
 def test_no_text_ends_a_sequence_early() -> None:
