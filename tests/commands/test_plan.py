@@ -24,8 +24,11 @@ from cellapp.cell.planning.planned_stops import (
     straight_stops,
     write_planned_stops,
 )
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.collected import reference_drifts
+from cellapp.commands.correct.view import view
+from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.plan.run import (
     check_plan_file,
     export_plan,
@@ -39,6 +42,7 @@ from cellapp.commands.plan.run import (
     stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
+from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
@@ -336,3 +340,24 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
         assert {tuple(stops.q[name][stop].tolist()) for stop in frozen - failed} <= left
         assert not {tuple(stops.q[name][stop].tolist()) for stop in replaced} & left
         assert len(left) == 9
+
+
+# -- What ``correct`` prints explains each of its columns --------------------------------------------------------------
+
+
+def test_each_size_in_the_table_is_explained_below_it_and_in_the_chapter() -> None:
+    target = CorrectedTarget(
+        line=3, command="movej", kind="pose", old=(0.1, 0.2, 0.3, 0.0, 0.0, 0.0), new=(0.1, 0.2, 0.301, 0.0, 0.0, 0.0),
+        correction_mm=1.0, correction_mrad=0.1, uncertainty_mm=0.02,
+    )  # fmt: skip
+    table, *lines = view(
+        CorrectResult(program="day.script", arm="left", targets=(target,), left=(), assumptions=(), out="out.script")
+    ).parts
+    assert isinstance(table, Table)
+    words = " ".join(map(str, lines))
+    chapter = chapter_text("programs")
+    for column in ("moves", "turns", "sigma"):
+        assert column in [one.title for one in table.columns]
+        assert column in words
+        assert f"*{column}*" in chapter
+    assert "standard uncertainty of a coordinate" in words

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
+from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
+    residual_joint_chart,
+    residual_space_chart,
 )
+from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import (
     drift_chart,
     live_residual_chart,
     standard_error_chart,
 )
 from cellapp.commands.discover.charts import picture_chart
-from cellapp.commands.view.charts import Axis, Chart, mm
+from cellapp.commands.plan.charts import coverage_chart, design_charts
+from cellapp.commands.report.data import ReportData, read_report_data
+from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
+from cellapp.interfaces.page.chart_svg import chart_figure
+from cellapp.interfaces.render.chart_style import Look
 from tests.interfaces.page.cases import picture
+from tests.interfaces.page.plan_cases import TIME, plan_design
 from tests.twin import PROFILES
 
 
@@ -105,3 +117,80 @@ def test_a_histogram_counts_every_error_once() -> None:
 @pytest.fixture(scope="module")
 def twin() -> Profile:
     return load_profile(PROFILES / "twin.yaml")
+
+
+# -- Charts of held-out errors over joints and in space, of a small calibrated run -------------------------------------
+
+
+@pytest.fixture
+def data(single: RunFile) -> ReportData:
+    return read_report_data(single)
+
+
+@pytest.fixture
+def held_out(data: ReportData) -> HeldOutArm:
+    return data.held_out["only"]
+
+
+def test_errors_over_a_joint_of_each_stage(held_out: HeldOutArm) -> None:
+    chart = residual_joint_chart("only", held_out, 3)
+    assert [one.name for one in chart.series] == ["nominal", "geometry"]
+    assert chart.series[0].x == pytest.approx(np.degrees(held_out.readings.q[:, 2]))
+    assert chart.series[1].y == pytest.approx(held_out.errors_mm["geometry"])
+    assert chart.message.startswith("Identified geometry: mean error ")
+    (geometry,) = residual_joint_chart("only", held_out, 1, ("geometry",)).series
+    assert geometry.style == 1
+
+
+@pytest.mark.parametrize("view", ["above", "side"])
+def test_errors_in_space_are_drawn_once_each(held_out: HeldOutArm, view) -> None:
+    chart = residual_space_chart("only", held_out, "geometry", view)
+    errors = held_out.errors_mm["geometry"]
+    assert sum(len(one.x) for one in chart.series) == len(errors)
+    worst = held_out.readings.p_M[np.argmax(errors)]
+    (largest,) = [one for one in chart.series if one.name == "larger"]
+    assert np.isclose(largest.x, worst[0]).any()
+    assert chart.equal
+    assert residual_space_chart("only", held_out, "effects", view).is_empty
+
+
+def test_the_histogram_of_a_run(data: ReportData, held_out: HeldOutArm) -> None:
+    chart = error_histogram_chart("only", held_out.errors_mm, data.calibrate.arms["only"].tracker_mm)
+    assert [one.y.sum() for one in chart.series] == [len(held_out.readings)] * 2
+    assert chart.limits[0].value == pytest.approx(np.sqrt(3.0) * 0.02)
+
+
+# -- Charts of a designed plan: what they draw, what their messages say, and that the page draws the same --------------
+
+
+def test_the_page_draws_the_same_charts_with_names_escaped() -> None:
+    design: PlanDesignResult = plan_design(arms=("<left>", "right"))
+    q = np.radians(np.random.default_rng(1).uniform(-90.0, 90.0, (40, 6)))
+    charts = [*design_charts(design, TIME), coverage_chart("<left>", np.tile([-3.2, 3.2], (6, 1)), q)]
+    for number, chart in enumerate(charts):
+        figure = chart_figure(f"plan{number}", chart)
+        drawing = ElementTree.fromstring(figure.svg)
+        assert drawing.tag.endswith("svg")
+        assert "<left" not in figure.svg + figure.data
+        assert (figure.caption, figure.note) == (chart.title, chart.message)
+        assert len(figure.legend) == (0 if chart.categories else len(chart.series))
+        assert "".join(drawing.itertext()).count("left") == sum("left" in name for name in chart.categories)
+        assert figure == chart_figure(f"plan{number}", chart)
+
+
+def test_maps_limits_and_steps_are_drawn_too() -> None:
+    drawn = (
+        series("rays", [0.0, 1.0], [0.0, 1.0], style=4, mark="·"),
+        series("base", [0.0], [0.0], "points", style=4, mark="B"),
+        series("stops", np.arange(100.0), np.arange(100.0), "points"),
+        series("level", [0.0, 50.0], [1.0, 2.0], "steps", style=1),
+    )
+    chart = Chart("A map", Axis("x", "m"), Axis("y", "m"), drawn, "", (Limit("floor", 2.0),), equal=True)
+    looks = [(entry.text, entry.look) for entry in chart_figure("map", chart).legend]
+    assert looks == [
+        ("rays", Look("soft", "dot")),
+        ("base", Look("ink", "square")),
+        ("stops", Look("arm1", "round")),
+        ("level", Look("arm2", "line")),
+        ("floor", Look("ink", "limit")),
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rich.cells import cell_len
+from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.color import Color
+from textual.widgets import DataTable
 
 from cellapp.commands.collect.charts import live_residual_chart
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
@@ -25,7 +28,10 @@ from cellapp.interfaces.tui.plots.drawing import (
 )
 from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, WrappedTables
 from tests.interfaces.page.cases import picture, unknown_effect
+from tests.interfaces.tui.pilot import WAIT_S
 
 SIZES = [(80, 24), (120, 40), (200, 60)]
 NARROW = (38, 18)
@@ -202,3 +208,78 @@ def test_whatever_the_numbers_nothing_leaves_the_room(x, seed, kind, size, logar
 
 
 # -- dots and scales --------------------------------------------------------------------------------------------------
+
+
+# -- Tables have all their rows and columns as wide as their texts, also where a busy computer draws them early --------
+
+
+class TableApp(App[None]):
+    """One table."""
+
+    def compose(self) -> ComposeResult:
+        yield TextTable()
+
+
+async def test_rows_that_were_drawn_before_they_were_measured_are_drawn_again() -> None:
+    app = TableApp()
+    async with app.run_test() as pilot:
+        table = app.query_one(DataTable)
+        table.add_column("id")
+        for text in ("short", "a longer text", "a text that is longer still"):
+            table.clear()
+            table.add_row(Text("a"))
+            table.add_row(Text(text))
+            table.render_line(2)  # too early: the column is as wide as the texts before
+            await pilot.pause()
+            assert text in table.render_line(2).text
+
+
+async def test_a_table_whose_place_is_asked_for_before_the_layout_has_its_rows() -> None:
+    """The layout that follows takes such a table for shown already and sends it no message."""
+    app: App[None] = App()
+    async with app.run_test() as pilot:
+        table = TextTable(cursor_type="none")
+        table.add_column("id")
+        table.add_row(Text("a text"))
+        app.screen.mount(table)
+        async with asyncio.timeout(WAIT_S):
+            while not table.is_mounted:
+                await asyncio.sleep(0)
+        compositor = app.screen._compositor
+        compositor._full_map_invalidated = True  # as a widget does that is drawn before it has its place
+        assert table in compositor.full_map
+        await pilot.pause()
+        assert table.virtual_size.height == 2
+
+
+# -- Tables of a screen that is drawn while it is being made, or goes away: they are there once there is a place -------
+
+
+def shown(view: TablesView) -> list[str]:
+    return [str(child.render()) for child in view.children]
+
+
+@pytest.mark.parametrize("kind", [TablesView, WrappedTables, PartsView])
+async def test_what_is_said_before_there_is_a_place_for_it_is_said_then(kind: type[TablesView]) -> None:
+    app: App[None] = App()
+    async with app.run_test() as pilot:
+        view = kind("at first")
+        view.say_empty("No run is open.")
+        await app.mount(view)
+        await pilot.pause()
+        assert shown(view) == ["No run is open."]
+        view.show((), ["out of date"])
+        await pilot.pause()
+        assert shown(view) == ["out of date"]
+        await view.remove()
+        view.show((), ["it goes away"])
+
+
+async def test_parts_that_come_before_there_is_a_place_for_them_are_drawn_then() -> None:
+    app: App[None] = App()
+    async with app.run_test() as pilot:
+        view = PartsView("at first")
+        view.show_parts(("a sentence",), ["a mark"])
+        await app.mount(view)
+        await pilot.pause()
+        assert shown(view) == ["a mark", "a sentence"]

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from textual.pilot import Pilot
 from textual.widgets import TabbedContent, TabPane
 
@@ -23,6 +25,7 @@ from cellapp.ground.progress import JobState
 from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.marks import SIGNS, marks_of
 from cellapp.interfaces.tui.pictures import settle
@@ -295,3 +298,28 @@ def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("More: 'cellapp docs joint_compliance'") == "More: key F1"
     assert with_keys("no runs below logs; 'cellapp run PROFILE' makes one") == "no runs below logs; key F5 makes one"
     assert with_keys("cellapp is a program") == "cellapp is a program"
+
+
+# -- The record of a job: what events leave behind, without any screen -------------------------------------------------
+
+Q0, Q1 = (0.0, 0.1), (1.0, 1.1)
+
+
+@given(steps=st.lists(st.integers(0, 40), max_size=20))
+def test_newest_lines_are_each_heard_once(steps: list[int]) -> None:
+    record, heard, written = JobRecord(), [], 0
+    for count in steps:
+        for _ in range(count):
+            record.note(f"line {record.log_written}")
+        heard += record.newest_lines(written)
+        written = record.log_written
+    assert [row.text for row in heard] == [f"line {number}" for number in range(sum(steps))]
+
+
+def test_lines_that_are_kept_no_more_are_not_heard() -> None:
+    record = JobRecord()
+    for number in range(MOST_LINES + 10):
+        record.note(f"line {number}")
+    newest = record.newest_lines(0)
+    assert len(newest) == MOST_LINES
+    assert newest[0].text == "line 10"
