@@ -62,6 +62,7 @@ def best_of(repeats, *functions):
     return times_of(repeats, *functions).min(axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")
 def test_identification_of_27_parameters_at_400_configurations(benchmark):
     start, q, p_M = problem(400)
@@ -87,12 +88,14 @@ def test_identification_of_27_parameters_at_400_configurations(benchmark):
     assert least / least_floor < 3.5
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")
 def test_one_lstsq_of_the_same_size(benchmark):
     A, b = least_squares_of(*problem(400))
     benchmark(np.linalg.lstsq, A, b, rcond=None)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")
 def test_identification_with_full_covariances(benchmark):
     start, q, p_M = problem(400)
@@ -100,6 +103,7 @@ def test_identification_with_full_covariances(benchmark):
     benchmark(identify, start, q, p_M, sigma=sigma)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="cost per configuration")
 def test_cost_per_configuration_does_not_grow(benchmark):
     small, large = problem(4_000), problem(400_000)
@@ -112,6 +116,7 @@ def test_cost_per_configuration_does_not_grow(benchmark):
     benchmark.pedantic(identify, args=small, rounds=3)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="start")
 def test_help_is_there_at_once(benchmark):
     command = [sys.executable, "-m", "cellapp", "--help"]
@@ -129,6 +134,7 @@ def residual_problem(n):
     return q, np.stack([np.cos(q[:, 0]) * sag, np.sin(q[:, 0]) * sag, -sag], axis=1) + rng.normal(0.0, 15e-6, (n, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="residual network of an arm")
 @pytest.mark.parametrize("readings", [200, 12_000])
 def test_training_of_a_residual_network(benchmark, readings):
@@ -137,6 +143,7 @@ def test_training_of_a_residual_network(benchmark, readings):
     assert training.network is not None
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="residual network of an arm")
 def test_normal_equations_of_a_member(benchmark):
     q, residual = residual_problem(160)
@@ -158,6 +165,7 @@ def model_of(profile):
     return CellModel(arms=arms)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="1000 targets of a UR10")
 def test_commands_of_1000_targets(benchmark):
     profile = small_twin()
@@ -167,6 +175,7 @@ def test_commands_of_1000_targets(benchmark):
     assert sum(not command.refusal for command in commands) > 0.5 * TARGETS
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="1000 targets of a UR10")
 def test_closed_form_of_1000_poses(benchmark):
     geometry = nominal_arm(small_twin().arms["left"])
@@ -204,6 +213,7 @@ def task(stops: int) -> TourTask:
     return TourTask(np.full(blocks, 100), time_s, np.zeros((1, blocks, 100, 100)), postures, 0.1, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="order of stops, 200 steps of the search")
 @pytest.mark.parametrize("stops", [400, 4000])
 def test_steps_of_the_search_for_an_order(benchmark, stops: int) -> None:
@@ -212,6 +222,7 @@ def test_steps_of_the_search_for_an_order(benchmark, stops: int) -> None:
     assert order.shape == (2, stops // 100, 100)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="levels of one factor, 100 variables")
 @pytest.mark.parametrize("stops", [400, 4000])
 def test_balanced_levels(benchmark, stops: int) -> None:
@@ -228,12 +239,14 @@ PROFILE = load_profile(PROFILES / "twin.yaml")
 CELL = cell_bodies(PROFILE)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="candidates of one arm")
 def test_a_pool_of_20_000_candidates(benchmark):
     pool = benchmark.pedantic(lambda: draw_pool(CELL, PROFILE, "left", 20_000, np.random.default_rng(1)), rounds=3)
     assert len(pool.q) == 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="candidates of one arm")
 def test_plain_rejection_of_100_000_configurations(benchmark):
     low, high = CELL.arms["left"].limits.T / 2.0
@@ -246,6 +259,7 @@ def test_plain_rejection_of_100_000_configurations(benchmark):
     assert len(benchmark.pedantic(draw, rounds=3)) > 500
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="view of both arms")
 def test_the_view_of_both_arms(benchmark):
     view = benchmark.pedantic(view_workspace, args=(PROFILE,), rounds=1)
@@ -265,6 +279,7 @@ def candidates_of(count):
     return candidates, Criterion(reference, rng.normal(size=(600, 3, COLUMNS)))
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="400 of 20 000 stops, 150 columns")
 def test_choice_of_400_of_20000_stops(benchmark):
     candidates, criterion = candidates_of(20_000)
@@ -274,6 +289,7 @@ def test_choice_of_400_of_20000_stops(benchmark):
     assert len(set(chosen.tolist())) == STOPS
 
 
+@pytest.mark.slow
 def test_an_update_of_rank_three_against_fresh_products():
     candidates, criterion = candidates_of(1000)
     chosen = np.arange(STOPS)
@@ -306,6 +322,7 @@ def drawn(count):
     return {name: rng.uniform(one[:, 0], one[:, 1], (count, 6)) for name, one in ranges.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="one motion of both arms among four obstacles")
 def test_a_motion_among_obstacles(benchmark):
     cell, bare = cell_bodies(REAL), cell_bodies(REAL.model_copy(update={"obstacles": {}}))
@@ -322,6 +339,7 @@ def test_a_motion_among_obstacles(benchmark):
     assert ours / without < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="20 000 stops of both arms among four obstacles")
 def test_many_stops_at_once(benchmark):
     cell, q = cell_bodies(REAL), drawn(20_000)
@@ -332,6 +350,7 @@ def test_many_stops_at_once(benchmark):
     assert one_by_one / len(few) > 10.0 * ours / len(clear)
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="20 000 stops of both arms among four obstacles")
 def test_the_view_of_many_stops_at_once(benchmark):
     cell, q = cell_bodies(REAL), drawn(20_000)
@@ -355,11 +374,13 @@ def csv(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="10 000 targets")
 def test_read_csv(benchmark, csv):
     assert len(benchmark.pedantic(load_targets, (csv, PROFILE_OF_TARGET_LISTS), rounds=3)) == COUNT
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="10 000 targets")
 def test_read_yaml(benchmark, csv):
     path = csv.with_suffix(".yaml")
@@ -367,6 +388,7 @@ def test_read_yaml(benchmark, csv):
     assert len(benchmark.pedantic(load_targets, (path, PROFILE_OF_TARGET_LISTS))) == COUNT
 
 
+@pytest.mark.slow
 @pytest.mark.benchmark(group="10 000 targets")
 def test_goals(benchmark, csv):
     model = CellModel({name: nominal_model(PROFILE_OF_TARGET_LISTS, name) for name in PROFILE_OF_TARGET_LISTS.arms})

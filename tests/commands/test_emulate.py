@@ -166,6 +166,7 @@ def wire_profile(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(shells: Future[None]) -> None:
     shells.result(240.0)
 
@@ -290,6 +291,7 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         assert track.trigger.offset_s == pytest.approx(true_s, abs=0.010)
 
 
+@pytest.mark.slow
 def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
     profile = served_cell()
     model = published_cell(profile, {})

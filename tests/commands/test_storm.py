@@ -67,6 +67,7 @@ def test_a_folder_that_exists_is_not_written_to(tmp_path: Path) -> None:
         storm_trial(at_own_addresses(), 4, 0, 0, keep=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
 def test_a_small_storm_loses_and_doubles_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "kept"

@@ -49,6 +49,7 @@ def ran(*arguments: str) -> tuple[int, str, dict[str, object]]:
     )
 
 
+@pytest.mark.slow
 def test_the_commands_do_what_the_page_says(
     finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,6 +110,7 @@ def test_mistakes_are_answered_as_the_chapter_says(finished_run: Path, capsys: p
 TWIN = PROFILES / "twin.yaml"
 
 
+@pytest.mark.slow
 def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "new"
     ended = CliRunner().invoke(
@@ -161,6 +163,7 @@ def test_the_page_describes_every_format() -> None:
 COMMANDS_OF_ISO9283_PAGE = "".join(blocks("iso9283", "sh")).splitlines()
 
 
+@pytest.mark.slow
 def test_the_commands_ask_for_what_the_page_says(
     finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,6 +95,7 @@ def _problems(example: Example, profiles: Path) -> Iterator[str]:
                     yield from _told(command.place, command.text, f"{word} does not exist")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("chapter", "long"), CHAPTERS_RUN)
 def test_commands_and_python_run(
     chapter: str,

@@ -146,6 +146,7 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
 
 
+@pytest.mark.slow
 def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []

@@ -67,7 +67,9 @@ def size_name(size: tuple[int, int]) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-@pytest.mark.parametrize("size", SIZES, ids=size_name)
+@pytest.mark.parametrize(
+    "size", [SIZES[0], *(pytest.param(size, marks=pytest.mark.slow) for size in SIZES[1:])], ids=size_name
+)
 async def test_every_screen_looks_as_it_did_and_cuts_no_number(size: tuple[int, int], finished_run: Path) -> None:
     differences, cut = [], []
     async with day(finished_run, size) as (pilot, app):
@@ -173,6 +175,7 @@ def test_what_cannot_be_recorded_is_refused_with_the_usage(
     assert not Path("day").exists()
 
 
+@pytest.mark.slow
 async def test_every_screen_is_kept_in_the_order_of_the_day(tmp_path: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:

@@ -186,7 +186,7 @@ def test_five_presses_at_once_are_five_stops(running: Held) -> None:
     running.resume()
 
 
-@pytest.mark.parametrize("key", ["Escape", "Ctrl-C", "mouse"])
+@pytest.mark.parametrize("key", ["Escape", *(pytest.param(key, marks=pytest.mark.slow) for key in ("Ctrl-C", "mouse"))])
 def test_stop_answers_the_question_before_the_first_motion(tmp_path: Path, key: str) -> None:
     with held(tmp_path, "--asks") as app:
         app.terminal.send("tw")
@@ -225,10 +225,10 @@ def ends(number: int) -> Callable[[Terminal], None]:
     ("leave", "how"),
     [
         (quits("q"), LEFT),
-        (quits("\x11"), LEFT),
+        pytest.param(quits("\x11"), LEFT, marks=pytest.mark.slow),
         (Terminal.hang_up, "the terminal was closed"),
-        (ends(signal.SIGHUP), "the terminal was closed"),
-        (ends(signal.SIGTERM), "the program was asked to end (SIGTERM)"),
+        pytest.param(ends(signal.SIGHUP), "the terminal was closed", marks=pytest.mark.slow),
+        pytest.param(ends(signal.SIGTERM), "the program was asked to end (SIGTERM)", marks=pytest.mark.slow),
     ],
     ids=["q", "Ctrl-Q", "closed", "SIGHUP", "SIGTERM"],
 )
