@@ -9,7 +9,6 @@ COPY pyproject.toml README.md LICENSE ./
 COPY cellapp cellapp
 COPY drivers drivers
 COPY profiles profiles
-COPY tests/fixtures/panda-sockets tests/fixtures/panda-sockets
 COPY tests/fixtures/ur10-6d tests/fixtures/ur10-6d
 COPY tests/fixtures/ur10-real tests/fixtures/ur10-real
 COPY tests/fixtures/ur10-real-d tests/fixtures/ur10-real-d

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal, NoReturn
 
-from drivers.arms.settings import ArmContext, ArmSettings
+from drivers.arms.settings import ArmSettings
 from drivers.findings import Finding
 from drivers.settings import SettingError
 from drivers.trackers.settings import TrackerSettings
@@ -27,7 +27,3 @@ class NoDriver(ArmSettings, TrackerSettings):
     def probe(self, context: object, patience_s: float) -> list[Finding]:
         """Report that there is nothing to check."""
         return [Finding("", "ok", "no device: readings come from a file")]
-
-    def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> NoReturn:
-        """Raise ``SettingError``."""
-        raise SettingError("driver: 'none' has no device to read; touches of this profile come from 'cellapp import'")

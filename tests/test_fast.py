@@ -16,8 +16,7 @@ FOLDERS = sorted({path.parent for path in TESTS.rglob("test_*.py")})
 TESTED_ELSEWHERE = {
     "interfaces/page": ("calibrate", "collect", "discover", "report", "view"),
     "interfaces/cli": ("at_rest", "demo", "run", "schema"),
-    "commands": ("check_certificate", "sign_key"),
-    "cell/targets": ("compensate", "follow", "push"),
+    "cell/targets": ("compensate", "push"),
     "cell/run": ("import_",),
     "cell/programs": ("correct",),
     "cell/driving": ("locate", "replay"),

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import astuple, fields
+from dataclasses import fields
 
 import numpy as np
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, flange_touches_of
 from cellapp.cell.run.measured_again import replaced_counts
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.estimation.readings.readings import Readings
@@ -19,8 +17,7 @@ from cellapp.ground.results import Record, StageName
 
 
 class ReadingsBasis(Record):
-    """Number of readings of one arm, with its touches on the other arm's flange, and the hash of their measured arrays
-    and splits; empty if only counted.
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted.
 
     ``again`` counts the readings that later ones had replaced.
     """
@@ -56,13 +53,12 @@ class Basis(Record):
 
 def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
     """Return the basis of a stage that is stored now; ``stages`` maps each earlier stage that it uses to its digest."""
-    readings, again = {name: run.readings(name) for name in run.arms()}, replaced_counts(run)
+    measured = run.rows if run.removed_kinds() else run.readings
+    readings, again = {name: measured(name) for name in run.arms()}, replaced_counts(run)
     return Basis(
         profile=sha256_of(run.profile_text),
         readings={
-            name: ReadingsBasis(
-                n=len(arm) + len(arm.on_flange or ()), sha256=readings_digest(arm), again=again.get(name, 0)
-            )
+            name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm), again=again.get(name, 0))
             for name, arm in readings.items()
         },
         stages=stages or {},
@@ -83,8 +79,7 @@ def counted_basis(run: RunFile) -> Basis:
     and splits are drawn only for readings without one, before a calibration uses them.
     """
     again = replaced_counts(run)
-    on_flange = Counter(one.arm for one in flange_touches_of(run.read_result(FLANGE_TOUCHES_RESULT)))
-    counts = {name: sum(splits.values()) + on_flange[name] for name, splits in run.split_counts().items()}
+    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
     return Basis(
         profile=sha256_of(run.profile_text),
         readings={name: ReadingsBasis(n=n, sha256="", again=again.get(name, 0)) for name, n in counts.items()},
@@ -101,10 +96,6 @@ def readings_digest(readings: Readings) -> str:
             digest.update(f"{entry.name} {values.shape}\n".encode())
             digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
     digest.update(json.dumps(readings.split).encode())
-    if readings.point is not None:
-        digest.update(json.dumps([readings.point, [astuple(one) for one in readings.distances]]).encode())
-    if (carried := readings.on_flange) is not None:
-        digest.update(json.dumps([carried.socket, carried.q.tolist(), carried.other_q.tolist()]).encode())
     return digest.hexdigest()
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.run_results import StageResults
@@ -21,7 +20,6 @@ from cellapp.ground.results import (
     CHECK,
     COMPENSATE,
     DISCOVER,
-    FOLLOW,
     ISO9283,
     LOCATE,
     PATH,
@@ -59,7 +57,7 @@ def conformity(run: RunFile, results: StageResults) -> Conformity | None:
     """Return the verdict on the tolerances of a run's profile; None if the profile has none or nothing is judged."""
     if not run.profile.tolerances.any_given:
         return None
-    if CALIBRATE in results.out_of_date:
+    if CALIBRATE in results.out_of_date or run.removed_kinds():
         return "cannot say"
     readings = {name: run.readings(name) for name in run.profile.arms}
     measured = measured_conditions({name: arm for name, arm in readings.items() if len(arm)})
@@ -76,18 +74,13 @@ def _concluded(results: StageResults) -> Iterator[tuple[StageName, Conclusion]]:
         yield LOCATE, Conclusion("does not conform", "; ".join(located)) if located else Conclusion("done", "located")
     if results.compensate is not None:
         yield COMPENSATE, Conclusion("done", "commands computed")
-    measured: Mapping[StageName, VerifyResult | PathResult | None] = {
-        PUSH: results.push,
-        VERIFY: results.verify,
-        PATH: results.path,
-        FOLLOW: results.follow,
-    }
+    measured: Mapping[StageName, VerifyResult | None] = {PUSH: results.push, VERIFY: results.verify}
     for name, one in measured.items():
-        if isinstance(one, VerifyResult):
+        if one is not None:
             yield name, _verification(one, measures=name == VERIFY)
-        elif one is not None:
-            failed = one.complaints()
-            yield name, Conclusion("does not conform", "; ".join(failed)) if failed else Conclusion("done", "done")
+    if results.path is not None:
+        refused = results.path.complaints()
+        yield PATH, Conclusion("does not conform", "; ".join(refused)) if refused else Conclusion("done", "computed")
     if results.iso9283 is not None:
         yield ISO9283, _tests(results.iso9283)
     if results.check is not None:

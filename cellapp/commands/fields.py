@@ -17,9 +17,6 @@ NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", 
 Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
-RunFolders = Annotated[
-    tuple[Path, ...], Asked("Folders of runs, or of single runs; searched below.", "DIR...", argument=True)
-]
 Jobs = Annotated[
     int | None,
     Field(ge=1, le=1024),

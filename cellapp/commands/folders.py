@@ -11,7 +11,6 @@ STORING = (
     "locate",
     "compensate",
     "push",
-    "follow",
     "iso9283",
     "check",
     "certificate",
@@ -19,10 +18,10 @@ STORING = (
 """Verbs that store results in a run, in the order in which ``show`` names them."""
 
 FOLDERS = (
-    *("run", "demo", "doctor", "init", "plan", "rehearse", "collect", "replay", "import_", "touch"),
-    *(*STORING, "sign_key"),
-    *("check_certificate", "report", "show", "export", "correct", "at_rest", "runs", "compare", "fleet"),
-    *("recalibrate", "schema", "docs", "emulate", "tracker_bridge"),
+    *("run", "demo", "doctor", "init", "plan", "rehearse", "collect", "replay", "import_"),
+    *STORING,
+    *("report", "show", "export", "correct", "at_rest", "runs", "compare"),
+    *("schema", "docs", "emulate", "tracker_bridge"),
 )
 
 

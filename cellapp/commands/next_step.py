@@ -43,6 +43,8 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
 
 def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
     """Return the verb that comes next and its command; both empty if nothing is left to do."""
+    if run.removed_kinds():
+        return "", ""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
         return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"

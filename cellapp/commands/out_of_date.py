@@ -33,10 +33,11 @@ def data_mark(run: RunFile, stages: RunStages | None = None) -> str:
 
 
 def complaints_of(run: RunFile, stages: RunStages | None = None) -> list[str]:
-    """Say what is out of date, one sentence each: stages, the page, the certificate; empty if nothing is."""
+    """Say what is out of date, one sentence each: readings, stages, the page, the certificate; empty if nothing is."""
     stages = stages or read_stages(run)
     outdated = [f"'{name}' is out of date ({reason})" for name, reason in stages.out_of_date.items()]
-    return [*outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
+    removed = [f"arm '{arm}': {reason}" for arm, reason in run.removed_kinds().items()]
+    return [*removed, *outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
 
 
 def complaints_in(folder: Path) -> list[str]:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -32,10 +32,6 @@ if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
     from cellapp.ground.results import Result
-
-
-PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
-"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +60,6 @@ class Asked:
         Value -> its name in a dialog, for a field with several values.
     writes : Writes or None
         How the file or folder that the path names is written.
-    secret : str
-        Empty, or "new" or "known" for what is typed unseen, a new one twice. It has no option: see ``Work.secret``.
     needed : bool
         Whether the command line requires it although the request has a default.
     typed : type or None
@@ -83,7 +77,6 @@ class Asked:
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     writes: Writes | None = None
-    secret: Literal["", "new", "known"] = ""
     needed: bool = False
     typed: Any = None
 
@@ -151,10 +144,6 @@ def _no_run_page(run: RunFile) -> Path:
     raise InputError(f"{run.path}: no page can be written from here")
 
 
-def _no_result_page(result: Result, path: Path) -> Path:
-    raise InputError(f"{path}: this interface writes no page")
-
-
 def _no_certificate_page(result: Result) -> str:
     raise InputError("this interface draws no page of a certificate")
 
@@ -171,8 +160,6 @@ class Work:
     ----------
     listener, control
         The listener takes the progress; the control asks for pause and stop.
-    result_page : callable
-        (result, file) -> write the HTML page of the result to the file and return its path.
     certificate_page : callable
         Result of a certificate -> its page as HTML.
     screens : callable
@@ -190,10 +177,6 @@ class Work:
         (question, possible answers) -> the answer of a person; empty if nobody can be asked.
     write_page : callable
         Write the page of a run into its folder; return its path.
-    line : callable
-        Question -> one line of input from a person or a program; None at its end, or if nobody can be asked.
-    secret : callable
-        (question, whether to ask twice) -> what a person typed unseen; None if nobody can be asked.
     """
 
     listener: Listener
@@ -201,15 +184,12 @@ class Work:
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
     verbs: Sequence[Verb] = ()
-    result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
     write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
-    line: Callable[[str], str | None] = field(default=lambda question: None)
-    secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from cellapp.ground.results import (
     CHECK,
     COMPENSATE,
     DISCOVER,
-    FOLLOW,
     ISO9283,
     LOCATE,
     PATH,
@@ -41,7 +40,6 @@ RESULTS: Mapping[StageName, type[Result]] = {
     PUSH: VerifyResult,
     VERIFY: VerifyResult,
     PATH: PathResult,
-    FOLLOW: PathResult,
     ISO9283: Iso9283Result,
     CHECK: CheckResult,
 }
@@ -66,7 +64,6 @@ class StageResults(Result):
     push: VerifyResult | None = None
     verify: VerifyResult | None = None
     path: PathResult | None = None
-    follow: PathResult | None = None
     iso9283: Iso9283Result | None = None
     check: CheckResult | None = None
     out_of_date: Mapping[StageName, str] = {}

@@ -221,6 +221,8 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
     if CHECK in current and found_change(current[CHECK].text) in CHANGES_OF_ARMS:
         used[CHECK] = unmoved
     reasons = {name: _why_outdated(stage, now, used.get(name, in_force), current) for name, stage in current.items()}
+    if run.removed_kinds():
+        reasons = dict.fromkeys(current, "an earlier version made it, from readings of a kind that was removed")
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
 

@@ -10,6 +10,7 @@ from cellapp.commands.basis import Basis
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
+from cellapp.estimation.monitoring.moved import CalibratedArm
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
 from cellapp.robot.model.model import CellModel
@@ -72,6 +73,26 @@ def append_with_model(
 def export_model(run: RunFile, stages: RunStages) -> None:
     """Write the model in force to a file for other programs."""
     model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)
+
+
+def comparable_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]:
+    """Return the arms of the model in force that have a covariance; none if this version cannot read the model."""
+    calibrated = stages.current.get(CALIBRATE)
+    if calibrated is None or stages.in_force is None:
+        return {}
+    try:
+        model = model_of(run, stages.in_force)
+        stored = CalibrateResult.from_json(calibrated.text, f"{run.path}: {CALIBRATE}")
+    except InputError:  # another version stored it
+        return {}
+    temperatures_c = run.mean_temperatures()
+    return {
+        name: CalibratedArm(
+            arm, tuple(own.identified), own.merged, own.degrees_of_freedom, temperatures_c.get(name, {})
+        )
+        for name, arm in model.arms.items()
+        if (own := stored.arms.get(name)) is not None and arm.covariance is not None
+    }
 
 
 def joined_calibration(calibrate: CalibrateResult, discover: DiscoverResult | None) -> CalibrateResult:

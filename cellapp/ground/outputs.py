@@ -1,7 +1,7 @@
 """The one door through which files are written that a person named: nothing is lost by a slip.
 
 A file that is there is replaced only where that was said. A run file, a database, a profile, a key, a signed
-certificate and an input are never replaced. A file is written beside the old one and renamed, so that a full disk
+file and an input are never replaced. A file is written beside the old one and renamed, so that a full disk
 leaves the old one.
 """
 
@@ -34,7 +34,7 @@ _SECTIONS = (re.compile(rb"^arms\s*:", re.MULTILINE), re.compile(rb"^tracker\s*:
 _ARM_TYPE = (re.compile(rb"^model\s*:", re.MULTILINE), re.compile(rb"^joints\s*:", re.MULTILINE))
 _PRIVATE_KEY = re.compile(rb"^-----BEGIN [A-Z ]*KEY-----", re.MULTILINE)
 _MINISIGN = b"untrusted comment:"
-_SIGNATURE_SUFFIX = ".minisig"
+_SIGNATURE_SUFFIXES = (".minisig", ".asc", ".sig")
 _STREAMS = {"/dev/stdin": 0, "/dev/stdout": 1, "/dev/stderr": 2}
 _OPEN_FILE = re.compile(r"/(?:dev|proc/self)/fd/([0-9]{1,6})")
 _numbers = count()
@@ -267,8 +267,9 @@ def _kind(place: Path) -> str:
         return "is a key"
     if head.startswith(_MINISIGN):
         return "is a key or a signature"
-    if os.path.lexists(place.with_name(place.name + _SIGNATURE_SUFFIX)):
-        return f"is signed ({place.name}{_SIGNATURE_SUFFIX} stands beside it)"
+    for suffix in _SIGNATURE_SUFFIXES:
+        if os.path.lexists(place.with_name(place.name + suffix)):
+            return f"is signed ({place.name}{suffix} stands beside it)"
     return ""
 
 

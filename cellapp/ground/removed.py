@@ -1,4 +1,4 @@
-"""What earlier versions had and this one has not: commands and keys of profiles, each with what to do instead."""
+"""What earlier versions had and this one has not: commands, keys of profiles, readings; what to do instead."""
 
 from __future__ import annotations
 
@@ -17,16 +17,38 @@ COMMANDS: Mapping[str, str] = {
             *("targets", "plans", "check", "signature"),
         )
     },
+    "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
+    "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
+    "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
+    "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
+    "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
+    "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate' writes",
+    "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
+    "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
 }
 """Name of a removed command, as it is typed -> what to do instead."""
-PROFILE_KEYS: Mapping[str, str] = {}
+PROFILE_KEYS: Mapping[str, str] = {
+    f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
+    for key in ("name", "nests", "distances")
+}
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
+READINGS: Mapping[str, tuple[str, str]] = {
+    "point": ("a ball in sockets", "measure the arm with a tracker"),
+    "smr": ("several SMRs at a stop", "export them as CSV, then 'cellapp import' makes one position and rotation"),
+}
+"""Column that only readings of a removed kind have -> what they are of, and what to do instead."""
 
 
 def removed_command(name: str) -> str:
     """Return the sentence about a removed command; empty if no earlier version had it."""
     instead = COMMANDS.get(name)
     return f"'cellapp {name}' was removed in {VERSION}: {instead}" if instead else ""
+
+
+def removed_readings(column: str) -> str:
+    """Return what to say of readings of a removed kind, which have this column."""
+    what, instead = READINGS[column]
+    return f"readings of {what} were removed in {VERSION}: {instead}"
 
 
 def removed_key(path: Sequence[str | int]) -> str:

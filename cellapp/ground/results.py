@@ -37,7 +37,6 @@ StageName = Literal[
     "push",
     "verify",
     "path",
-    "follow",
     "iso9283",
     "check",
     "certificate",
@@ -53,8 +52,7 @@ PUSH: StageName = "push"
 """Targets that were pushed without measuring them; it does not replace a verification."""
 VERIFY: StageName = "verify"
 PATH: StageName = "path"
-"""Paths that were planned, or driven without measuring them; it does not replace a measured one."""
-FOLLOW: StageName = "follow"
+"""Compensated paths."""
 ISO9283: StageName = "iso9283"
 CHECK: StageName = "check"
 """A few stops that show whether the calibration still holds; it measures the cell and changes no model."""
@@ -151,27 +149,16 @@ class ErrorSummary(Record):
     omitted_when_none = frozenset({"p50", "p95", "mean_ci95"})
 
 
-class GaugeErrors(Record):
-    """Errors of n known distances between points in sockets, sizes in mm."""
-
-    mean: float
-    max: float
-    n: int
-
-
 class StageErrors(Record):
     """Held-out errors of one model of an arm: absolute, and ISO 9283 distance errors of all pairs of points.
 
-    With a ball in sockets, a position error is the distance of its centre from the mean of all readings of its point,
-    and ``gauge_mm`` are the errors of known distances between these points. ``orientation_mrad`` are the angles between
-    measured and computed orientations, of a probe that measures them.
+    ``orientation_mrad`` are the angles between measured and computed orientations, of a probe that measures them.
     """
 
     position_mm: ErrorSummary
     orientation_mrad: ErrorSummary | None = None
     distance_mm: ErrorSummary | None = None
-    gauge_mm: GaugeErrors | None = None
-    omitted_when_none = frozenset({"orientation_mrad", "distance_mm", "gauge_mm"})
+    omitted_when_none = frozenset({"orientation_mrad", "distance_mm"})
 
 
 class Estimate(Record):

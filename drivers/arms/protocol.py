@@ -5,7 +5,6 @@ Joint vectors are read from the controller, shape (N,), radians. Every call retu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -274,25 +273,6 @@ class Arm(Protocol):
         """Close the link and leave the robot as it was before ``connect``; harmless when closed."""
 
 
-@dataclass(frozen=True)
-class FollowedPath:
-    """How the joints followed a path.
-
-    Attributes
-    ----------
-    time_s : array, shape (m,)
-        Time since the first position was sent [s].
-    q : array, shape (m, N)
-        Joint positions from the controller's encoders [rad].
-    reached : float
-        Row of the path at which the arm came to rest, with a fraction between two rows; inf: at its end.
-    """
-
-    time_s: NDArray[np.float64]
-    q: NDArray[np.float64]
-    reached: float = math.inf
-
-
 @runtime_checkable
 class PathFollower(Protocol):
     """Additional interface of an arm whose controller follows a stream of joint positions."""
@@ -315,5 +295,5 @@ class PathFollower(Protocol):
         From any thread; harmless when no path is being followed. The arm stays ready to move. Raises ``LinkLost``.
         """
 
-    def followed(self) -> FollowedPath:
-        """Return how the joints followed the last path that was started."""
+    def reached(self) -> float:
+        """Return the row of the last path at which the arm came to rest, with a fraction; inf: at its end."""

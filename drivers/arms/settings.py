@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from drivers.arms.protocol import Arm, ArmState, JointLimits
+from drivers.arms.protocol import Arm, JointLimits
 from drivers.findings import Finding
-from drivers.settings import Section, SettingError
+from drivers.settings import Section
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,19 +109,3 @@ class ArmSettings(Section):
     def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
         """Return some states of the arm as its controller sends them, for a fault report; empty for other kinds."""
         return ()
-
-    def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
-        """Read the joints of an arm that a person leads by hand, once it has rested for ``rest_s`` [s]. Nothing moves.
-
-        The driver does not take over the arm: it starts or ends no program on the controller and releases no stop.
-
-        Raises
-        ------
-        ArmTimeout
-            If the arm does not come to rest within ``patience_s`` [s].
-        ArmError
-            If its joints cannot be read: a lost link, another robot, no power.
-        SettingError
-            If arms of this kind cannot be read in this way.
-        """
-        raise SettingError(f"driver: arms of the kind '{self.kind}' cannot be read while a person leads them")

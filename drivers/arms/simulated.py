@@ -16,7 +16,6 @@ from drivers.arms.protocol import (
     ArmTimeout,
     DoubtListener,
     EmergencyStop,
-    FollowedPath,
     JointLimits,
     LimitExceeded,
     LinkLost,
@@ -67,7 +66,6 @@ class SimulatedArm:
         self._reached = math.inf
         self._record: list[_Sample] | None = None
         self._stream_end_s = 0.0
-        self._followed: list[tuple[float, NDArray[np.float64]]] = []
 
     @property
     def name(self) -> str:
@@ -232,7 +230,7 @@ class SimulatedArm:
         limits = JointLimits(self._config.limits, self._config.speed, self._config.acceleration)
         path = checked_path(self._name, q, period_s, CYCLE_S, limits, here)
         self._cut_short = False
-        self._stream, self._followed, self._reached = path, [], math.inf
+        self._stream, self._reached = path, math.inf
         self._stream_end_s = self._plant.clock_s + len(path) * CYCLE_S
         self._send(path, 0, self._plant.clock_s)
 
@@ -240,7 +238,6 @@ class SimulatedArm:
         """Send one position and schedule the next in the plant; do nothing if the stream has ended."""
         if self._stream is not path:
             return
-        self._followed.append((self._plant.clock_s - began_s, self._plant.q(self._name)))
         self._sent = row
         if row == len(path):
             self._stream = None
@@ -260,11 +257,9 @@ class SimulatedArm:
         self._stream, self._stream_end_s = rest, began_s + len(rest) * CYCLE_S
         self._plant.schedule.at(began_s + sent * CYCLE_S, lambda: self._send(rest, sent, began_s))
 
-    def followed(self) -> FollowedPath:
-        """Return where the joints were in each cycle of the last path."""
-        times = np.array([time_s for time_s, _ in self._followed])
-        q = np.array([q for _, q in self._followed]).reshape(len(times), self._config.joints)
-        return FollowedPath(times, q, self._reached)
+    def reached(self) -> float:
+        """Return the row at which ``end_path`` ended the last path; inf if it did not."""
+        return self._reached
 
     # -- recording ----------------------------------------------------------------------------------------------------
 

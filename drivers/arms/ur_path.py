@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.path_checks import checked_path
-from drivers.arms.protocol import FollowedPath, LinkLost
+from drivers.arms.protocol import LinkLost
 from drivers.arms.recording import JointRecord
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_answers import arm_error
-from drivers.arms.ur_checks import JOINTS
 from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S
 from drivers.arms.ur_motion import STILL_MOVING
 from drivers.arms.ur_recorder import UrRecorder
@@ -20,7 +19,6 @@ from drivers.arms.ur_worker_process import WorkerGone, WorkerRefusal
 
 _CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
 """Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
-_TRACE_WITHIN_S = 5.0
 
 
 class UrPathArm(UrArm):
@@ -64,12 +62,9 @@ class UrPathArm(UrArm):
         except (WorkerGone, WorkerRefusal) as error:
             raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
 
-    def followed(self) -> FollowedPath:
-        """Return the joint positions that the controller reported while it followed the last path."""
-        answer = self._call("followed", _TRACE_WITHIN_S)
-        time_s = np.array(answer["time_s"], dtype=np.float64)
-        q = np.array(answer["q"], dtype=np.float64).reshape(len(time_s), JOINTS)
-        return FollowedPath(time_s, q, float(answer.get("reached", math.inf)))
+    def reached(self) -> float:
+        """Return the row at which ``end_path`` ended the last path; inf if it did not."""
+        return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
 
     # -- recording -----------------------------------------------------------------------------------------------------
 

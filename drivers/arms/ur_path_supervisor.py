@@ -44,9 +44,10 @@ class PathSupervisor(Supervisor):
         self._motion = self._streamed = Motion(rows[-1], -1, self._now())
         return {}
 
-    def followed(self) -> dict[str, Any]:
-        """Return the recorded joint positions of the last path."""
-        return {"time_s": [], "q": []} if self._stream is None else self._stream.answer()
+    def reached(self) -> dict[str, Any]:
+        """Return the row at which the last path was ended early; empty if it was not."""
+        reached = None if self._stream is None else self._stream.reached
+        return {} if reached is None else {"reached": reached}
 
     def end_path(self) -> dict[str, Any]:
         """Slow down along the path and rest on it; harmless when no path is being followed."""
@@ -118,7 +119,6 @@ class PathSupervisor(Supervisor):
             return
         if not news or self._application.braked:
             return
-        stream.note_state(sample)
         behind = stream.behind(sample)
         problem = failed(behind) if behind else None
         if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:

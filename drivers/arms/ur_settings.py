@@ -7,7 +7,7 @@ from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from drivers.arms.protocol import Arm, ArmError, ArmState
+from drivers.arms.protocol import Arm, ArmError
 from drivers.arms.settings import ArmContext
 from drivers.arms.ur_options import UrOptions
 from drivers.findings import Finding
@@ -97,9 +97,3 @@ class UrSettings(UrOptions):
         except ArmError as error:
             found.append({"received_s": round(time.monotonic() - began_s, 6), "error": str(error)})
         return found
-
-    def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
-        """Read the outputs of the controller over RTDE, after a check that it is the expected one."""
-        from drivers.arms.ur_led import read_led_arm
-
-        return read_led_arm(self, self.expectation(arm), rest_s, patience_s)

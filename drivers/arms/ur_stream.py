@@ -6,8 +6,7 @@ Loads no numpy: the worker process starts faster without it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 from drivers.arms.path_end import slowed
 from drivers.arms.ur_rtde_reader import UrSample
@@ -41,8 +40,6 @@ class Stream:
         Number of positions sent; the last one is repeated until the arm is there.
     reached : float or None
         Row of the path at which ``slow_down`` ends it; None if it was not called.
-    trace : list
-        Controller time [s] and joint positions of every state since the first position was sent.
     """
 
     rows: Sequence[Sequence[float]]
@@ -54,7 +51,6 @@ class Stream:
     sent: int = 0
     ended_s: float | None = None
     reached: float | None = None
-    trace: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     @property
     def goal(self) -> Sequence[float]:
@@ -73,11 +69,6 @@ class Stream:
         if self.reached is None and self.ended_s is None:
             tail, self.reached = slowed(self.rows, self.sent, self.period_s)
             self.rows = [*self.rows[: self.sent], *tail]
-
-    def note_state(self, sample: UrSample) -> None:
-        """Record a new state of the arm."""
-        if self.sent:
-            self.trace.append((sample.time_s, sample.q))
 
     def arrived(self, sample: UrSample, now: float, rest_speed: float) -> bool:
         """Return whether the arm is at the last position, or has had enough time to get there."""
@@ -100,9 +91,3 @@ class Stream:
                 away = max(low - value, value - high)
                 return f"joint {joint + 1} was {away:.3f} rad away from the path that it was to follow"
         return ""
-
-    def answer(self) -> dict[str, Any]:
-        """Return the trace: time since its first state [s] and joint positions [rad]."""
-        start_s = self.trace[0][0] if self.trace else 0.0
-        trace = {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}
-        return trace if self.reached is None else {**trace, "reached": self.reached}

@@ -201,8 +201,8 @@ class Worker:
                 return supervisor.path(request)
             case "end_path":
                 return supervisor.end_path()
-            case "followed":
-                return supervisor.followed()
+            case "reached":
+                return supervisor.reached()
             case "settled":
                 supervisor.wait_settled(int(request["id"]), float(request["timeout_s"]))
                 return None

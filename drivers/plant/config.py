@@ -61,8 +61,6 @@ class ArmConfig:
         SMR centre and viewing direction in the flange frame (D-H frame N).
     smr_acceptance : float
         Half-angle about the viewing direction within which the SMR returns the beam [rad].
-    nests : mapping
-        Further SMRs on the flange with the same viewing direction: name -> centre (3,) in the flange frame [m].
     probe : array, shape (3, 3), or None
         Rotation of a 6-D probe's frame, whose origin the SMR is, in the flange frame; None: there is no such probe.
     probe_sigma : float
@@ -93,7 +91,6 @@ class ArmConfig:
     capsules: tuple[CapsuleConfig, ...] = ()
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     home: Array | None = None
-    nests: Mapping[str, Array] = field(default_factory=dict)
     probe: Array | None = None
     probe_sigma: float = 0.0
 
@@ -115,8 +112,6 @@ class ArmConfig:
             shapes["home"] = (n,)
         if self.probe is not None:
             shapes["probe"] = (3, 3)
-        nests = {name: _array(f"arm {self.name}", f"nest {name}", value, (3,)) for name, value in self.nests.items()}
-        object.__setattr__(self, "nests", nests)
         for name, shape in shapes.items():
             object.__setattr__(self, name, _array(f"arm {self.name}", name, getattr(self, name), shape))
         if self.home is None:

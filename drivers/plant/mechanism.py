@@ -7,8 +7,8 @@ is fixed in the base frame at the zero position (Brockett's product of exponenti
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,12 +99,8 @@ class Mechanism:
         Payload, in the flange frame.
     smr, smr_normal : arrays, shape (3,)
         In the flange frame.
-    nests : mapping
-        Further SMRs in the flange frame, name -> (3,).
     probe : array, shape (3, 3), or None
         Rotation of a 6-D probe in the flange frame.
-    pull : array, shape (3,), or None
-        Force on the origin of the flange, in B [N]; None: nobody pulls.
     """
 
     directions: Array
@@ -118,8 +114,6 @@ class Mechanism:
     smr: Array
     smr_normal: Array
     capsules: Capsules
-    pull: Array | None = None
-    nests: Mapping[str, Array] = field(default_factory=dict)
     probe: Array | None = None
 
     @cached_property
@@ -241,42 +235,23 @@ class Posture:
 
     @cached_property
     def torques(self) -> Array:
-        """Torque of gravity, pull and inertia about each axis, (n, N) [Nm]; positive if it would increase the angle."""
+        """Torque of gravity and inertia about each axis, (n, N) [Nm]; positive if it would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
         arms -= self.masses_beyond[..., None] * points
-        torques = _torques(directions, arms, self.gravity) + self._pull_torques
+        torques = _torques(directions, arms, self.gravity)
         return torques if self.inertia is None else torques + self.inertia
 
     @cached_property
     def load_torques(self) -> Array:
-        """Part of ``torques`` caused by load and pull, (n, N) [Nm]."""
+        """Part of ``torques`` caused by the load, (n, N) [Nm]."""
         directions, points = self.axes
-        weight = _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
-        return weight + self._pull_torques
-
-    @cached_property
-    def pull(self) -> Array:
-        """Force on the flange, (3,) [N]."""
-        return np.zeros(3) if self.mechanism.pull is None else self.mechanism.pull
-
-    def pull_moment(self, about: Array) -> Array:
-        """Return the moment of the pull about points (..., n, 3) or (3,), with shape (..., n, 3) [Nm]."""
-        flange = transform_points(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
-        moment: Array = np.cross(flange - about, self.pull)
-        return moment
-
-    @cached_property
-    def _pull_torques(self) -> Array:
-        if self.mechanism.pull is None:
-            return np.zeros_like(self.q)
-        directions, points = self.axes
-        return np.asarray(np.einsum("jnk,jnk->nj", directions, self.pull_moment(points)))
+        return _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
 
     @cached_property
     def base_moment(self) -> Array:
-        """Moment of gravity on all bodies, and of the pull, about the origin of B, (n, 3) [Nm]."""
-        return np.cross(self.first_moments.sum(axis=0), self.gravity) + self.pull_moment(np.zeros(3))
+        """Moment of gravity on all bodies about the origin of B, (n, 3) [Nm]."""
+        return np.cross(self.first_moments.sum(axis=0), self.gravity)
 
     @cached_property
     def flange(self) -> Array:
@@ -290,10 +265,6 @@ class Posture:
     def smr(self) -> tuple[Array, Array]:
         """SMR centre and viewing direction, (n, 3) each."""
         return transform_points(self.flange, self.mechanism.smr), self.flange[:, :3, :3] @ self.mechanism.smr_normal
-
-    def nest(self, name: str) -> tuple[Array, Array]:
-        """Return centre and viewing direction of a further SMR, (n, 3) each."""
-        return transform_points(self.flange, self.mechanism.nests[name]), self.smr[1]
 
     def segments(self) -> tuple[Array, Array]:
         """Return the ends of the capsules' segments, (k, n, 3) each."""
@@ -345,13 +316,12 @@ def nominal(arm: ArmConfig) -> Mechanism:
         smr=arm.smr_offset,
         smr_normal=arm.smr_normal / np.linalg.norm(arm.smr_normal),
         capsules=_capsules_at_zero(arm.capsules, frames),
-        nests=arm.nests,
         probe=arm.probe,
     )
 
 
 def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Generator) -> Mechanism:
-    """Return the mechanism with normally distributed errors of axes, joint zeros, SMRs and probe.
+    """Return the mechanism with normally distributed errors of axes, joint zeros, SMR and probe.
 
     The draws do not depend on the sizes, so that one size can be changed alone.
     """
@@ -361,7 +331,6 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
     zeros = rng.standard_normal(joints)
     smr = rng.standard_normal(3)
     probe = rigid(np.concatenate([np.zeros(3), errors.probe * rng.standard_normal(3)]))[:3, :3]
-    nests = {name: offset + errors.smr * rng.standard_normal(3) for name, offset in mechanism.nests.items()}
     moved = mechanism.points + errors.length * np.einsum("jk,jkx->jx", shift, sideways)
     turned = errors.angle * np.einsum("jk,jkx->jx", tilt, sideways)
     twist = np.concatenate([np.zeros_like(turned), turned], axis=1)
@@ -372,7 +341,6 @@ def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Gen
         directions=directions,
         zeros=mechanism.zeros + errors.angle * zeros,
         smr=mechanism.smr + errors.smr * smr,
-        nests=nests,
         probe=None if mechanism.probe is None else probe @ mechanism.probe,
     )
 

@@ -118,11 +118,9 @@ class Plant:
             f"arm {arm.config.name}: the hidden effects reach no equilibrium under gravity; their stiffness is too low"
         )
 
-    def _apparent_smr(
-        self, arm: TrueArm, situation: Situation, posture: Posture, nest: str = ""
-    ) -> tuple[Array, Array]:
-        """Return the apparent position of an SMR and its viewing direction, (n, 3) each, in M."""
-        p_B, normal_B = posture.nest(nest) if nest else posture.smr
+    def _apparent_smr(self, arm: TrueArm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
+        """Return the apparent position of the SMR and its viewing direction, (n, 3) each, in M."""
+        p_B, normal_B = posture.smr
         p_M, normal_M = transform_points(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
         for effect in arm.effects:
             p_M = effect.apparent_position(p_M, normal_M, situation)
@@ -158,13 +156,12 @@ class Plant:
             if other is not arm
         }
 
-    def smr_positions(self, name: str, q: Array, *, nest: str = "", **conditions: Unpack[Conditions]) -> Array:
+    def smr_positions(self, name: str, q: Array, **conditions: Unpack[Conditions]) -> Array:
         """Return SMR centres (n, 3) in M of an arm at rest at ``q`` (n, N), with all effects, without random errors.
 
-        ``nest`` is the name of a further SMR on the flange. ``conditions`` are broadcast to their shapes. Raises
-        ``ValueError`` for a wrong shape or a negative load.
+        ``conditions`` are broadcast to their shapes. Raises ``ValueError`` for a wrong shape or a negative load.
         """
-        return self._apparent_smr(*self._at_rest(name, q, conditions), nest)[0]
+        return self._apparent_smr(*self._at_rest(name, q, conditions))[0]
 
     def probe_rotations(self, name: str, q: Array, **conditions: Unpack[Conditions]) -> Array:
         """Return orientations (n, 3, 3) in M of the 6-D probe of an arm at rest at ``q`` (n, N), without random errors.
@@ -307,13 +304,6 @@ class Plant:
         center = np.array(center, dtype=float)
         self.change_mechanism(name, lambda one: replace(one, payload_mass=float(mass), payload_center=center))
 
-    def set_pull(self, name: str, force: Array | None) -> None:
-        """Pull at an arm's flange from now on with ``force`` (3,) [N] in its base frame; None ends the pull."""
-        arm = self._arm(name)
-        arm.resting = None
-        pull = None if force is None else np.array(force, dtype=float)
-        arm.mechanism = replace(arm.mechanism, pull=pull)
-
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion to ``q`` (N,) now; the arm must be at rest."""
         arm = self._arm(name)
@@ -409,7 +399,7 @@ class Plant:
     # -- tracker -----------------------------------------------------------------------------------------------------
 
     def _current(self, arm: TrueArm) -> Seen:
-        """Return the current SMRs and probe of an arm, as a tracker could see them."""
+        """Return the current SMR and probe of an arm, as a tracker could see them."""
         if arm.resting is None:
             seen = self._apparent_now(arm)
             if arm.effects or arm.motion is not None:
@@ -423,9 +413,9 @@ class Plant:
         posture, arm.load_deflection = self._equilibrium(
             arm, situation, memories, arm.load_deflection, arm.stop_error[None]
         )
-        smrs = {name: self._apparent_smr(arm, situation, posture, name) for name in ("", *arm.mechanism.nests)}
+        (p_M,), (normal_M,) = self._apparent_smr(arm, situation, posture)
         R_M_S = self._apparent_probe(arm, situation, posture)
-        return Seen({name: (p_M[0], n_M[0]) for name, (p_M, n_M) in smrs.items()}, None if R_M_S is None else R_M_S[0])
+        return Seen(p_M, normal_M, None if R_M_S is None else R_M_S[0])
 
     def move_tracker(self, T_C_M: Array) -> None:
         """Move the tracker to another pose (4, 4) in the cell, now."""
@@ -439,11 +429,8 @@ class Plant:
         found = []
         for name, arm in self._arms.items():
             seen = self._current(arm)
-            for nest, (p_M, normal_M) in seen.smrs.items():
-                why = why_hidden(self.config.tracker, p_M, normal_M, arm.config.smr_acceptance)
-                R_M_S = None if nest else seen.R_M_S
-                moving = arm.motion is not None
-                found.append(Target(name, p_M, why, moving, nest, R_M_S, arm.config.probe_sigma))
+            why = why_hidden(self.config.tracker, seen.p_M, seen.normal_M, arm.config.smr_acceptance)
+            found.append(Target(name, seen.p_M, why, arm.motion is not None, seen.R_M_S, arm.config.probe_sigma))
         return found
 
     def measure_positions(

@@ -19,7 +19,7 @@ _BACK_S = 0.024
 It is a multiple of all controllers' cycles, whose ripple is thus excluded."""
 
 
-def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[Array, Array]:
+def recent_smr(plant: Plant, name: str, time_s: Array) -> tuple[Array, Array]:
     """Return apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
 
     The arm may have moved since; history older than about a second is not available.
@@ -35,7 +35,7 @@ def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[
     for phase, rows in known:
         moving, others = phase.motion is not None, {other: its[rows] for other, its in moved.items()}
         p_M[rows], normal_M[rows] = smr_in(
-            plant, arm, phase, q[rows], time_s[rows], others, nest, moving=moving, inertia=inertia[rows]
+            plant, arm, phase, q[rows], time_s[rows], others, moving=moving, inertia=inertia[rows]
         )
     return p_M, normal_M
 
@@ -47,7 +47,6 @@ def smr_in(
     q: Array,
     time_s: Array,
     others: Mapping[str, Array],
-    nest: str = "",
     *,
     moving: bool,
     inertia: Array | None = None,
@@ -59,4 +58,4 @@ def smr_in(
     situation, memories = plant._in_phase(arm, phase, q, time_s, others, moving=moving)
     situation = replace(situation, inertia=inertia)
     posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None] + response)
-    return plant._apparent_smr(arm, situation, posture, nest)
+    return plant._apparent_smr(arm, situation, posture)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,25 +31,25 @@ from drivers.plant.transforms import rigid, transform_points
 class Target:
     """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can).
 
-    ``nest`` is the name of a further SMR on the flange. ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is
-    measured with the standard deviation ``sigma_rad`` about each axis.
+    ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is measured with the standard deviation ``sigma_rad``
+    about each axis.
     """
 
     arm: str
     p_M: Array
     hidden: str
     moving: bool
-    nest: str = ""
     R_M_S: Array | None = None
     sigma_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """View of an arm for a tracker: position and viewing direction (3,) of each SMR in M by name ("": the main one),
-    and the orientation (3, 3) of a 6-D probe."""
+    """View of an arm for a tracker: position and viewing direction (3,) of its SMR in M, and orientation (3, 3) of a
+    6-D probe."""
 
-    smrs: Mapping[str, tuple[Array, Array]]
+    p_M: Array
+    normal_M: Array
     R_M_S: Array | None
 
 

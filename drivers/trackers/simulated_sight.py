@@ -23,7 +23,7 @@ Vector = NDArray[np.float64]
 class Smr:
     """An SMR: its owner in words, its arm (None for a nest), position (3,) [m] in M, why it is hidden ("" if visible).
 
-    ``nest`` is the name of a further SMR on a flange; ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
+    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
     """
 
     owner: str
@@ -31,7 +31,6 @@ class Smr:
     p_M: Vector
     hidden: str
     moving: bool = False
-    nest: str = ""
     R_M_S: Vector | None = None
     sigma_rad: float = 0.0
 
@@ -58,19 +57,18 @@ class Sight:
         """Return all SMRs of arms and nests, ignoring bodies in the beam."""
         found = []
         for target in self._plant.targets():
-            owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
-            why = self._cover(target.arm, owner) or target.hidden
-            probe = (target.nest, target.R_M_S, target.sigma_rad)
-            found.append(Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
+            why = self._cover(target.arm) or target.hidden
+            probe = (target.R_M_S, target.sigma_rad)
+            found.append(Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = self._cover(name) or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
             found.append(Smr(f"nest {name}", None, p_M, why))
         return found
 
-    def _cover(self, *names: str) -> str:
-        """Return why an SMR of these names is covered; empty if it is not."""
-        return "something covers it" if any(name in self.covered for name in names) else ""
+    def _cover(self, name: str) -> str:
+        """Return why the SMR of an arm or nest is covered; empty if it is not."""
+        return "something covers it" if name in self.covered else ""
 
     def behind_bodies(self, target: Smr) -> Smr:
         """Return the SMR, hidden if a body is in the beam."""
@@ -112,14 +110,13 @@ class Sight:
     def recent(self, locked: Smr, time_s: Vector) -> tuple[Vector, Vector]:
         """Return positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
         if locked.arm is not None:
-            return recent_smr(self._plant, locked.arm, time_s, locked.nest)
+            return recent_smr(self._plant, locked.arm, time_s)
         p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
         return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
 
     def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
         """Return why an SMR at ``p_M`` (3,) is not visible now; empty if it is."""
-        names = (locked.owner.removeprefix("nest "),) if locked.arm is None else (locked.arm, locked.owner)
-        if why := self._cover(*names):
+        if why := self._cover(locked.arm or locked.owner.removeprefix("nest ")):
             return why
         acceptance = math.pi
         if locked.arm is not None:

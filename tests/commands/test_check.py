@@ -309,15 +309,14 @@ def test_one_arm_alone_is_checked(tmp_path: Path) -> None:
         assert read_stages(run).in_force == read_stages(run).current[CALIBRATE]
 
 
-def test_nests_show_a_change_that_positions_do_not(tmp_path: Path) -> None:
-    """Joint 6 hardly moves an SMR near its axis; three nests on the flange show that it turns."""
+def test_a_probe_shows_a_change_that_positions_do_not(tmp_path: Path) -> None:
+    """Joint 6 hardly moves an SMR near its axis; a 6-D probe on the flange shows that it turns."""
     twin = finished_twin(40)
     assert twin.plant is not None
     plant = twin.plant.model_copy(update={"effects": {}})
     drawn = twin.plan.model_copy(update={"method": "random"})
-    nests = {"B": {"offset": (-0.055, 0.02, 0.06)}, "C": {"offset": (-0.005, 0.11, 0.06)}}
     left = twin.arms["left"]
-    smr = Smr.model_validate({**left.smr.model_dump(), "name": "A", "nests": nests})
+    smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.1, -0.2, 0.3), "sigma": 1e-4}})
     alone = twin.model_copy(
         update={"arms": {"left": left.model_copy(update={"smr": smr})}, "plant": plant, "plan": drawn}
     )

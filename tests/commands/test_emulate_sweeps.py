@@ -135,6 +135,5 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
         found = patiently(driven)
     assert found[-1].lost_beams > 0
     for one in found:
-        assert one.track is not None
         assert len(one.track.p_M) >= trajectory.duration_s / INTERVAL_S - 10
         assert path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"

@@ -1,10 +1,9 @@
-"""AP and RP of the orientation by ISO 9283, from a 6-D probe or three SMRs: from the points, against the truth."""
+"""AP and RP of the orientation by ISO 9283, from a 6-D probe: from the points, against the truth."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,25 +14,21 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.commands.iso9283.view import iso9283_tables
-from cellapp.estimation.iso9283.orientation import orientation_characteristics
+from cellapp.estimation.iso9283.evaluate import orientation_characteristics
 from cellapp.ground.profile.smr import Smr
 from tests.cell.planning.planned_cells import one_arm
 
 SIGMA = 5e-5
-KINDS: dict[str, dict[str, Any]] = {
-    "probe": {"probe": {"rpy": [0.2, -0.1, 0.4], "sigma": SIGMA}},
-    "nests": {"nests": {"B": {"offset": [-0.055, 0.02, 0.06]}, "C": {"offset": [-0.005, 0.11, 0.06]}}},
-}
+PROBE = {"rpy": [0.2, -0.1, 0.4], "sigma": SIGMA}
 
 
-@pytest.mark.parametrize("kind", list(KINDS))
-def test_orientation_is_measured_stored_and_told(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reach, "_SEEDS", 4)
     profile = one_arm()
     assert profile.plant is not None
     plant = profile.plant.model_copy(update={"effects": {}, "repeatability": 1e-4})
     left = profile.arms["left"]
-    smr = Smr.model_validate({**left.smr.model_dump(), **KINDS[kind]})
+    smr = Smr.model_validate({**left.smr.model_dump(), "probe": PROBE})
     arms = {"left": left.model_copy(update={"smr": smr})}
     with RunFile.create(tmp_path / "run", profile.model_copy(update={"plant": plant, "arms": arms})) as run:
         request = VERB.asked({"folder": run.folder, "tests": ["pose"], "cycles": 6})

@@ -14,7 +14,6 @@ import pytest
 
 from cellapp.cell.driving.iso9283 import reach
 from cellapp.cell.run import RunFile
-from cellapp.commands.iso9283 import points as points_file
 from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
@@ -31,7 +30,7 @@ def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Re
     folder = tmp_path_factory.mktemp("iso") / "run"
     with pytest.MonkeyPatch.context() as patch, RunFile.create(folder, left_alone()) as run:
         patch.setattr(reach, "_SEEDS", 4)
-        only_paths(patch, "rectangle")
+        only_paths(patch, "line")
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
         yield iso9283_run(run, asked(run, tests=tests, cycles=3, drift_minutes=0.5)), folder
 
@@ -139,12 +138,13 @@ def test_the_result_says_which_file_and_its_hash(tested: tuple[Iso9283Result, Pa
     assert (result.points_file, result.points_sha256) == ("iso9283-points.csv", hashlib.sha256(data).hexdigest())
 
 
-@pytest.mark.fast
-def test_points_of_an_earlier_test_stay(tmp_path: Path) -> None:
-    for number in (1, 2):
-        path = points_file._unused(tmp_path)
-        path.write_text("kept", "utf-8")
-        assert path.name == ("iso9283-points.csv" if number == 1 else "iso9283-points-2.csv")
+def test_points_of_an_earlier_test_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reach, "_SEEDS", 4)
+    with RunFile.create(tmp_path / "run", left_alone()) as run:
+        (tmp_path / "run" / "iso9283-points.csv").write_text("kept", "utf-8")
+        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))
+    assert result.points_file == "iso9283-points-2.csv"
+    assert (tmp_path / "run" / "iso9283-points.csv").read_text("utf-8") == "kept"
 
 
 def test_a_result_is_kept_where_its_points_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

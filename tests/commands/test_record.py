@@ -1,4 +1,4 @@
-"""What a record declares beyond plain fields reaches the command line: words, types, secrets."""
+"""What a record declares beyond plain fields reaches the command line: words, types."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import pytest
-from pydantic import BeforeValidator, SecretStr
+from pydantic import BeforeValidator
 from typer.testing import CliRunner
 
 from cellapp.commands.record import Asked, Request, Variant, Verb, View, Work
@@ -26,7 +26,7 @@ class ToyRequest(Request):
     ] = ()
     parts: Annotated[tuple[str, ...], Asked("Parts.")] = ()
     count: Annotated[int, Asked("How many.", label="how many")] = 3
-    word: Annotated[SecretStr | None, Asked("A secret.", label="word", secret="new")] = None
+    word: Annotated[str, Asked("A word.", label="word")] = ""
 
 
 VERB = Verb(
@@ -66,7 +66,7 @@ def test_words_after_a_verb_fix_fields_and_the_first_may_be_left_out(asked: list
     assert CliRunner().invoke(app, ["toy", "all"]).exit_code == 2, "the command line needs the cell"
 
 
-def test_a_secret_has_no_option() -> None:
+def test_a_field_has_the_type_of_the_command_line() -> None:
     parameters = inspect.signature(command_of(VERB)).parameters
-    assert list(parameters) == ["cell", "sides", "parts", "count", "json_file"]
+    assert list(parameters) == ["cell", "sides", "parts", "count", "word", "json_file"]
     assert get_args(parameters["sides"].annotation)[0] == Literal["both"] | None

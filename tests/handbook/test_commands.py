@@ -29,7 +29,7 @@ from tests.handbook.chapters import (
     mentions,
 )
 from tests.handbook.doors import read_example
-from tests.handbook.workspace import PASSPHRASE, PYTHON_NAMES, Workspace, not_printed, not_understood
+from tests.handbook.workspace import PYTHON_NAMES, Workspace, not_printed, not_understood
 from tests.twin import write_profile
 
 RUN_BY_CI = 2
@@ -98,7 +98,6 @@ def test_commands_and_python_run(
     space = Workspace(tmp_path, finished_run, full_size=long)
     space.prepare(examples(chapter))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("CELLAPP_KEY_PASSPHRASE", PASSPHRASE)
     monkeypatch.setenv("HOME", str(tmp_path))  # no command changes what is a person's own
     wrong, names, count = list[str](), dict(PYTHON_NAMES), {"run": 0, "only parsed": 0}
     for example in examples(chapter):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.iso9283.tests import IsoTask
 from cellapp.commands.iso9283 import run as verb
-from cellapp.estimation.iso9283.norm import UNATTENDED_TESTS
+from cellapp.estimation.iso9283.norm import ISO_TESTS
 from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
@@ -40,15 +40,11 @@ def test_the_commands_ask_for_what_the_page_says(
     asked = [(task.tests, task.cycles, task.arms, task.commands) for task in tasks]
     both = ("left", "right")
     assert asked == [
-        (UNATTENDED_TESTS, 30, both, ("nominal", "calibrated")),
+        (ISO_TESTS, 30, both, ("nominal", "calibrated")),
         (("pose",), 5, ("right",), ("calibrated",)),
         (("drift",), 30, both, ("nominal",)),
-        (UNATTENDED_TESTS, 30, both, ("nominal", "calibrated")),
-        (("pose",), 30, both, ("nominal", "calibrated")),
-        (("compliance",), 30, both, ("nominal", "calibrated")),
+        (ISO_TESTS, 30, both, ("nominal", "calibrated")),
     ]
     assert tasks[2].drift_s == 480.0 * 60.0
     assert tasks[2].model is None
     assert tasks[3].also_speeds == (0.5, 0.1)
-    assert tasks[4].also_loads == (3.0, 8.0)
-    assert tasks[5].forces == (20.0, 40.0)

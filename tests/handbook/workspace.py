@@ -29,8 +29,8 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.app import app
+from tests.commands.measured_runs import measured_run, set_month
 from tests.commands.moved_arms import add_arm, true_arm, write_recording
-from tests.estimation.monitoring.fleet.runs import measured_run, set_month
 from tests.handbook.chapters import ROOT, Command, Example
 from tests.handbook.doors import merged
 from tests.twin import PROFILES, make_small, small_twin, write_profile
@@ -38,7 +38,6 @@ from tests.twin import PROFILES, make_small, small_twin, write_profile
 LONGEST_S = 300.0
 COLUMNS = "110"
 """Width of the terminal in which the chapters' commands print."""
-PASSPHRASE = "correct horse"
 RUN = "logs/my-run"
 PLACEHOLDERS: Mapping[str, str] = {
     "DIR": RUN,

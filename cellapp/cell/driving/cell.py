@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
 from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
 from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
@@ -69,7 +68,7 @@ class Cell:
     functions of several devices concurrently; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times can pass one that caches its answers.
     ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's
-    heartbeat. ``person`` acts for a person in a simulated cell; None in a real one. ``record_sweep`` lets an arm follow
+    heartbeat. ``plant`` is the simulated cell; None in a real one. ``record_sweep`` lets an arm follow
     joint positions and records it; None in a real cell.
     """
 
@@ -83,7 +82,7 @@ class Cell:
     gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
-    person: SimulatedPerson | None = None
+    plant: Plant | None = None
     record_sweep: RecordSweep | None = None
 
     def oldest_data_s(self) -> float:
@@ -154,7 +153,7 @@ def open_cell(
                 together,
                 unwatched,
                 tracker_unmet=unmet,
-                person=SimulatedPerson(simulated),
+                plant=simulated,
                 record_sweep=partial(record_sweep, simulated, recorder_of(simulated)),
             )
 
@@ -339,19 +338,15 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
         ),
         effects=effects,
         home=None if arm.home is None else np.array(arm.home),
-        **_beside_the_smr(name, arm.smr),
+        **_probe(name, arm.smr),
     )
 
 
-def _beside_the_smr(name: str, smr: Smr) -> dict[str, Any]:
-    """Return the further SMRs and the probe of an arm of the simulated cell. Raise ``InputError``."""
-    unknown = [nest for nest, its in smr.nests.items() if its.offset == "unknown"]
-    if unknown:
-        raise InputError(f"arms.{name}.smr.nests: a simulated arm needs a known 'offset' of nest {', '.join(unknown)}")
-    further: dict[str, Any] = {"nests": {nest: np.array(its.offset) for nest, its in smr.nests.items()}}
+def _probe(name: str, smr: Smr) -> dict[str, Any]:
+    """Return the probe of an arm of the simulated cell. Raise ``InputError``."""
     if smr.probe is None:
-        return further
+        return {}
     if smr.probe.rpy == "unknown":
         raise InputError(f"arms.{name}.smr.probe: a simulated arm needs a known 'rpy' of its probe")
     roll, pitch, yaw = smr.probe.rpy
-    return {**further, "probe": rotation_zyx(yaw, pitch, roll), "probe_sigma": smr.probe.sigma}
+    return {"probe": rotation_zyx(yaw, pitch, roll), "probe_sigma": smr.probe.sigma}

@@ -7,8 +7,7 @@ base, tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -17,13 +16,11 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.moving_cell import MovingCell, moving_cell
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import last_motion_matters
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.monitoring.check import SequentialState
-from cellapp.estimation.nests import NestShape
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -50,14 +47,13 @@ class CheckTask:
     """Settings of a check.
 
     ``model`` is in the present tracker frame. ``stops`` are joint positions (N,) [rad] by arm, in the order of driving.
-    ``excess_m`` is as in ``fit_station``; ``nests`` maps arms to the shapes of several SMRs on a flange.
+    ``excess_m`` is as in ``fit_station``.
     """
 
     profile: Profile
     model: CellModel
     stops: Sequence[Mapping[str, Vector]]
     excess_m: Mapping[str, float]
-    nests: Mapping[str, NestShape] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +109,7 @@ def drive_check(
         repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
-        nests = NestPoses.of(profile, task.model, moving.bodies, task.nests)
-        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, nests, listener)
+        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, listener)
         driven = checking.visit_all()
         mover.go_home()
         driven.seconds = checking.elapsed_s()
@@ -133,7 +128,6 @@ class _Checking:
     mover: Mover
     driver: Driver
     search: SmrSearch
-    nests: NestPoses
     listener: Listener
     driven: DrivenCheck = field(default_factory=DrivenCheck)
 
@@ -208,7 +202,7 @@ class _Checking:
         found = self.search.measure(name, state)
         if isinstance(found, FoundPoint):
             self._missed[name] = 0
-            return replace(found, point=self.nests.turned(self.mover, name, found.q, found.point))
+            return found
         self.driven.notes.append(found)
         self._missed[name] += 1
         seen = any(one.arm == name for one in self.search.found)

@@ -111,7 +111,7 @@ class _Sessions:
         if opened is None and self.plant is not None:
             opened = partial(open_cell, plant=self.plant, control=control)
         with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
-            self.plant = None if cell.person is None else cell.person.plant
+            self.plant = cell.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)
             notes += [note for note in check_controllers(run, cell).notes if note not in notes]

@@ -163,11 +163,11 @@ class SweepDriver:
         """Let arms follow their legs; return the motion time at which each rested early [s], None if at its end."""
         if len(legs) == 1:
             ((name, leg),) = legs.items()
-            followed = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
+            reached = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
         else:
             paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
-            followed = self.mover.follow_together(paths, look)
-        return {name: leg.at_s(followed[name].reached) for name, leg in legs.items()}
+            reached = self.mover.follow_together(paths, look)
+        return {name: leg.at_s(reached[name]) for name, leg in legs.items()}
 
     def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
         """Let arms follow their legs while recording; the tracker follows the first one.

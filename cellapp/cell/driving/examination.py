@@ -6,7 +6,7 @@ import importlib.util
 import platform
 import shutil
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
-from cellapp.cell.driving.nest_findings import nest_findings, reference_nest_findings
 from cellapp.cell.driving.obstacle_findings import obstacle_findings
+from cellapp.cell.run.stations import read_reference_nests, tie_sentences
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
+from cellapp.cell.safety.gate import CellBodies, clear_alone, predicted_smr, refuse_stop, visible
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
 from drivers.arms.registry import ARMS
 from drivers.findings import Finding
 
@@ -32,6 +33,8 @@ _DRAWS = 2000
 """Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
 """Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
+_LOOSE_MM = 0.05
+"""Uncertainty [mm] above which a tie is reported as loose: the tracker's own is some 40 µm at 4 m."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
@@ -132,11 +135,11 @@ def _shared_address(profile: Profile, name: str) -> list[Finding]:
 
 
 def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
-    """Check that the arms are safe at home, and that the tracker sees enough of them and of their nests."""
+    """Check that the arms are safe at home, and that the tracker sees enough of them."""
     placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
     has_arms = any(arm.driver.has_device for arm in profile.arms.values())
     if not has_arms or not placed or profile.tracker.pose is None:
-        return [] if reference_nests is None else list(reference_nest_findings(reference_nests, None, {}))
+        return [] if reference_nests is None else list(_reference_nests(reference_nests, None, {}))
     findings = [] if profile.plant is None else [_plant(profile)]
     bare = [name for name, arm in placed.items() if not arm.type.capsules]
     if bare:
@@ -156,9 +159,25 @@ def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
     else:
         findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))
     findings += [_visibility(cell, profile, name) for name in placed]
-    findings += nest_findings(cell, profile, homes)
-    tied = () if reference_nests is None else reference_nest_findings(reference_nests, cell, homes)
+    tied = () if reference_nests is None else _reference_nests(reference_nests, cell, homes)
     return [*findings, *tied]
+
+
+def _reference_nests(path: Path, cell: CellBodies | None, homes: Mapping[str, Array]) -> Iterator[Finding]:
+    """Report how well the nests of a file tie each station to the first one, at the SMR of each arm at home."""
+    subject = "reference nests"
+    try:
+        first, ties = read_reference_nests(path, {})
+    except InputError as error:
+        yield Finding(subject, "failed", str(error))
+        return
+    at = {} if cell is None else {arm: predicted_smr(cell, arm, q[None]) for arm, q in homes.items()}
+    for (name, tie), sentence in zip(ties.items(), tie_sentences(first, ties, {}), strict=True):
+        known_mm = {arm: 1e3 * float(tie.uncertainty(p_M)[0]) for arm, p_M in at.items()}
+        words = "".join(f"; a coordinate of arm {arm} at home to {mm:.3f} mm" for arm, mm in known_mm.items())
+        loose = max(known_mm.values(), default=0.0) > _LOOSE_MM
+        advice = "; more nests, farther apart and around the arms, tie it better" if loose else ""
+        yield Finding(f"{subject}: station {name}", "warning" if loose else "ok", f"{sentence}{words}{advice}")
 
 
 def _plant(profile: Profile) -> Finding:

@@ -77,8 +77,8 @@ def require_load(cell: Cell, profile: Profile) -> None:
     Raise ``HardwareError`` if a controller reports another payload, or does not answer. Nothing has moved.
     """
     for name, arm in profile.arms.items():
-        if cell.person is not None:
-            cell.person.hang(name, arm.payload.mass, np.array(arm.payload.center_of_mass))
+        if cell.plant is not None:
+            cell.plant.set_payload(name, arm.payload.mass, np.array(arm.payload.center_of_mass))
         if doubt := known_payload(cell.arms[name], arm.payload.mass):
             raise HardwareError(
                 f"arm {name}: not moved with {arm.payload.mass:g} kg: {doubt}; set it, then continue with --resume"

@@ -22,7 +22,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
-from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
+from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped, PathFollower
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 Vector = NDArray[np.float64]
@@ -199,13 +199,11 @@ class Mover:
                 raise self.stop_cell(cause_of(name, error)) from error
         return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
 
-    def follow(
-        self, name: str, q: Vector, s: Vector, period_s: float, look: Callable[[], None] | None = None
-    ) -> FollowedPath:
+    def follow(self, name: str, q: Vector, s: Vector, period_s: float, look: Callable[[], None] | None = None) -> float:
         """Let an arm at the beginning of a path follow it while the others rest; wait until it is at rest.
 
-        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``. ``look`` is called at the start and then each
-        half second.
+        Return the row at which its ``end_path`` ended it early, with a fraction; else inf. ``look`` is called at the
+        start and then each half second.
 
         Parameters
         ----------
@@ -232,7 +230,7 @@ class Mover:
 
     def follow_together(
         self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
-    ) -> dict[str, FollowedPath]:
+    ) -> dict[str, float]:
         """Let arms at the beginning of their paths follow them simultaneously; wait until all are at rest.
 
         Like ``follow``; ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. If the arms are no longer
@@ -265,7 +263,7 @@ class Mover:
         paths: Mapping[str, tuple[Vector, float]],
         look: Callable[[], None] | None,
         round_s: float = _LOOK_S,
-    ) -> dict[str, FollowedPath]:
+    ) -> dict[str, float]:
         """Let arms follow paths from ``start`` that the gate has accepted; wait until they are at rest."""
         arms = {name: arm for name in paths if isinstance(arm := self._cell.arms[name], PathFollower)}
         for name in paths:
@@ -284,13 +282,13 @@ class Mover:
             for name, error in errors.items():
                 raise self.stop_cell(cause_of(name, error)) from error
             states = self._settled(list(paths), expected_s + _MOVE_ALLOWANCE_S, look, round_s)
-        found = {name: arm.followed() for name, arm in arms.items()}
+        reached = {name: arm.reached() for name, arm in arms.items()}
         for name, (q, _) in paths.items():
-            part = driven(q, found[name].reached)
+            part = driven(q, reached[name])
             self._record_step(name, start[name], part[-1], states[name].q)
             self._approach[name] = _last_signs(part, self._approach[name])
         self._emit(motion_ended(self.stop, states))
-        return found
+        return reached
 
     def _confirm_links(self) -> None:
         """Check that every link of every arm responds now, also of arms that stay at rest.

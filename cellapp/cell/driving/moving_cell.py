@@ -39,21 +39,19 @@ def moving_cell(
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
-    measures: bool = True,
     slow_visits: int | None = 0,
 ) -> Iterator[MovingCell]:
     """Open the cell of a profile and move all arms home.
 
     ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
-    called before the first motion. ``open_with`` opens the cell. ``measures`` requires a ready tracker. ``slow_visits``
+    called before the first motion. ``open_with`` opens the cell. The tracker must be ready. ``slow_visits``
     is as in ``Mover.slow_start``. Raise as ``attended_cell`` and ``Mover``; ``InputError`` if the first motion is not
     confirmed.
     """
     bodies, homes = cell_bodies(profile, model), home_positions(profile)
     with attended_cell(profile, control, open_with) as (cell, reaction):
         opened(cell)
-        if measures:
-            cell.require_tracker()
+        cell.require_tracker()
         mover = Mover(profile, cell, bodies, reaction)
         mover.confirm_first(homes, confirm)
         mover.slow_start(slow_visits)

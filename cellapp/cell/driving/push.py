@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import require_same_arms
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import TargetVisit
 from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
-from cellapp.estimation.nests import NestShape
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -63,7 +60,6 @@ def push(
     verify: bool,
     rounds: int = 0,
     repeatability_m: Mapping[str, float] | None = None,
-    nests: Mapping[str, NestShape] = MappingProxyType({}),
     judge: Judge | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
@@ -75,9 +71,6 @@ def push(
     The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is the maximum
     number of corrections of the remaining error. ``repeatability_m`` is the standard deviation of a coordinate of each
     arm's SMR over repeated motions [m], zero if unknown; smaller errors are not corrected.
-
-    ``nests`` maps arms to the shapes of several SMRs on a flange, as in the calibration's readings: they are measured,
-    too, and give the orientation.
 
     ``judge`` decides on tolerances; if None, by the profile alone. ``opened`` is called with the open cell before
     anything moves; an exception from it ends the job. ``confirm`` is called before the first motion. ``open_with``
@@ -105,7 +98,6 @@ def push(
             verify=verify,
             rounds=rounds,
             repeatability_m=repeatability_m or {},
-            nests=NestPoses.of(profile, model, moving.bodies, nests),
         )
         stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
         moving.mover.go_home()

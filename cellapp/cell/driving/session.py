@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
@@ -18,7 +17,6 @@ from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.loads import other_loads
 from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
-from cellapp.cell.driving.nests import Nests
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import End
 from cellapp.cell.driving.references import References
@@ -100,7 +98,6 @@ class CollectSession:
             self.accept_drift,
             other_loads(self.run.profile, profile),
         )
-        self._nests = Nests.of(profile, self.bodies)
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
         if self.work.again:  # leave out the stops to be measured again: the model judges them anew
@@ -186,8 +183,8 @@ class CollectSession:
             return False
         finally:
             self._mover.stop = None
-        rows, outcomes, further = self._measure(stop, states)
-        self._store(stop, rows, outcomes, further)
+        rows, outcomes = self._measure(stop, states)
+        self._store(stop, rows, outcomes)
         self._queue.done()
         if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserve stops
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
@@ -343,17 +340,14 @@ class CollectSession:
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
-    def _measure(
-        self, stop: int, states: Mapping[str, ArmState]
-    ) -> tuple[dict[str, Reading], list[Outcome], dict[str, list[Reading]]]:
+    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
         """Measure the arms in the order of their dwell times.
 
-        Return the readings of their SMRs, an outcome for each SMR that was not measured, and readings of further nests.
+        Return the readings of their SMRs, and an outcome for each SMR that was not measured.
         """
         temperature_c = None if self._air is None else self._air.at_stop(stop)
         rows: dict[str, Reading] = {}
         outcomes: list[Outcome] = []
-        further: dict[str, list[Reading]] = {}
         dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
             if dwell_s[name] > 0.0:
@@ -369,22 +363,7 @@ class CollectSession:
             air_c = point.temperature_c if self._air is None else temperature_c
             rows[name] = self._reading(stop, name, states[name], point, air_c)
             self._emit(point_measured(stop, name, rows[name]))
-            if name in self._nests.names:
-                rows[name] = replace(rows[name], smr=self._nests.names[name])
-                further[name] = list(self._at_nests(stop, name, states, air_c))
-        return rows, outcomes, further
-
-    def _at_nests(
-        self, stop: int, name: str, states: Mapping[str, ArmState], temperature_c: float | None
-    ) -> Iterator[Reading]:
-        """Measure the further nests of an arm that should be visible; log each one that the tracker does not see."""
-        for nest, expected_M in self._nests.in_order(name, {arm: state.q for arm, state in states.items()}):
-            try:
-                point = self._measurement.at_nest(f"{nest} of arm {name}", expected_M)
-            except (TargetLost, WrongTarget, Unstable) as error:
-                self._log("info", f"stop {stop + 1}: arm {name}: nest {nest} was not measured: {error}")
-                continue
-            yield replace(self._reading(stop, name, states[name], point, temperature_c), smr=nest)
+        return rows, outcomes
 
     def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
@@ -414,20 +393,14 @@ class CollectSession:
             self.began_s = now_s - self.work.earlier_s
         return self.began_s
 
-    def _store(
-        self,
-        stop: int,
-        rows: Mapping[str, Reading],
-        outcomes: list[Outcome],
-        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
-    ) -> None:
+    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
         """Store a stop; if writing fails, pause so that a person can free the disk, then try again."""
         while True:
             try:
                 if self.work.again:
-                    replace_stop(self.run, stop, rows, outcomes, further)
+                    replace_stop(self.run, stop, rows, outcomes)
                 else:
-                    self.run.add_stop(stop, rows, outcomes, further)
+                    self.run.add_stop(stop, rows, outcomes)
                 return
             except InputError as error:
                 if not self._supervisor.hold(str(error)):

@@ -17,7 +17,6 @@ from cellapp.cell.driving.measured_correction import (
     significant,
 )
 from cellapp.cell.driving.motion import MotionRefused, Vector
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.verification import (
     CommandKind,
     Findings,
@@ -56,7 +55,6 @@ class TargetVisit:
     verify: bool
     rounds: int
     repeatability_m: Mapping[str, float]
-    nests: NestPoses
 
     def to(self, commands: Sequence[Command]) -> Findings:
         """Visit one target with the command of each of its arms.
@@ -141,7 +139,7 @@ class TargetVisit:
             if dwell_s is not None:
                 mover.rest(name, dwell_s, self.control)
             try:
-                point = self.nests.measure(mover, name, states[name].q)
+                point = mover.measure(name, states[name].q)
             except TrackerError as error:
                 found.note([name], str(error))
                 if isinstance(error, TargetLost | WrongTarget):

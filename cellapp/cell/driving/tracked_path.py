@@ -14,7 +14,7 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.timing import Trajectory
-from drivers.arms.protocol import FollowedPath, PathFollower
+from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TargetLost, Track, TrackerError, WrongTarget, stream_of
 
 INTERVAL_S = 0.01
@@ -29,19 +29,13 @@ class TrackedPath:
 
     Attributes
     ----------
-    track : Track or None
-        Points measured in the meantime; None if not requested, or if the tracker cannot measure a moving SMR.
-    arm : FollowedPath
-        Report of the arm.
-    began_s : float
-        Start of the motion on the cell's clock [s].
+    track : Track
+        Points measured in the meantime.
     lost_beams : int
         Number of earlier runs that ended early because the beam broke.
     """
 
-    track: Track | None
-    arm: FollowedPath
-    began_s: float
+    track: Track
     lost_beams: int = 0
 
 
@@ -59,13 +53,14 @@ class PathDriver:
         name: str,
         trajectory: Trajectory,
         begin: Callable[[], None],
-        start_M: Array | None = None,
+        start_M: Array,
         interval_s: float = INTERVAL_S,
     ) -> TrackedPath:
-        """Let an arm follow a path; measure every ``interval_s`` [s] if ``start_M`` (3,) [m] is given.
+        """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
 
-        ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M``. If the beam breaks, the arm
-        slows down along the path and rests; its SMR is measured there, and the whole path is driven again.
+        ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks,
+        the arm slows down along the path and rests; its SMR is measured there, and the whole path is driven again. The
+        tracker must be able to measure a moving SMR.
 
         Raises
         ------
@@ -76,11 +71,8 @@ class PathDriver:
         CellStopped
             As ``Mover.follow``, and if an SMR is not found again after a break of the beam.
         """
-        if start_M is None or (streaming := stream_of(self.cell.tracker)) is None:
-            begin()
-            began_s = self.cell.clock.now_s()
-            return TrackedPath(None, self._follow(name, trajectory), began_s)
-        follower = self.cell.arms[name]
+        streaming, follower = stream_of(self.cell.tracker), self.cell.arms[name]
+        assert streaming is not None
         assert isinstance(follower, PathFollower)
         for lost_beams in range(MOST_RUNS):
             begin()
@@ -88,7 +80,7 @@ class PathDriver:
             streaming.start_track(start_M, interval_s, beam.lost)
             began_s = self.cell.clock.now_s()
             try:
-                arm = self._follow(name, trajectory)
+                self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
             except BaseException:
                 with suppress(TrackerError):  # report why the arm did not reach the end, not this
                     streaming.end_track()
@@ -96,15 +88,12 @@ class PathDriver:
             track = streaming.end_track()
             if beam.error is None:
                 within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-                return TrackedPath(track.within(within), arm, began_s, lost_beams)
+                return TrackedPath(track.within(within), lost_beams)
             self._find_again(name)
         raise TargetLost(
             f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
             " measured. Look for what crosses the beam along it"
         )
-
-    def _follow(self, name: str, trajectory: Trajectory) -> FollowedPath:
-        return self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
 
     def _find_again(self, name: str) -> None:
         """Measure the SMR where the arm rests; stop the cell if it is not found."""

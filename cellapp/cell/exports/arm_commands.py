@@ -12,7 +12,7 @@ from cellapp.cell.targets.compensate import with_approach
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.cell.targets.sides import signs_words
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Arm
+from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
@@ -87,6 +87,14 @@ def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[Target
             )
         found.append(_last_driven(record, one))
     return tuple(found)
+
+
+def first_rates(profile: Profile, arm: Arm) -> tuple[float, float]:
+    """Return the limits of joint speed [rad/s] and acceleration [rad/s^2]: those of first motions on real hardware."""
+    joints = arm.type.joints
+    share = arm.speed_scale * profile.collection.slow_start.speed
+    speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))
+    return float(speeds.min() * share), float(accelerations.min() * share)
 
 
 _NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}

@@ -14,7 +14,7 @@ from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array
 
-_JOINTS = 6
+JOINTS = 6
 _DIGITS = 9
 """Decimals of a joint position: a nanoradian moves the SMR by some nanometres at most."""
 _NOTES = (
@@ -26,7 +26,7 @@ _NOTES = (
 
 def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
     """Return the program. Raise ``InputError`` for an arm without six joints, or if no target may be driven."""
-    if len(commands.home) != _JOINTS:
+    if len(commands.home) != JOINTS:
         raise InputError(
             f"export: arm '{commands.name}' has {len(commands.home)} joints, a program for UR controllers six; nothing"
             " was written. Take --as commands"
@@ -38,7 +38,7 @@ def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
             f" '{first.record.name}': {first.refusal}"
         )
     rates = f"a={commands.acceleration:.3f}, v={commands.speed:.3f}"
-    home = f"  movej({_vector(commands.home)}, {rates})"
+    home = f"  movej({vector(commands.home)}, {rates})"
     lines = ["def compensated_targets():", "  # home", home]
     for command in commands.commands:
         name = " ".join(command.record.name.splitlines())
@@ -47,10 +47,10 @@ def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
             continue
         *before, target = command.way
         lines += [f"  # side from which target {name} is approached" for _ in before[:1]]
-        lines += [f"  movej({_vector(q)}, {rates})" for q in before]
+        lines += [f"  movej({vector(q)}, {rates})" for q in before]
         held = " ".join(command.record.holds_for.splitlines())
         lines += [f"  # target {name}", *([f"  # holds for {held}"] if held else [])]
-        lines += [f"  movej({_vector(target)}, {rates})", "  # home", home]
+        lines += [f"  movej({vector(target)}, {rates})", "  # home", home]
     return hashed([*sentences, *_NOTES]) + "\n".join([*lines, "end", ""])
 
 
@@ -59,7 +59,8 @@ def driven(commands: ArmCommands) -> int:
     return sum(bool(command.way) for command in commands.commands)
 
 
-def _vector(q: Array) -> str:
+def vector(q: Array) -> str:
+    """Return joint positions (N,) [rad] as a list of URScript."""
     return "[" + ", ".join(f"{value:.{_DIGITS}f}" for value in q.tolist()) + "]"
 
 

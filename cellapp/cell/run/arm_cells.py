@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, short, unquoted_text
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 
-POINT = "point"
-"""Column that names a fixed but unknown point in place of a measured position."""
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
 """Characters that no number has: one search over all cells of a column is much faster than one per cell."""
 
@@ -95,11 +92,6 @@ class ArmCells:
                 return np.zeros(len(texts), dtype=np.int64)
         return np.array([int(text) for text in texts], dtype=np.int64)
 
-    @property
-    def names_points(self) -> bool:
-        """Whether readings of the arm name points in place of measured positions."""
-        return POINT in self.table.cells and any(text.strip() for text in self.texts(POINT))
-
     def words(self, column: Column) -> tuple[str | None, ...] | None:
         """Return a column of words, None for an empty cell; None if all are empty or the file lacks the column."""
         (name,) = column.csv
@@ -119,8 +111,7 @@ class ArmCells:
             return None
         if column.dtype is np.int64:
             return np.column_stack([self.whole_numbers(name) for name in names])
-        required = column.required and not (column.name == MEASURED_POINT and self.names_points)
-        matrix = np.column_stack([self.numbers(name, required=required) for name in names])
+        matrix = np.column_stack([self.numbers(name, required=column.required) for name in names])
         if column.allowed:
             for row, place in np.argwhere(~np.isnan(matrix) & ~np.isin(matrix, column.allowed))[:1].tolist():
                 self.refuse(row, names[place], f"expected {column.expected}, got {matrix[row, place]:g}")
@@ -149,10 +140,6 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
     if problems.count > before:
         return None
     values: dict[str, Values | None] = {**words}
-    if cells.names_points:
-        measured = matrices[MEASURED_POINT][1]
-        _check_points(cells, words[POINT] or (), measured)
-        matrices[MEASURED_POINT] = (matrices[MEASURED_POINT][0], np.full((len(cells.rows), 3), np.nan))
     for name, (column, matrix) in matrices.items():
         if matrix is not None:
             cells.check(column, matrix, joints, limits)
@@ -163,21 +150,6 @@ def read_arm(cells: ArmCells, arm: str, joints: int, limits: NDArray[np.float64]
         return None
     extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
     return readings_from_columns(values, extras)
-
-
-def _check_points(cells: ArmCells, points: Sequence[str | None], measured: NDArray[Any] | None) -> None:
-    """Check that every reading names a point, none has a measured position too, and no point occurs only once."""
-    counts = Counter(points)
-    for index, point in enumerate(points):
-        if measured is not None and not np.isnan(measured[index]).all():
-            cells.refuse(index, POINT, "there is a measured position too; give x_m, y_m, z_m or a point, not both")
-        elif point is None:
-            cells.refuse(index, POINT, "the value is missing; other readings of this arm name their points")
-        elif counts[point] == 1:
-            cells.refuse(index, POINT, f"'{point}' is there once; one touch of a point says nothing, give two or more")
-        else:
-            continue
-        break
 
 
 def _check_joint_columns(cells: ArmCells, arm: str, joints: int) -> None:
@@ -205,9 +177,9 @@ def _check_once(
     arm: str,
     words: Mapping[str, tuple[str | None, ...] | None],
 ) -> None:
-    """Check that an arm has one row per stop, or one per nest and station where these are named."""
+    """Check that an arm has one row per stop, or one per SMR and station where these are named."""
     named = [its for name in ("smr", "station") if (its := words[name]) is not None]
-    once = "give one row per stop" + (", nest and station" if named else "")
+    once = "give one row per stop" + (", SMR and station" if named else "")
     first: dict[tuple[int | str | None, ...], int] = {}
     for index, key in enumerate(zip(configuration.tolist(), *named, strict=True)):
         if key in first:

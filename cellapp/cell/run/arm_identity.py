@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from cellapp.cell.run.file import RunFile
-from cellapp.estimation.monitoring.fleet.records import IdentityBasis
 from cellapp.ground.errors import InputError
 
+IdentityBasis = Literal["controller", "profile", "names"]
+"""An arm is known by the serial number of its controller, by that in the profile, or only by the names of profile and
+arm with its type."""
 CONTROLLERS_RESULT = "controllers"
 """Name of the stored result: arm -> identity of its controller."""
 

@@ -17,7 +17,7 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
     plan = run.read_plan()
     total = len(next(iter(plan.values()))) if plan else 0
     outcomes = {(one.stop, one.arm): one for one in run.outcomes()}
-    stored = {name: set(run.readings(name).configuration.tolist()) for name in plan}
+    stored = {name: set(run.rows(name).configuration.tolist()) for name in plan}
     reserves = run.profile.plan.reserves(total)
     missing = []
     for stop in range(total):
@@ -35,7 +35,8 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
 def missing_share(run: RunFile, missing: Sequence[MissingReading]) -> float:
     """Return the share of the required readings that is missing; a measured reserve stop replaces a missing one."""
     asked = sum(len(q) - len(run.profile.plan.reserves(len(q))) for q in run.read_plan().values())
-    measured = sum(len(run.readings(name)) for name in run.read_plan())
+    counts = run.split_counts()
+    measured = sum(sum(counts.get(name, {}).values()) for name in run.read_plan())
     return max(asked - measured, 0) / asked if asked and missing else 0.0
 
 

@@ -15,24 +15,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import POINT, ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
+from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
 from cellapp.cell.run.csv_text import (
     CsvTable,
     Problems,
     check_names,
     read_csv_table,
 )
-from cellapp.cell.run.distances import (
-    DISTANCES_RESULT,
-    distances_text,
-    read_distances_csv,
-    swapped_between,
-    swapped_points,
-)
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.flange_touches import FLANGE_TOUCHES_RESULT, flange_touches_text, read_flange_touches
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
-from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.stations import (
     STATIONS_RESULT,
@@ -43,11 +34,20 @@ from cellapp.cell.run.stations import (
     twice_at_a_stop,
 )
 from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings
-from cellapp.estimation.sockets import in_sockets
+from cellapp.estimation.readings.several_smrs import one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.removed import removed_readings
+
+
+class WhichSmr(InputError):
+    """Readings of two SMRs, which give no rotation: one of ``names`` is to be taken."""
+
+    def __init__(self, text: str, names: tuple[str, ...]) -> None:
+        super().__init__(text)
+        self.names = names
 
 
 def read_readings_csv(
@@ -87,13 +87,11 @@ def read_readings_csv(
     return readings, notes
 
 
-def import_csv(
-    profile: Profile, csv: Path, folder: Path, *, in_order: bool = False, distances: Path | None = None
-) -> RunFile:
+def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
     """Make a run from a file of readings, after the whole file was read and checked.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then stores what was derived. ``distances`` is a file of known distances between points in sockets.
+    run then stores what was derived.
 
     Raises
     ------
@@ -101,7 +99,7 @@ def import_csv(
         As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
         made then.
     """
-    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order, distances=distances))
+    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
 
 
 def readings_from_csv(
@@ -109,25 +107,20 @@ def readings_from_csv(
     csv: Path,
     *,
     in_order: bool = False,
-    distances: Path | None = None,
     recorded: Collection[str] = (),
     reference_nests: Path | None = None,
-    on_flange: Path | None = None,
+    smr: str | None = None,
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; return a function that stores them in a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then stores what was derived. ``distances`` is a file of known distances between points in sockets,
-    ``reference_nests`` one of nests that tie tracker stations, ``on_flange`` one of touches of sockets on the other
-    arm's flange. Arms that are ``recorded`` in motion need no readings.
+    run then stores what was derived. ``reference_nests`` is a file of nests that tie tracker stations. Arms that are
+    ``recorded`` in motion need no readings. ``smr`` is as in ``readings_of_table``.
 
     Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
-    readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
-    if distances is not None:
-        readings = read_distances_csv(distances, profile, readings)
-    touches = [] if on_flange is None else read_flange_touches(on_flange, profile, readings)
+    readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded, smr=smr)
     tied = ""
     if reference_nests is None:
         require_ties(csv, readings)
@@ -144,10 +137,6 @@ def readings_from_csv(
         run.log("info", f"imported {csv}: {count}")
         if orders:
             write_in_order(run, orders)
-        if distances is not None:
-            run.write_result(DISTANCES_RESULT, distances_text(readings))
-        if touches:
-            run.write_result(FLANGE_TOUCHES_RESULT, flange_touches_text(touches))
         if tied:
             run.write_result(STATIONS_RESULT, tied)
         for note in notes:
@@ -157,9 +146,16 @@ def readings_from_csv(
 
 
 def readings_of_table(
-    profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = ()
+    profile: Profile,
+    table: CsvTable,
+    *,
+    in_order: bool = False,
+    recorded: Collection[str] = (),
+    smr: str | None = None,
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
+
+    Three SMRs or more on a flange give one position and one rotation a stop; ``smr`` takes only the SMR of that name.
 
     Returns
     -------
@@ -174,10 +170,13 @@ def readings_of_table(
     ------
     InputError
         As ``read_readings_csv`` does, and if an arm of the profile has no readings.
+    WhichSmr
+        If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    _check_together(profile, table, readings)
+    readings, made = _one_a_stop(table, readings, smr)
+    notes += made
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -187,23 +186,34 @@ def readings_of_table(
     return readings, orders, notes
 
 
-def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
-    """Check that readings of one point, and of the nests on one flange, belong together."""
-    problems = Problems(table.place)
+def _one_a_stop(
+    table: CsvTable, readings: Mapping[str, Readings], smr: str | None
+) -> tuple[dict[str, Readings], list[str]]:
+    """Make one reading a stop of each arm; return them, and sentences on what was made of several SMRs."""
+    problems, found, notes = Problems(table.place), dict(readings), list[str]()
+    if smr is not None and not any(smr in smr_names(its) for its in readings.values()):
+        known = dict.fromkeys(name for its in readings.values() for name in smr_names(its))
+        raise InputError(f"--smr: no reading is of an SMR '{smr}'; there are {', '.join(known) or 'no names of SMRs'}")
     for arm, its in readings.items():
-        lines = _lines_of(table, arm)
-        for row, text in swapped_points(profile, arm, its) if in_sockets(its) else ():
-            problems.add(lines[row], POINT, text)
-        for row, text in twice_at_a_stop(its):
-            problems.add(lines[row], "station", text)
-        for row, column, text in nest_faults(profile, arm, its):
+        lines, names, faults = _lines_of(table, arm), smr_names(its), list[tuple[int, str, str]]()
+        faults += [(row, "station", text) for row, text in twice_at_a_stop(its)]
+        if len(names) > 1 and smr is not None:
+            found[arm] = its.take([row for row, word in enumerate(its.smr or ()) if word == smr])
+        elif len(names) == 2:
+            raise WhichSmr(
+                f"{table.path}: smr: arm '{arm}' was measured at two SMRs, {' and '.join(names)}; two give no rotation:"
+                " take one of them (--smr NAME)",
+                names,
+            )
+        elif len(names) > 2 and not faults:
+            found[arm], made, faults = one_pose_a_stop(its)
+            notes.append(f"{table.path}: arm '{arm}': {made}; smr.offset of the profile is that of {names[0]}")
+        for row, column, text in faults:
             problems.add(lines[row], column, text)
-    problems.check()  # first: a row at a wrong socket moves the socket
-    if len(readings) == 2 and all(map(in_sockets, readings.values())):
-        arm, swapped = swapped_between(profile, readings)
-        for row, text in swapped:
-            problems.add(_lines_of(table, arm)[row], POINT, text)
+        if not len(found[arm]):
+            raise InputError(f"{table.path}: smr: no reading of arm '{arm}' is of SMR '{smr}'")
     problems.check()
+    return found, notes
 
 
 def _lines_of(table: CsvTable, arm: str) -> list[int]:
@@ -257,14 +267,10 @@ def _read(
 def _check_header(table: CsvTable, problems: Problems) -> None:
     names = table.names
     unknown = [name for name in names if not is_known(name)]
-    named = POINT in names
-    required = [
-        name
-        for column in COLUMNS
-        if column.required and not (named and column.name == MEASURED_POINT)
-        for name in column.csv_names(1)
-    ]
-    for name in ("arm", *required):
+    if OF_SOCKETS in names:
+        problems.add(1, OF_SOCKETS, f"{removed_readings(OF_SOCKETS)}; rename the column if it is something else")
+        problems.check()
+    for name in ("arm", *(name for column in COLUMNS if column.required for name in column.csv_names(1))):
         if name not in names:
             close = difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
             hint = f"; is '{close[0]}' meant? Its name and unit must be as written here" if close else ""

@@ -13,7 +13,6 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -34,9 +33,6 @@ from cellapp.cell.run.collection_rows import (
     select_references,
     select_sessions,
 )
-from cellapp.cell.run.distances import with_distances
-from cellapp.cell.run.flange_touches import with_flange_touches
-from cellapp.cell.run.nests import one_a_stop
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
     check_readings,
@@ -45,8 +41,8 @@ from cellapp.cell.run.readings_table import (
     insert_readings,
     mean_temperatures,
     select_readings,
+    select_removed_kinds,
     select_stops_done,
-    stop_rows,
     update_splits,
 )
 from cellapp.cell.run.rows import (
@@ -261,11 +257,8 @@ class RunFile:
         configuration: int,
         rows: Mapping[str, Reading],
         outcomes: Sequence[Outcome] = (),
-        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
     ) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
-
-        ``further`` are readings of further nests, for arms that have a reading in ``rows``.
 
         Raises
         ------
@@ -274,7 +267,7 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        self._add(stop_rows(configuration, rows, further), outcomes)
+        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
@@ -300,19 +293,29 @@ class RunFile:
     def readings(self, arm: str) -> Readings:
         """Return the readings of one arm, one per stop, ordered by configuration; n is 0 if there are none.
 
-        Rows of several nests are merged into one reading, with the orientation that follows from them. Rows of several
-        tracker stations are transformed into the frame of the first one.
+        Rows of several tracker stations are transformed into the frame of the first one.
+
+        Raises
+        ------
+        InputError
+            If they are of a kind that was removed.
         """
-        return one_a_stop(self.profile, arm, self._in_one_frame(self.rows(arm)))
+        if reason := self.removed_kinds().get(arm):
+            raise InputError(
+                f"{self.path}: arm '{arm}': {reason}; 'cellapp show' and 'cellapp export' still open this run"
+            )
+        return self._in_one_frame(self.rows(arm))
 
     def rows(self, arm: str) -> Readings:
-        """Return all rows of one arm as measured or imported, one per nest; ordered by configuration."""
+        """Return all rows of one arm as measured or imported, ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
-            found = with_distances(
-                connection, select_readings(connection, arm, len(self.profile.arms[arm].type.joints))
-            )
-            return with_flange_touches(connection, arm, found)
+            return select_readings(connection, arm, len(self.profile.arms[arm].type.joints))
+
+    def removed_kinds(self) -> dict[str, str]:
+        """Return each arm whose readings are of a removed kind, which nothing is estimated from, with what to say."""
+        with self.look() as connection:
+            return select_removed_kinds(connection)
 
     def _in_one_frame(self, readings: Readings) -> Readings:
         if readings.station is None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from cellapp.cell.run.collection_rows import Outcome, insert_outcome
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings, stop_rows
+from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings
 from cellapp.cell.run.rows import utc_now
 from cellapp.cell.run.schema import reading_columns, schema_version
 from cellapp.estimation.readings.readings import Reading, Readings
@@ -38,7 +37,6 @@ def replace_stop(
     stop: int,
     rows: Mapping[str, Reading],
     outcomes: Sequence[Outcome] = (),
-    further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
 ) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
@@ -53,30 +51,23 @@ def replace_stop(
     ValueError
         If an array has the wrong shape or a required value is not finite.
     """
-    batches = stop_rows(stop, rows, further)
+    batches = {arm: reading.as_readings(stop) for arm, reading in rows.items()}
     for arm, readings in batches.items():
         check_readings(arm, len(run.profile.arms[arm].type.joints), readings)
     with run.change() as connection:
         for arm, readings in batches.items():
             split = _set_aside(connection, arm, stop)
-            its = None if split is None else split * len(readings)
-            insert_readings(connection, arm, readings if its is None else replace(readings, split=its))
+            insert_readings(connection, arm, readings if split is None else replace(readings, split=split))
         for outcome in outcomes:
             if not _has_reading(connection, outcome.arm, stop):
                 insert_outcome(connection, outcome)
-
-
-def withdraw_reading(run: RunFile, stop: int, arm: str) -> None:
-    """Withdraw the reading of an arm at a stop: it no longer counts, but is kept as a replaced one."""
-    with run.change() as connection:
-        _set_aside(connection, arm, stop)
 
 
 def earlier_readings(run: RunFile, arm: str) -> Earlier:
     """Return the replaced readings of an arm; none in a file of an older schema."""
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
-            return Earlier(run.readings(arm).take([]), ())
+            return Earlier(run.rows(arm).take([]), ())
         times = connection.execute(
             "SELECT replaced FROM earlier_reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
         )

@@ -136,7 +136,7 @@ def _last_known(signs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _first_of_stop(configuration: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the first row of each row's stop, when the arm arrived: nests are measured one by one at rest."""
+    """Return the first row of each row's stop, when the arm arrived: SMRs are measured one by one at rest."""
     first = np.ones(len(configuration), dtype=np.bool_)
     first[1:] = np.diff(configuration) != 0
     return np.asarray(np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)))

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import reading_columns, schema_version
-from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
+from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
+from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.ground.removed import removed_readings
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -23,16 +24,6 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
         f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
         ((arm, *row) for row in _rows(readings)),
     )
-
-
-def stop_rows(
-    configuration: int, rows: Mapping[str, Reading], further: Mapping[str, Sequence[Reading]]
-) -> dict[str, Readings]:
-    """Collect the readings of each arm at one stop: those in ``rows``, then the ``further`` ones of other nests."""
-    found = {arm: reading.as_readings(configuration) for arm, reading in rows.items()}
-    for arm, nests in further.items():
-        found[arm] = joined([found[arm], *(one.as_readings(configuration) for one in nests)])
-    return found
 
 
 def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
@@ -79,6 +70,17 @@ def select_readings(
     return readings_from_columns(values, _extras_from_cells(extras))
 
 
+def select_removed_kinds(connection: sqlite3.Connection) -> dict[str, str]:
+    """Return each arm whose readings are of a removed kind, with what to say of them."""
+    several = f"SELECT arm FROM reading GROUP BY arm HAVING COUNT(DISTINCT IFNULL({OF_SEVERAL}, '')) > 1"
+    in_sockets = f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL"
+    found = dict[str, str]()
+    for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
+        if schema_version(connection) >= since:
+            found |= dict.fromkeys((arm for (arm,) in connection.execute(asked)), removed_readings(column))
+    return found
+
+
 def select_stops_done(connection: sqlite3.Connection) -> set[int]:
     """Return the numbers of the stored configurations."""
     return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
@@ -96,17 +98,12 @@ def check_readings(arm: str, joints: int, readings: Readings) -> None:
         raise ValueError(f"{readings.joints} joint positions for the {joints} joints of arm {arm}")
     for column in COLUMNS:
         values = getattr(readings, column.name)
-        if column.required and not np.all(np.isfinite(values)) and not _named_instead(column, readings):
+        if column.required and not np.all(np.isfinite(values)):
             raise ValueError(f"{column.name} of arm {arm} is not finite")
         if column.name == "split":
             check_splits(values or ())
         elif column.allowed and values is not None and not np.all(np.isin(values, column.allowed)):
             raise ValueError(f"{column.name} of arm {arm} is not {column.expected}")
-
-
-def _named_instead(column: Column, readings: Readings) -> bool:
-    """Return whether all readings name points in place of this quantity."""
-    return column.name == MEASURED_POINT and all(readings.point or (None,)) and bool(np.isnan(readings.p_M).all())
 
 
 def check_splits(words: Sequence[str | None]) -> None:

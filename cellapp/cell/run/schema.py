@@ -13,16 +13,16 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.plugins import program_of
 
 APPLICATION_ID = 0x43656C6C
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 """Version of the schema. New in each version: 2: each joint's last step and the dwell time of a reading. 3: results of
 verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that were not measured, reference
 measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
 measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
 readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
-that."""
+that. 10: covariance of a rotation."""
 
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
-"""Unique key: an arm has one reading per stop, nest and station. Before schema 8 this was the table's primary key."""
+"""Unique key: an arm has one row per stop, SMR and station. Before schema 8 this was the table's primary key."""
 _EXTRAS = "extras TEXT"
 """Unknown columns of an imported file, as one JSON object per reading."""
 

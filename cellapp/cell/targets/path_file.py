@@ -19,6 +19,7 @@ from cellapp.ground.profile import CellPoint, Profile
 from drivers.quantities import Acceleration, Length, Speed, Turn
 from drivers.settings import Section
 
+_SCHEMA = "cellapp-paths"
 _SHORTEST_M = 1e-4
 """Shortest piece [m]; a shorter one is a mistake, because the tracker cannot distinguish its ends."""
 _FASTEST_M_S = 3.0
@@ -124,16 +125,19 @@ class PathSpec(Section):
 class PathList(Section):
     """A file of paths."""
 
-    schema_: Literal["cellapp-paths"] = Field(alias="schema")
+    schema_: Literal["cellapp-paths"] = Field(alias="schema")  # as _SCHEMA
     version: Literal[1]
     paths: Annotated[tuple[PathSpec, ...], Field(min_length=1)]
 
 
-def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[PathSpec, ...]:
-    """Read a path file (YAML); if ``arm`` is given, only the paths of that arm.
+def holds_paths(path: Path) -> bool:
+    """Return whether a file is a path file: YAML that says so in its key ``schema``."""
+    content = None if path.suffix.lower() == ".csv" else read_yaml(path).content
+    return isinstance(content, dict) and content.get("schema") == _SCHEMA
 
-    Raise ``InputError`` with the file, the line and the path.
-    """
+
+def load_paths(path: Path, profile: Profile) -> tuple[PathSpec, ...]:
+    """Read a path file (YAML). Raise ``InputError`` with the file, the line and the path."""
     source = read_yaml(path, "path file", "YAML")
     try:
         listed = PathList.model_validate(source.content)
@@ -144,12 +148,7 @@ def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[Pa
     for index, spec in enumerate(listed.paths):
         if problem := _misfit(spec, listed.paths[:index], profile):
             raise InputError(f"{source.place(('paths', index))}: path '{spec.name}'{problem}")
-    if arm is not None and arm not in profile.arms:
-        raise InputError(f"--arm: no arm '{arm}'; arms are {', '.join(profile.arms)}")
-    chosen = tuple(spec for spec in listed.paths if arm in (None, spec.arm))
-    if not chosen:
-        raise InputError(f"{path}: no path of arm '{arm}'; it has paths of {', '.join({s.arm for s in listed.paths})}")
-    return chosen
+    return listed.paths
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

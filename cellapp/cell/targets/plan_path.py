@@ -12,6 +12,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible
 from cellapp.cell.safety.path_gate import refuse_path
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.path_records import PathRecord, PathReversal
 from cellapp.cell.targets.targets import WorkingConditions
 from cellapp.cell.targets.working_conditions import load_centers
 from cellapp.ground.errors import InputError
@@ -30,6 +31,8 @@ RUN_UP_RAD = 5e-3
 _CROSS_SHARE = 0.2
 """Fraction of a joint's acceleration used for crossing its backlash."""
 _SEEN_EVERY_M = 0.02
+_UNCERTAIN_AT = 50
+"""Number of positions along a path at which the model's uncertainty is evaluated: it changes slowly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +118,41 @@ def paths_of(model: CellModel, spec: PathSpec) -> tuple[CartesianPath, Cartesian
     return first, second
 
 
+def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
+    """Return a planned path as a record of the result."""
+    spec, trajectory, joints = plan.spec, plan.trajectory, plan.joints
+    head = PathRecord(
+        name=spec.name,
+        arm=spec.arm,
+        frame=spec.frame,
+        tolerance_mm=spec.tolerance * 1e3,
+        refusal=plan.refusal,
+        length_mm=None if plan.path is None else plan.path.length * 1e3,
+    )
+    if trajectory is None or joints is None:
+        return head
+    rows = np.linspace(0, len(trajectory.q) - 1, _UNCERTAIN_AT).astype(int)
+    uncertainty_mm = float(model.arms[spec.arm].uncertainty(trajectory.q[rows]).max()) * 1e3
+    return head.model_copy(
+        update={
+            "duration_s": trajectory.duration_s,
+            "period_ms": trajectory.period_s * 1e3,
+            "samples": len(trajectory.q),
+            "deviation_mm": joints.deviation_m * 1e3,
+            "deviation_at_mm": joints.deviation_at_m * 1e3,
+            "uncertainty_mm": uncertainty_mm or None,
+            "at_speed": trajectory.at_speed,
+            "slowed": trajectory.slowed,
+            "reversals": tuple(
+                PathReversal(
+                    joint=one.joint, at_mm=one.at_m * 1e3, jump_mm=one.jump_m * 1e3, window_mm=one.window_m * 1e3
+                )
+                for one in sorted(joints.reversals, key=lambda one: one.at_m)
+            ),
+        }
+    )
+
+
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -129,7 +167,7 @@ def _on_branch(
     period_s: float,
 ) -> PathPlan:
     """Return the plan on one branch of the inverse kinematics."""
-    rates = path_rates(profile, spec)
+    rates = _rates(profile, spec)
     cross_s = float(np.sqrt(5.774 / (_CROSS_SHARE * rates.acceleration.min())))
     try:
         joints = joint_path(arm, path, branch, _conditions(profile, spec), spec.tolerance, cross_s)
@@ -168,20 +206,14 @@ def _nominal(
         joints = joint_path(
             published, path, Branch(share, branch.q), _conditions(profile, spec), spec.tolerance, cross_s=0.0
         )
-        trajectory = timed(path, joints, path_rates(profile, spec), period_s)
+        trajectory = timed(path, joints, _rates(profile, spec), period_s)
     except PathError:
         return None
     others = {name: q for name, q in homes.items() if name != spec.arm}
     return None if refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s) else trajectory
 
 
-def path_payload(profile: Profile, spec: PathSpec) -> float:
-    """Return the payload that a path is for [kg]: as stated, else the profile's."""
-    stated = spec.conditions.payload
-    return profile.arms[spec.arm].payload.mass if stated is None else stated
-
-
-def path_rates(profile: Profile, spec: PathSpec) -> Rates:
+def _rates(profile: Profile, spec: PathSpec) -> Rates:
     """Return the limits of the arm's joints at the profile's share, and the path's own acceleration."""
     return Rates(*joint_rates(profile.arms[spec.arm]), spec.acceleration)
 
@@ -189,7 +221,7 @@ def path_rates(profile: Profile, spec: PathSpec) -> Rates:
 def _conditions(profile: Profile, spec: PathSpec) -> Conditions:
     """Return conditions along the path: as stated, else the profile's payload; a moving arm has no rest."""
     stated: WorkingConditions = spec.conditions
-    payload = path_payload(profile, spec)
+    payload = profile.arms[spec.arm].payload.mass if stated.payload is None else stated.payload
     center_F = load_centers(profile.arms[spec.arm], [payload])
 
     def of(approach: Array) -> MeasurementConditions:

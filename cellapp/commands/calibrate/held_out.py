@@ -11,7 +11,6 @@ import numpy as np
 from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import STAGES
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
@@ -64,8 +63,7 @@ class HeldOutArm:
     def errors_mm(self) -> Mapping[str, Array]:
         """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
         return {
-            stage: position_errors(measured_positions(self.readings, computed), computed) * 1e3
-            for stage, computed in self.computed_M.items()
+            stage: position_errors(self.readings.p_M, computed) * 1e3 for stage, computed in self.computed_M.items()
         }
 
     @cached_property
@@ -79,8 +77,7 @@ class HeldOutArm:
         if not predicted.any():
             return None
         noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
-        computed = self._predict(model)
-        return predicted, position_errors(measured_positions(self.readings, computed), computed) * 1e3, noise_mm
+        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
 
     def _predict(self, model: ArmModel) -> Array:
         return model.predict(self.readings.q, conditions=self.conditions)

@@ -126,12 +126,9 @@ def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:
 
 def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
     found, tracker = method.identification, method.T_R_L_tracker
-    by_tracker = [None] * 6 if tracker is None else [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
+    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
     estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
-    if method.by_tracker is None:
-        summaries = {pair.chosen: method.by_distances}
-    else:
-        summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
+    summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
     return PairMethodResult(
         cooperative_mm=summaries[pair.chosen],
         transform=pair.chosen,

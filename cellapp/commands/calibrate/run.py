@@ -11,7 +11,6 @@ from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.run.samples import keep_samples
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.basis import basis_of
-from cellapp.commands.calibrate.nests import with_nests
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.calibrate.result import calibrate_result
@@ -81,7 +80,6 @@ def calibrate_run(
         result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
     else:
         result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)
-    result = with_nests(result, run, model)
     now = basis_of(run)
     append_with_model(run, CALIBRATE, result, model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
     stages = read_stages(run, lambda _: now)

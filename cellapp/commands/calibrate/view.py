@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
-from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
 from cellapp.commands.calibrate.network_view import network_sentences
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
@@ -29,12 +28,7 @@ _DETAILED_COLUMNS = (
     *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
     number_column("n", "d"),
 )
-_TRANSFORMS = {
-    "distances": "distances alone",
-    "tracker": "the tracker frame",
-    "touches": "common sockets",
-    "flange": "sockets on a flange",
-}
+_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
 _PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
@@ -68,21 +62,8 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
 
 
 def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, torques, nests and sockets, and the priors."""
-    measured = (*motion_tables(result), *torque_tables(result), *nest_tables(result))
-    return [*measured, *gauge_tables(result), *prior_tables(result)]
-
-
-def gauge_tables(result: CalibrateResult) -> list[Table]:
-    """Show errors of known distances between held-out points in sockets, for each arm that has some."""
-    columns = (Column("stage"), number_column("mean", MM), number_column("max", MM), number_column("n", "d"))
-    tables = []
-    for name, arm in result.arms.items():
-        known = {stage: arm.validate_[stage].gauge_mm for stage in STAGES if stage in arm.validate_}
-        rows = tuple((stage, one.mean, one.max, one.n) for stage, one in known.items() if one is not None)
-        if rows:
-            tables.append(Table(f"Arm {name}: errors of known distances, held out [mm]", columns, rows))
-    return tables
+    """Show results from recordings of motion and torques, and the priors."""
+    return [*motion_tables(result), *torque_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -169,7 +150,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result), *torque_sentences(result))
+    more = (*network_sentences(result), *motion_sentences(result), *torque_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 

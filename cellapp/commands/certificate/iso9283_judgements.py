@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
-from cellapp.cell.driving.iso9283.programme import wanted_cycles
-from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
+from cellapp.estimation.iso9283.norm import (
+    ISO_COMMANDS,
+    NORM_CYCLES,
+    NORM_DRIFT_MIN,
+    IsoCommands,
+    IsoTest,
+    wanted_cycles,
+)
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PairIso9283
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement

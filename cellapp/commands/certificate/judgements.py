@@ -133,7 +133,7 @@ def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement
     if limit is None:
         return
     verify = held_verification(results)
-    probed = [name for name, arm in profile.arms.items() if arm.smr.tells_orientation]
+    probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
     for arm in probed or profile.arms:
         targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
         angles = [turn.final_mrad for one in targets if (turn := one.orientation) and turn.final_mrad is not None]
@@ -141,7 +141,7 @@ def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement
         if verify is not None and angles:
             source = _verified(verify, len(angles), len(targets), "targets")
         elif arm not in probed:
-            source = "not measured: the flange has no 6-D probe (smr.probe), and no three nests (smr.nests)"
+            source = "not measured: the flange has no 6-D probe (smr.probe)"
         value = max(angles, default=None)
         expanded = None if value is None else expanded_mrad(orientation_budget(profile, results, arm))
         yield Judgement(

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import SecretStr
-
 from cellapp.commands.fields import RunFolder
 from cellapp.commands.record import Asked, Request, Stored, Verb
 from cellapp.ground.outputs import Writes
 
 
 class CertificateRequest(Request):
-    """Write certificate.json and .html: errors as found and left, budget, tolerances, hashes, what is missing."""
+    """Write certificate.json, .html, SHA256SUMS: errors as found and left, budget, tolerances, what is missing."""
 
     folder: RunFolder
     out: Annotated[
@@ -41,14 +39,6 @@ class CertificateRequest(Request):
             hint="YAML, tolerances and traceability; may be empty",
             suffixes=(".yaml", ".yml"),
         ),
-    ] = None
-    key: Annotated[
-        Path | None,
-        Asked("Sign with this private key (see sign-key).", "KEYFILE", label="private key", hint="empty: not signed"),
-    ] = None
-    passphrase: Annotated[
-        SecretStr | None,
-        Asked("Passphrase of the key.", label="passphrase", hint="of the key; it is not kept", secret="known"),
     ] = None
     pdf: Annotated[
         bool,

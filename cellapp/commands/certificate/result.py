@@ -1,4 +1,4 @@
-"""Results of ``certificate``, ``check-certificate`` and ``sign-key``."""
+"""Result of ``certificate``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cellapp.estimation.uncertainty.records import (
     TurnContribution,
     UncertaintyContribution,
 )
-from cellapp.ground.results import ErrorSummary, Record, Result, StageName
+from cellapp.ground.results import ErrorSummary, Record, Result
 
 Range = tuple[float, float]
 
@@ -134,20 +134,6 @@ class CertifiedTarget(Record):
         return () if self.wanted_M is None else tuple(1e3 * value for value in self.wanted_M)
 
 
-class CertifiedData(Record):
-    """SHA-256 of what the certificate rests on; empty or None where there is none.
-
-    ``stages`` are the results of which it states figures, ``model`` that whose model is in force. ``data_file`` is the
-    file that completed the profile.
-    """
-
-    profile: str
-    readings: Mapping[str, str]
-    model: StageName | None = None
-    stages: Mapping[StageName, str] = {}
-    data_file: str | None = None
-
-
 SIMULATED = "simulated cell"
 """Begin of the warning that a cell is simulated: its certificate must not pass for that of a real one."""
 
@@ -168,12 +154,9 @@ class CertificateResult(Result, schema="cellapp-certificate"):
     out_of_date : tuple
         Results that no longer hold, with the reason.
     files : tuple
-        Names of the files that were written.
-    documents : mapping
-        File name -> SHA-256 of each file that shows this certificate to people: the page, and its print. Whoever signs
-        this file signs them.
-    key_id : str
-        Of the key that signs them; empty if none does.
+        Names of the files that were written for people.
+    rests_on : mapping
+        Name of each file with what the certificate rests on, in the folder of the certificate -> its SHA-256.
     method : str
         How positions were measured and errors computed, with the version of the program.
     procedure : str
@@ -211,10 +194,8 @@ class CertificateResult(Result, schema="cellapp-certificate"):
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     out_of_date: tuple[str, ...] = ()
-    data: CertifiedData | None = None
     files: tuple[str, ...] = ()
-    documents: Mapping[str, str] = {}
-    key_id: str = ""
+    rests_on: Mapping[str, str] = {}
     orientation_contributions: tuple[TurnContribution, ...] | None = None
     omitted_when_none = frozenset({"iso9283", "orientation_contributions"})
 
@@ -222,11 +203,6 @@ class CertificateResult(Result, schema="cellapp-certificate"):
     def is_simulated(self) -> bool:
         """Whether nothing real was measured."""
         return any(one.startswith(SIMULATED) for one in self.warnings)
-
-    @property
-    def signed(self) -> bool:
-        """Whether a signature stands beside the file."""
-        return bool(self.key_id)
 
     def complaints(self) -> list[str]:
         """Say why the certificate does not confirm conformity; empty if it does or nothing is judged."""

@@ -14,7 +14,6 @@ from cellapp.commands.certificate.result import (
     CertificateResult,
     CertifiedArm,
     CertifiedCharacteristic,
-    CertifiedData,
     CertifiedErrors,
     CertifiedTarget,
     CertifiedTests,
@@ -69,9 +68,8 @@ class CertificateInput:
     conditions: Mapping[str, MeasuredConditions]
     controllers: Mapping[str, Controller]
     measured: tuple[str, ...]
-    data: CertifiedData
+    rests_on: Mapping[str, str]
     files: tuple[str, ...] = ()
-    key_id: str = ""
 
 
 def certificate_of(given: CertificateInput) -> CertificateResult:

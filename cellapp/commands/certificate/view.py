@@ -28,7 +28,7 @@ from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import ErrorSummary, StageName
+from cellapp.ground.results import ErrorSummary
 from cellapp.ground.times import day_of, minute_of
 
 NOT_GIVEN = "not given"
@@ -49,7 +49,6 @@ _UNCERTAINTY = (
     " as stated. Of distances between two positions each contribution counts twice, of distances between two arms those"
     " of both arms. A contribution that is not given leaves the uncertainty unknown."
 )
-_STAGE_WORDS: Mapping[StageName, str] = {"verify": "verification", "iso9283": "test by ISO 9283"}
 _ERROR_COLUMNS = (
     Column("error"),
     Column("from"),
@@ -98,8 +97,7 @@ def certificate_tables(result: CertificateResult) -> list[Table]:
 def certificate_sentences(result: CertificateResult) -> list[str]:
     """State verdict, marks, limits, what is not given, and where the certificate was written."""
     verdict = certificate_verdict(result)
-    signed = "signed" if result.signed else "not signed"
-    written = [f"certificate {result.number}, {signed}: {', '.join(result.files)}"] if result.files else []
+    written = [f"certificate {result.number}: {', '.join(result.files)}"] if result.files else []
     return [
         *(f"MARK: {mark}" for mark in (*result.warnings, *(f"out of date: {one}" for one in result.out_of_date))),
         f"{verdict.title}: {verdict.sentence}" if verdict.sentence else verdict.title,
@@ -128,7 +126,6 @@ def certificate_marks(result: CertificateResult, outdated: str = "") -> list[str
 def certificate_sections(result: CertificateResult) -> list[Section]:
     """Show the certificate as printed, from its judgements to the hashes of its basis."""
     objects = Facts(tuple((f"Arm {name}", _arm_words(arm)) for name, arm in result.arms.items()))
-    hashes = _hashes(result)
     return [
         *([_of_table(judgement_table(result.judgements))] if result.judgements else []),
         _of_table(errors_table(result), _FOUND_AND_LEFT),
@@ -140,7 +137,7 @@ def certificate_sections(result: CertificateResult) -> list[Section]:
         _of_table(budget_table(result), _UNCERTAINTY),
         *(_of_table(table) for table in turn_budget_tables(result)),
         Section("Statements", _statements(result)),
-        *([Section("Data (SHA-256)", [Facts(tuple(hashes))])] if hashes else []),
+        *([Section("Data (SHA-256)", [Facts(tuple(result.rests_on.items()))])] if result.rests_on else []),
     ]
 
 
@@ -370,20 +367,3 @@ def _period(measured: Sequence[str]) -> str:
     if day_of(first) == day_of(last):
         return f"{first} to {last[11:]} UTC"
     return f"{first} to {last} UTC"
-
-
-def _hashes(result: CertificateResult) -> list[tuple[str, str]]:
-    """Return the SHA-256 hashes of everything that the certificate rests on."""
-    data = result.data
-    if data is None:
-        return []
-    stages = [
-        (_STAGE_WORDS.get(name, f"model in force ({name})"), digest or "none made")
-        for name, digest in data.stages.items()
-    ]
-    return [
-        ("profile", data.profile),
-        *((f"readings of arm {name}", digest) for name, digest in data.readings.items()),
-        *stages,
-        *([] if data.data_file is None else [("file that completed the profile", data.data_file)]),
-    ]

@@ -24,15 +24,6 @@ class CheckRequest(Request):
         Field(ge=FEWEST_STOPS, le=1000),
         Asked("Stops at most; fewer where that is enough.", "N", label="stops at most", hint="of all arms together"),
     ] = STOPS
-    touches: Annotated[
-        Path | None,
-        Asked(
-            "Touches of sockets in place of stops: CSV with configuration, arm, q1..qN, point, or the folder of a run"
-            " of 'touch'; nothing moves.",
-            "CSV",
-            suffixes=(".csv",),
-        ),
-    ] = None
     strict: Annotated[bool, Asked("Exit code 1 also if the model was out of date before the check.")] = False
     simulated_plant: Annotated[
         Path | None,
@@ -44,10 +35,6 @@ class CheckRequest(Request):
             suffixes=(".yaml", ".yml"),
         ),
     ] = None
-
-    def moves(self) -> bool:
-        """Return False: touches were recorded already, nothing moves for them."""
-        return self.touches is None
 
 
 VERB = Verb(

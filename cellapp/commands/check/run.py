@@ -12,18 +12,15 @@ import numpy as np
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
 from cellapp.cell.driving.check_stops import check_candidates
 from cellapp.cell.driving.controllers import noting_controllers
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.smr_search import FoundPoint, points_of
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, read_readings_csv
-from cellapp.cell.run.csv_import import joint_limits
+from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
-from cellapp.commands.check.touches import touches_result
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.station import excess_of_readings, profile_at_station
@@ -42,9 +39,7 @@ from cellapp.estimation.monitoring.check.records import (
     WeakChange,
 )
 from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY
-from cellapp.estimation.monitoring.check.touches import check_touches
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.pace import with_eta
@@ -59,8 +54,6 @@ from cellapp.robot.model import ArmModel, CellModel
 def run(request: CheckRequest, work: Work) -> CheckResult:
     """Measure whether the calibration still holds."""
     with RunFile.open(request.folder, write=True) as opened:
-        if request.touches is not None:
-            return check_by_touches(opened, request.touches)
         return check_run(
             opened,
             work.listener,
@@ -100,12 +93,11 @@ def check_run(
     control = control or JobControl()
     if stops < FEWEST_STOPS:
         raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
-    nests = nest_shapes(run)
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
-    checked = _checked(run, [*probed, *nests])
+    checked = _checked(run, probed)
     chosen = _stops(run.profile, checked, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
-    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model), nests)
+    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
     test = SequentialTest(checked.belief, len(chosen))
     notes: list[str] = []
     if checked.stale:
@@ -121,48 +113,6 @@ def check_run(
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run
     return result
-
-
-def check_by_touches(run: RunFile, path: Path) -> CheckResult:
-    """Judge the model in force by touches of sockets, and store the result. Nothing moves.
-
-    ``path`` is a file of touches, or the folder of a run in which ``touch`` recorded them.
-
-    Raises
-    ------
-    InputError
-        If the run is not calibrated, or the file has no touches of its arms.
-    """
-    touches, notes = _touches_of_run(run.profile, path) if path.is_dir() else _touches_of_file(run.profile, path)
-    for name, its in touches.items():
-        if not in_sockets(its):
-            raise InputError(
-                f"{path}: point: arm '{name}' was measured, not in a socket; a check by touches needs points"
-            )
-    checked = _checked(run)
-    found = check_touches(checked.belief, touches)
-    result = touches_result(checked.used.name, checked.stale, found, _next_step(found.conclusion.verdict, run.folder))
-    result = result.model_copy(update={"notes": (*notes, *result.notes)})
-    _store(run, checked, result)
-    return result
-
-
-def _touches_of_file(profile: Profile, path: Path) -> tuple[dict[str, Readings], list[str]]:
-    counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    return read_readings_csv(path, counts, limits=joint_limits(profile))
-
-
-def _touches_of_run(profile: Profile, folder: Path) -> tuple[dict[str, Readings], list[str]]:
-    with RunFile.open(folder) as run:
-        touches = {name: run.rows(name) for name in run.arms()}
-    if not touches:
-        raise InputError(f"{folder}: the run holds no touches; record some with 'cellapp touch PROFILE --run {folder}'")
-    for name, its in touches.items():
-        if name not in profile.arms or its.joints != len(profile.arms[name].type.joints):
-            raise InputError(
-                f"{folder}: arm '{name}' is not in the run to be checked; its arms are {', '.join(profile.arms)}"
-            )
-    return touches, []
 
 
 def plant_of(path: Path) -> Plant:

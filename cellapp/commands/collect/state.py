@@ -24,6 +24,7 @@ from cellapp.commands.collect.sweep_trace import last_sweep
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.online_model import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
+from cellapp.estimation.readings import Readings
 from cellapp.ground.results import CALIBRATE
 
 
@@ -38,7 +39,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
     missing = missing_readings(run)
     settings = run.profile.collection
     plan = run.read_plan()
-    stored = {name: run.readings(name) for name in plan}
+    stored = {name: _stop_by_stop(run.rows(name)) for name in plan}
     model = LiveModel(run.profile, plan, stored, lambda level, text: None)
     residuals, calibrated = model.residuals(), _calibrated(results)
     numbers = {name: its.configuration.tolist() for name, its in stored.items()}
@@ -75,6 +76,11 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
         replaced=replaced,
         sweep=last_sweep(run),
     )
+
+
+def _stop_by_stop(rows: Readings) -> Readings:
+    """Return the first row of each stop: earlier versions stored a row for each of several SMRs."""
+    return rows.take(np.unique(rows.configuration, return_index=True)[1])
 
 
 def _calibrated(results: StageResults | None) -> Mapping[str, ArmCalibrationResult]:

@@ -14,10 +14,7 @@ from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.records import ArmVerification
 from cellapp.commands.compare.request import CompareRequest
-from cellapp.commands.fleet.run import compare_many
-from cellapp.commands.record import Work
-from cellapp.commands.report.result import RunResults, read_results
-from cellapp.commands.runs.result import (
+from cellapp.commands.compare.result import (
     ArmComparison,
     EffectComparison,
     ErrorComparison,
@@ -26,9 +23,13 @@ from cellapp.commands.runs.result import (
     RunComparison,
     ValueComparison,
 )
+from cellapp.commands.record import Work
+from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
-from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
@@ -41,12 +42,9 @@ _MISSING: Mapping[str, str] = {
 }
 
 
-def run(request: CompareRequest, work: Work) -> RunComparison | FleetResult:
-    """Compare two runs value by value; more runs by the history of each arm."""
-    if len(request.folders) != 2:
-        return compare_many(request.folders)
-    first, second = request.folders
-    with RunFile.open(first) as a, RunFile.open(second) as b:
+def run(request: CompareRequest, work: Work) -> RunComparison:
+    """Compare the two runs."""
+    with RunFile.open(request.first) as a, RunFile.open(request.second) as b:
         return compare_runs(a, b)
 
 
@@ -60,7 +58,9 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     """
     if a.folder.resolve() == b.folder.resolve():
         raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
-    first, second = read_results(a), read_results(b)
+    stages = read_stages(a), read_stages(b)
+    first, second = read_results(a, stages[0]), read_results(b, stages[1])
+    models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
     common = [name for name in a.profile.arms if name in b.profile.arms]
     others = dict(_other_serials(a, b, common))
     notes = [*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)]
@@ -69,7 +69,13 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         b=str(b.folder),
         profile=tuple(_profile_differences(a.profile, b.profile)),
         arms={
-            name: _arm(name, first, second, same_arm=name not in others and _same_type(a, b, name)) for name in common
+            name: _arm(
+                name,
+                first,
+                second,
+                _moved(name, *models) if name not in others and _same_type(a, b, name) else (),
+            )
+            for name in common
         },
         pair=_pair(first.calibrate, second.calibrate),
         notes=tuple(notes),
@@ -157,15 +163,32 @@ def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
 # -- arms -------------------------------------------------------------------------------------------------------------
 
 
-def _arm(name: str, a: RunResults, b: RunResults, *, same_arm: bool) -> ArmComparison:
+def _moved(name: str, a: Mapping[str, CalibratedArm], b: Mapping[str, CalibratedArm]) -> tuple[ValueComparison, ...]:
+    """Compare the geometry of one arm, of the models in force; empty if a run has none with a covariance."""
+    return tuple(map(_of_difference, differences(a[name], b[name]))) if name in a and name in b else ()
+
+
+def _of_difference(one: Difference) -> ValueComparison:
+    return ValueComparison(
+        name=one.name,
+        unit=one.unit,
+        a=one.first.value,
+        b=one.later.value,
+        a_standard_error=one.first.standard_error,
+        b_standard_error=one.later.standard_error,
+        difference=one.difference,
+        standard_uncertainty=one.standard_uncertainty,
+        z=one.difference / one.standard_uncertainty if one.standard_uncertainty > 0.0 else None,
+    )
+
+
+def _arm(name: str, a: RunResults, b: RunResults, parameters: tuple[ValueComparison, ...]) -> ArmComparison:
     first, second = (None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b))
     found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
     verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
     errors = [{} if arm is None else arm.validate_ for arm in (first, second)]
     return ArmComparison(
-        parameters=_values(
-            first.identified if first and same_arm else {}, second.identified if second and same_arm else {}
-        ),
+        parameters=parameters,
         heldout_mm={
             stage: _errors(*(own[stage].position_mm if stage in own else None for own in errors))
             for stage in STAGES
@@ -201,14 +224,13 @@ def _values(a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> tuple[Value
 
 
 def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison:
-    difference = z = None
+    difference = combined = None
     if a is not None and b is not None and a.unit == b.unit:
         difference = b.value - a.value
         if a.unit == "rad":
             difference = math.remainder(difference, math.tau)  # angles near half a turn may differ in sign
         if a.standard_error is not None and b.standard_error is not None:
             combined = math.hypot(a.standard_error, b.standard_error)
-            z = difference / combined if combined > 0.0 else None
     return ValueComparison(
         name=name,
         unit=" or ".join(dict.fromkeys(estimate.unit for estimate in (a, b) if estimate is not None)),
@@ -217,7 +239,8 @@ def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison
         a_standard_error=None if a is None else a.standard_error,
         b_standard_error=None if b is None else b.standard_error,
         difference=difference,
-        z=z,
+        standard_uncertainty=combined,
+        z=difference / combined if difference is not None and combined else None,
     )
 
 

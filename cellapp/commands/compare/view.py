@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from cellapp.commands.fleet.view import view as fleet_view
-from cellapp.commands.record import Request, View
-from cellapp.commands.runs.result import (
+from cellapp.commands.compare.result import (
     MOST_Z,
     ArmComparison,
     EffectComparison,
@@ -14,9 +12,9 @@ from cellapp.commands.runs.result import (
     RunComparison,
     ValueComparison,
 )
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit, place_words
-from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.counting import counted
 
 _MM = ".4f"
@@ -29,10 +27,8 @@ _ERRORS = (
 )
 
 
-def view(result: RunComparison | FleetResult, request: Request | None = None) -> View:
-    """Show the differences of two runs, or each arm over more runs."""
-    if isinstance(result, FleetResult):
-        return fleet_view(result)
+def view(result: RunComparison, request: Request | None = None) -> View:
+    """Show the differences of two runs."""
     return View((*comparison_tables(result), *comparison_sentences(result)))
 
 
@@ -67,9 +63,7 @@ def comparison_sentences(result: RunComparison) -> list[str]:
                 f"inter-base transform: the origin of the second base differs by {result.pair.distance_mm:.3f} mm"
             )
     if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
-        sentences.append(
-            "z: difference in combined standard uncertainties u; readings of both runs count as independent"
-        )
+        sentences.append("z: difference in standard uncertainties u; readings of both runs count as independent")
     return [*sentences, *result.notes]
 
 
@@ -117,7 +111,7 @@ def _value_tables(title: str, values: Sequence[ValueComparison], shown_in: Shown
 def _value_row(value: ValueComparison, factor: float, unit: str) -> tuple[Cell, ...]:
     difference, uncertainty, a, b = (
         None if number is None else number * factor
-        for number in (value.difference, value.combined_standard_uncertainty, value.a, value.b)
+        for number in (value.difference, value.standard_uncertainty, value.a, value.b)
     )
     return (value.name, difference, uncertainty, value.z, "yes" if value.differs else "", unit, a, b)
 
@@ -128,10 +122,10 @@ def _differing(subject: str, values: Sequence[ValueComparison]) -> Iterator[str]
     if differing:
         yield (
             f"{subject}: {len(differing)} of {counted(len(judged), 'parameter differs', 'parameters differ')} by"
-            f" more than {MOST_Z:g} combined standard uncertainties: {', '.join(differing)}"
+            f" more than {MOST_Z:g} standard uncertainties: {', '.join(differing)}"
         )
     elif judged:
-        yield f"{subject}: no parameter differs by more than {MOST_Z:g} combined standard uncertainties"
+        yield f"{subject}: no parameter differs by more than {MOST_Z:g} standard uncertainties"
 
 
 def _found_words(name: str, effect: EffectComparison) -> str:

@@ -2,20 +2,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 from cellapp.commands.fields import RunFolder, TargetsPath
-from cellapp.commands.record import Request, Stored, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.ground.outputs import Writes
 
 
 class CompensateRequest(Request):
-    """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
+    """Joint positions that bring the real arms to Cartesian targets or along paths, from the calibrated model.
+
+    TARGETS may be a path file (YAML), lines and arcs with speeds: 'cellapp docs paths' explains it. Nothing moves.
+    """
 
     folder: RunFolder
     targets: TargetsPath
+    out: Annotated[
+        Path | None,
+        Asked(
+            "Of paths: where to write joint positions over time, .csv, or URScript, .script, a file for each arm.",
+            "FILE",
+            writes=Writes.FILES,
+        ),
+    ] = None
 
 
 VERB = Verb(
     "compensate",
     CompensateRequest,
     chapter="targets",
-    stored=(Stored("targets", "no compensated targets are", ("compensate",)),),
+    stored=(
+        Stored("targets", "no compensated targets are", ("compensate",)),
+        Stored("paths", "no paths are", ("path",), view="paths_view"),
+    ),
 )

@@ -1,30 +1,51 @@
-"""The verb ``compensate``: compute commands for targets with the model in force."""
+"""The verb ``compensate``: compute commands for targets, or along paths, with the model in force."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cellapp.cell.exports.joint_paths import path_csv, path_script
+from cellapp.cell.exports.out_files import files_of_arms
+from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
+from cellapp.cell.targets.path_file import PathSpec, holds_paths, load_paths
+from cellapp.cell.targets.path_records import PathResult
+from cellapp.cell.targets.plan_path import PathPlan, path_record, plan_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.cell.targets.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work
-from cellapp.commands.stages import RunStages, append_stage, basis_on_model, read_stages
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force, stale_notes
 from cellapp.estimation.readings import Readings
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import COMPENSATE
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.ground.results import COMPENSATE, PATH
 from cellapp.robot.model import CellModel
 
+_PERIOD_S = 0.008
+"""Time between two joint positions along a path [s]: a period of the slower UR controllers, four of the others."""
 
-def run(request: CompensateRequest, work: Work) -> CompensateResult:
-    """Compute and store the commands."""
+
+def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult:
+    """Compute and store the commands; of a path file also write them."""
     with RunFile.open(request.folder, write=True) as opened:
+        if isinstance(request.targets, Path) and holds_paths(request.targets):
+            paths = load_paths(request.targets, opened.profile)
+            return compensate_paths(opened, paths, request.out, work.listener, work.control, work.outputs)
+        if request.out is not None:
+            raise InputError(
+                f"compensate: --out is for path files; 'cellapp export {request.folder} --as commands --out FILE'"
+                " writes commands at targets"
+            )
         return compensate_run(opened, listed_targets(request.targets, opened.profile))
 
 
@@ -71,3 +92,60 @@ def compensate_targets(
     ranges = {name: ConditionRanges.of(one, model.arms.get(name)) for name, one in readings.items()}
     commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)
     return commands, compensate_result(commands, [*notes, *([UNPLACED] if is_unplaced(profile) else [])])
+
+
+def compensate_paths(
+    run: RunFile,
+    paths: Sequence[PathSpec],
+    out: Path | None = None,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    outputs: Outputs = NEW_ONLY,
+) -> PathResult:
+    """Plan paths with the model in force, write their joint positions to ``out``, and store the result.
+
+    ``out`` ends with .csv, or with .script for URScript; then several arms get one file each.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated, or ``out`` cannot be written.
+    Cancelled
+    """
+    if out is not None and out.suffix not in (".csv", ".script"):
+        raise InputError(f"compensate: --out {out}: expected a file .csv, or .script for URScript")
+    stages, plans = read_stages(run), list[PathPlan]()
+    used = stage_in_force(run, stages)
+    model = model_of(run, used)
+    for done, spec in enumerate(paths):
+        (control or JobControl()).check()
+        listener(Progress("paths", done, len(paths), spec.name))
+        plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
+    listener(Progress("paths", len(paths), len(paths), "done"))
+    texts = {} if out is None else _path_texts(run, used, plans, out)
+    write_new(texts, outputs)
+    result = PathResult(
+        paths=tuple(path_record(model, plan) for plan in plans),
+        notes=tuple(stale_notes(stages, used)),
+        files=tuple(map(str, texts)),
+    )
+    append_stage(run, PATH, result, basis_on_model(run, used, paths))
+    return result
+
+
+def _path_texts(run: RunFile, used: StoredStage, plans: Sequence[PathPlan], out: Path) -> dict[Path, str]:
+    """Return each file to write with its text."""
+    if out.suffix == ".csv":
+        return {out: path_csv(plans)}
+    arms = list(dict.fromkeys(plan.spec.arm for plan in plans if not plan.refusal))
+    simulated = ", of a simulated cell" if run.profile.is_simulated else ""
+    head = f"Compensated joint paths as URScript, by cellapp{simulated}."
+    source = f"run '{run.folder.resolve().name}', model of '{used.name}' of {used.written}"
+    return {
+        file: path_script(
+            [plan for plan in plans if plan.spec.arm == name],
+            run.profile,
+            [head, f"Arm '{name}' ({run.profile.arms[name].type.model}), {source}."],
+        )
+        for name, file in files_of_arms(out, arms).items()
+    }

@@ -2,14 +2,72 @@
 
 from __future__ import annotations
 
+from cellapp.cell.targets.path_records import PathRecord, PathResult
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.commands.compensate.charts import parts_charts
 from cellapp.commands.compensate.tables import predicted_tables, stored_tables
 from cellapp.commands.compensate.words import compensate_lines
 from cellapp.commands.record import Request, View
+from cellapp.commands.view.parts import Section, section_of
+from cellapp.commands.view.table import Table, table_of
 
 
-def view(result: CompensateResult, request: Request | None = None) -> View:
+def view(result: CompensateResult | PathResult, request: Request | None = None) -> View:
     """Show what is expected at the targets, and the uncertainty's sources; of a stored result also the commands."""
+    if isinstance(result, PathResult):
+        return paths_view(result)
     tables = stored_tables(result) if request is None else predicted_tables(result)
     return View((*tables, *compensate_lines(result), *parts_charts(result)))
+
+
+def paths_view(result: PathResult) -> View:
+    """Show the paths, the joints that turn round on them, and what limits or refuses them."""
+    planned = [path for path in result.paths if not path.refusal]
+    lines = [f"path {path.name}: refused: {path.refusal}" for path in result.paths if path.refusal]
+    lines += [
+        f"path {path.name}: the wanted speed is not kept everywhere: {path.slowed}" for path in planned if path.slowed
+    ]
+    lines += [f"written to {file}" for file in result.files]
+    tables = [table for table in (_plans(planned), _reversals(planned)) if table.rows]
+    return View((*tables, *lines, *result.notes), result.complaints())
+
+
+def paths_section(result: PathResult) -> Section:
+    """Show the paths of a run, with how many can be driven."""
+    refused = sum(bool(path.refusal) for path in result.paths)
+    return section_of(
+        "",
+        paths_view(result).parts,
+        message=f"{len(result.paths) - refused} of {len(result.paths)} paths can be driven.",
+        about="Lines and arcs with speeds, as joint paths of the calibrated model; 'cellapp docs paths' explains them.",
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _plans(paths: list[PathRecord]) -> Table:
+    return table_of(
+        "Paths",
+        paths,
+        ("path", "name"),
+        ("arm", "arm"),
+        ("length", "length_mm", ".0f", "mm"),
+        ("time", "duration_s", ".2f", "s"),
+        ("at speed", "at_speed", ".0f", "%"),
+        ("tolerance", "tolerance_mm", ".3f", "mm"),
+        ("off by the model", "deviation_mm", ".4f", "mm"),
+        ("sigma", "uncertainty_mm", ".4f", "mm"),
+    )
+
+
+def _reversals(paths: list[PathRecord]) -> Table:
+    return table_of(
+        "Joints that turn round",
+        [(path.name, one) for path in paths for one in path.reversals],
+        ("path", lambda row: row[0]),
+        ("joint", lambda row: row[1].joint, "d"),
+        ("at", lambda row: row[1].at_mm, ".1f", "mm"),
+        ("play crossed", lambda row: row[1].jump_mm, ".3f", "mm"),
+        ("within", lambda row: row[1].window_mm, ".1f", "mm"),
+    )

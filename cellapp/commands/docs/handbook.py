@@ -10,7 +10,7 @@ from cellapp.ground.errors import InputError
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "begin here": {
-        "tutorial": "from an empty folder to a signed report, on the simulated twin",
+        "tutorial": "from an empty folder to a certificate, on the simulated twin",
         "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
         "cell": "connecting the real cell step by step, with its risks; writing a profile",
         "faults": "stopping, pausing, resuming, and going on after a fault",
@@ -22,7 +22,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "terminal": "the terminal application: a day, its screens and its keys",
         "planning": "which stops are measured, obstacles, editing a plan",
         "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
-        "sockets": "a ball in a socket: calibrating and checking without a tracker",
         "discovery": "how discovery decides, and what its words mean",
         "effects": "the physical effects that discovery knows",
         "messages": "every fault and suspicion by device: what the program says, cause, what to do",
@@ -33,13 +32,12 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "use what was calibrated": {
         "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
-        "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
+        "paths": "lines and arcs that the true SMR follows: the file, the joint path, the program",
         "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
         "exports": "calibrated arms for other programs, and what their files cannot hold",
         "check": "whether a calibration still holds, what moved or changed; calibrating again with few stops",
         "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
-        "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
-        "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
+        "certificate": "what a run proves, judged: tolerances, uncertainty, decision rule, sums to check and sign",
         "python": "using cellapp from Python: runs, models, data frames, mistakes",
     },
     "for developers": {

@@ -262,7 +262,7 @@ def export_run(
         lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
     return ExportResult(
         csv=None if csv is None else str(csv),
-        readings=None if csv is None else {name: len(run.readings(name)) for name in run.arms()},
+        readings=None if csv is None else {name: sum(its.values()) for name, its in run.split_counts().items()},
         recordings={kind: str(path) for kind, path in recordings.items()} or None,
         plan=None if plan is None else str(plan),
         geometry=None if geometry is None else str(geometry),

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands
+from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands, first_rates
 from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.exports.records import CommandFile, ExportResult
@@ -21,7 +19,7 @@ from cellapp.commands.stages import RunStages, StoredStage
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import COMPENSATE, VERIFY
 
 
@@ -100,7 +98,7 @@ def _of_arm(
     in_force = stage_in_force(run, stages)
     profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
     model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
-    speed, acceleration = _rates(run, arm)
+    speed, acceleration = first_rates(run.profile, arm)
     return ArmCommands(
         name=name,
         arm=arm,
@@ -112,14 +110,6 @@ def _of_arm(
             [record for record in records if record.arm == name], name, model, cell_bodies(profile, model), homes
         ),
     )
-
-
-def _rates(run: RunFile, arm: Arm) -> tuple[float, float]:
-    """Return the limits of joint speed [rad/s] and acceleration [rad/s^2]: those of first motions on real hardware."""
-    joints = arm.type.joints
-    share = arm.speed_scale * run.profile.collection.slow_start.speed
-    speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))
-    return float(speeds.min() * share), float(accelerations.min() * share)
 
 
 def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> list[str]:

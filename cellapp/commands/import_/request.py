@@ -25,12 +25,12 @@ class ImportRequest(Request):
         bool,
         Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
     ] = False
-    distances: Annotated[Path | None, Asked("Known distances between points in sockets.", "FILE")] = None
-    on_flange: Annotated[
-        Path | None, Asked("Touches of sockets on the other arm's flange: arm, socket, q1.., other_q1...", "FILE")
-    ] = None
     reference_nests: Annotated[
         Path | None, Asked("Nests on the floor that tie tracker stations: station, nest, x_m, y_m, z_m.", "FILE")
+    ] = None
+    smr: Annotated[
+        str | None,
+        Asked("Take only this SMR, where several were measured at a stop; three or more give a rotation.", "NAME"),
     ] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()
@@ -47,10 +47,8 @@ class ImportRequest(Request):
             raise ValueError("--arm belongs to --joints and --points; a CSV of readings has a column 'arm'")
         if self.in_order and self.csv is None:
             raise ValueError("--in-order belongs to a CSV of readings")
-        if self.distances is not None and self.csv is None:
-            raise ValueError("--distances belongs to a CSV of readings of a ball in sockets")
-        if self.on_flange is not None and self.csv is None:
-            raise ValueError("--on-flange belongs to a CSV of readings of a ball in sockets")
+        if self.smr is not None and self.csv is None:
+            raise ValueError("--smr belongs to a CSV of readings with a column 'smr'")
         if self.reference_nests is not None and self.csv is None:
             raise ValueError("--reference-nests belongs to a CSV of readings with a column 'station'")
         return self

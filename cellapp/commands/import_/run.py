@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.csv_import import readings_from_csv
+from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
 from cellapp.commands.import_.request import ImportRequest
@@ -18,18 +19,23 @@ from cellapp.ground.profile import Profile
 
 
 def run(request: ImportRequest, work: Work) -> ImportResult:
-    """Make the run."""
-    return import_new_run(
+    """Make the run; ask which SMR counts where two of a stop give no rotation."""
+    make = partial(
+        import_new_run,
         load_profile(request.profile),
         request.csv,
         request.folder,
         in_order=request.in_order,
         recordings=(request.joints, request.points),
         arm=request.arm,
-        distances=request.distances,
         reference_nests=request.reference_nests,
-        on_flange=request.on_flange,
     )
+    try:
+        return make(smr=request.smr)
+    except WhichSmr as error:
+        if not (smr := work.choose(str(error), error.names)):
+            raise
+        return make(smr=smr)
 
 
 def import_new_run(
@@ -40,15 +46,13 @@ def import_new_run(
     in_order: bool = False,
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
-    distances: Path | None = None,
     reference_nests: Path | None = None,
-    on_flange: Path | None = None,
+    smr: str | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
     ``recordings`` are files of joints and of points, pair by pair, and ``arm`` their arm if they do not state one.
-    ``distances`` is a file of known distances between points in sockets, ``reference_nests`` of nests that tie tracker
-    stations together, ``on_flange`` of touches of sockets on the other arm's flange.
+    ``reference_nests`` is a file of nests that tie tracker stations together; ``smr`` is as in ``readings_of_table``.
 
     Raises
     ------
@@ -62,13 +66,7 @@ def import_new_run(
     if csv is not None:
         fills.append(
             readings_from_csv(
-                profile,
-                csv,
-                in_order=in_order,
-                distances=distances,
-                recorded=recorded,
-                reference_nests=reference_nests,
-                on_flange=on_flange,
+                profile, csv, in_order=in_order, recorded=recorded, reference_nests=reference_nests, smr=smr
             )
         )
     elif missing := [name for name in profile.arms if name not in recorded]:

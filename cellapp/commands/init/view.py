@@ -30,6 +30,4 @@ def _next_command(result: InitResult) -> str:
     if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
         return f"cellapp doctor {path}"
     readings = readings_of(path.stem, path.parent)
-    known = readings.with_name("distances.csv")  # without it the scale of touches in sockets is lost
-    distances = f" --distances {known}" if known.is_file() else ""
-    return f"cellapp import {path} {readings if readings.is_file() else 'READINGS.csv'}{distances} --run {logs}"
+    return f"cellapp import {path} {readings if readings.is_file() else 'READINGS.csv'} --run {logs}"

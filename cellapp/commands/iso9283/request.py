@@ -15,7 +15,6 @@ from cellapp.estimation.iso9283.norm import (
     ISO_TESTS,
     NORM_CYCLES,
     NORM_DRIFT_MIN,
-    UNATTENDED_TESTS,
     IsoCommands,
     IsoTest,
 )
@@ -25,14 +24,10 @@ _HELP: Mapping[IsoTest, str] = {
     "multidirectional": "Variation of pose accuracy vAP from three directions of approach.",
     "distance": "Distance accuracy AD and repeatability RD.",
     "drift": "Drift of pose accuracy dAP and repeatability dRP while the arm warms up.",
-    "path": "Path accuracy AT and repeatability RT, velocity, corners along a line, rectangles and circles.",
-    "stabilisation": "Stabilisation time, overshoot and posing time at P1.",
+    "path": "Path accuracy AT and repeatability RT, velocity AV, RV, FV, along a line and circles.",
     "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
-    "compliance": "Static compliance at P1: a person pulls at the flange when the job says so.",
 }
 _FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
-_MOST_KG, _MOST_N = 500.0, 1000.0
-"""Largest load on a flange and force of pulling: no person handles more."""
 
 
 def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -62,22 +57,6 @@ def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
-def _loads(values: tuple[float, ...]) -> tuple[float, ...]:
-    for value in values:
-        if not 0.0 <= value <= _MOST_KG:
-            raise ValueError(f"expected loads from 0 to {_MOST_KG:g} kg, got {value:g} kg")
-    return tuple(dict.fromkeys(values))
-
-
-def _forces(values: tuple[float, ...]) -> tuple[float, ...]:
-    for value in values:
-        if not 0.0 < value <= _MOST_N:
-            raise ValueError(f"expected forces above 0 N and up to {_MOST_N:g} N, got {value:g} N")
-    if not values:
-        raise ValueError("at least one force is needed")
-    return tuple(sorted(set(values)))
-
-
 class Iso9283Request(Request):
     """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
 
@@ -98,12 +77,10 @@ class Iso9283Request(Request):
                 "distance": "distance: AD, RD",
                 "drift": "drift: dAP, dRP",
                 "path": "path: AT, RT",
-                "stabilisation": "how it comes to rest",
                 "cooperative": "both arms together",
-                "compliance": "compliance, with a person",
             },
         ),
-    ] = UNATTENDED_TESTS
+    ] = ISO_TESTS
     cycles: Annotated[
         int,
         _within(lambda n: _FEWEST_CYCLES <= n <= _MOST_CYCLES, f"{_FEWEST_CYCLES} to {_MOST_CYCLES}"),
@@ -137,29 +114,6 @@ class Iso9283Request(Request):
             hint="50, 10",
         ),
     ] = ()
-    also_loads: Annotated[
-        tuple[float, ...],
-        AfterValidator(_loads),
-        Asked(
-            "Repeat the pose test with this load, in kg; may be repeated. A person hangs it when the job pauses.",
-            "KG",
-            option="--also-load",
-            label="again with",
-            unit="kg",
-            hint="by hand",
-        ),
-    ] = ()
-    forces: Annotated[
-        tuple[float, ...],
-        AfterValidator(_forces),
-        Asked(
-            "Force on the flange in the test of compliance, in N; may be repeated.",
-            "N",
-            option="--pull",
-            label="force",
-            unit="N",
-        ),
-    ] = (25.0, 50.0)
     arms: Annotated[
         tuple[str, ...], Asked("Only this arm; may be repeated.", "NAME", option="--arm", label="only arm")
     ] = ()
@@ -187,22 +141,12 @@ class Iso9283Request(Request):
         ),
     ] = 60.0
     """Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
-    with_run: Annotated[
-        Path | None,
-        Asked(
-            "A run with a test of other arms of the same types: exchangeability E, in the cubes of that test.",
-            "DIR",
-            option="--with-run",
-        ),
-    ] = None
     out_of_date: OutOfDate = False
 
     @model_validator(mode="after")
     def _a_cell(self) -> Iso9283Request:
         if self.profile is None and self.folder is None:
             raise ValueError("a profile is needed, or the folder of a run")
-        if self.also_loads and "pose" not in self.tests:
-            raise ValueError("other loads are for the pose test; ask for pose too")
         return self
 
 
@@ -212,7 +156,7 @@ VERB = Verb(
     chapter="iso9283",
     moves_arms=True,
     question="Measure by ISO 9283?",
-    variants={"all": Variant("All tests that need no person; this word may be left out.", {"tests": UNATTENDED_TESTS})}
+    variants={"all": Variant("All tests; this word may be left out.", {"tests": ISO_TESTS})}
     | {test: Variant(_HELP[test], {"tests": (test,)}) for test in ISO_TESTS},
     stored=(Stored("iso9283", "no test by ISO 9283 is", ("iso9283",)),),
 )

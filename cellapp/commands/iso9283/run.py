@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -13,16 +14,14 @@ from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, lost_beam_words, missing_words, pair_results
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.csv_text import table_text
 from cellapp.commands.basis import basis_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
-from cellapp.commands.iso9283.exchanging import OtherTest, other_test
-from cellapp.commands.iso9283.points import write_points
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.plan.run import default_folder
@@ -31,10 +30,12 @@ from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
 from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
+from cellapp.estimation.iso9283.raw_points import HEADER, raw_rows
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore
@@ -45,6 +46,7 @@ _NO_ORIENTATION = (
     " the angles)"
 )
 _SEED = 0x9283
+_POINTS = "iso9283-points"
 
 
 def run(request: Iso9283Request, work: Work) -> Iso9283Result:
@@ -89,17 +91,14 @@ def iso9283_run(
     named = _arms(run.profile, request.arms)
     if request.tests == ("cooperative",) and len(named) < 2:
         raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
-    other = other_test(request.with_run, run.profile, named)
-    if other is not None and ("pose" not in request.tests or "nominal" not in kinds):
-        raise InputError("iso9283: --with-run compares pose tests with nominal commands; ask for both")
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
-    task = _task(run, request, stages, other, kinds, named)
+    task = _task(run, request, stages, kinds, named)
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
         insist = request.out_of_date
-        return _driven(run, used, task, other, notes, with_eta(listener), control, confirm, open_with, insist=insist)
+        return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with, insist=insist)
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
@@ -124,14 +123,9 @@ def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
 
 
 def _task(
-    run: RunFile,
-    request: Iso9283Request,
-    stages: RunStages,
-    other: OtherTest | None,
-    kinds: tuple[IsoCommands, ...],
-    named: tuple[str, ...],
+    run: RunFile, request: Iso9283Request, stages: RunStages, kinds: tuple[IsoCommands, ...], named: tuple[str, ...]
 ) -> IsoTask:
-    """Build the task: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is one."""
+    """Build the task: ``kinds`` of commands, the arms ``named``."""
     used = stages.in_force
     return IsoTask(
         profile=profile_at_station(run, stages),
@@ -143,10 +137,6 @@ def _task(
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
-        also_loads=request.also_loads,
-        forces=request.forces,
-        cubes={} if other is None else other.cubes,
-        nests={} if used is None else nest_shapes(run),
     )
 
 
@@ -154,7 +144,6 @@ def _driven(
     run: RunFile,
     used: StoredStage | None,
     task: IsoTask,
-    other: OtherTest | None,
     notes: Sequence[str],
     listener: Listener,
     control: JobControl,
@@ -169,11 +158,11 @@ def _driven(
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
+        if findings.measured.visits or findings.paths:
             with suppress(InputError):  # report the reason of the halt, not this error
-                _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
+                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
         raise
-    return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)
+    return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
 def _commands(asked: Sequence[IsoCommands] | None, *, calibrated: bool) -> tuple[IsoCommands, ...]:
@@ -217,13 +206,10 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
     return notes
 
 
-def _result(
-    profile: Profile, task: IsoTask, other: OtherTest | None, found: IsoFindings, began: str, stopped: str
-) -> Iso9283Result:
+def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
     turned = any(one.turned for one in found.measured.visits)
-    arms = arms if other is None else other.compared(arms)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
     conditions = IsoConditions(
         cycles=task.cycles,
@@ -232,7 +218,6 @@ def _result(
         averaging_s=profile.tracker.averaging,
         commands=task.commands,
         also_speeds=task.also_speeds,
-        also_loads=task.also_loads,
         began=began,
         seconds=found.seconds,
         temperature_c=(min(air), max(air)) if air else None,
@@ -244,20 +229,34 @@ def _result(
         conditions=conditions,
         judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
         coverage=coverage(task.tests, arms, conditions, stopped),
-        abilities=tuple(found.abilities),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys([*([] if turned else [_NO_ORIENTATION]), *found.notes, *lost_beam_words(found)])),
-        by_person=tuple(found.by_person),
     )
 
 
 def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result, found: IsoFindings) -> Iso9283Result:
     """Write the raw points beside the run, then append the result, also if the points cannot be written."""
     try:
-        name, digest = write_points(run.folder, found)
+        name, digest = _write_points(run.folder, found)
         result = result.model_copy(update={"points_file": name, "points_sha256": digest})
     except InputError as error:
         result = result.model_copy(update={"notes": (*result.notes, f"the measured points were not kept: {error}")})
     append_stage(run, ISO9283, result, basis_of(run) if used is None else basis_on_model(run, used))
     return result
+
+
+def _write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
+    """Write all measured points into a new file of the folder; return its name and SHA-256, both empty without points.
+
+    Other programs can recompute all figures of a test from it. Raises ``InputError`` if it cannot be written.
+    """
+    if not found.measured.visits and not any(runs.tracks for runs in found.paths):
+        return "", ""
+    data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths)).encode()
+    path, number = folder / f"{_POINTS}.csv", 1
+    while path.exists():  # a run keeps the points of each of its tests
+        number += 1
+        path = folder / f"{_POINTS}-{number}.csv"
+    NEW_ONLY.write(path, data)
+    return path.name, hashlib.sha256(data).hexdigest()

@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
-from cellapp.commands.iso9283.by_hand_tables import by_hand_sentences, by_hand_tables
-from cellapp.commands.iso9283.cells import (
-    COMMANDED,
-    Commanded,
-    axis_fields,
-    pair_columns,
-    pair_fields,
-    series_of,
-    tests_of,
-    value_cells,
-)
 from cellapp.commands.iso9283.charts import iso9283_charts
-from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
-from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
-from cellapp.estimation.iso9283.ability import ability_words
+from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
     CommandedTests,
@@ -31,10 +18,13 @@ from cellapp.estimation.iso9283.records import (
     Iso9283Result,
     IsoCube,
     IsoValue,
+    PathCharacteristics,
     PoseCharacteristics,
+    SpeedSeries,
 )
 from cellapp.estimation.uncertainty.records import overall
 from cellapp.ground.counting import counted
+from cellapp.ground.results import Record
 
 _UNCERTAIN_SHARE = 0.25
 """The norm's limit of the measuring uncertainty, as a share of the characteristic (6.5)."""
@@ -46,6 +36,8 @@ _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
     "drift dAP": lambda tests: [] if tests.drift is None else [tests.drift.accuracy],
 }
 """Characteristics in order of preference; the first measured one makes the message of an arm."""
+_COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
+"""First columns of a table of ``_Commanded``."""
 _FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
 
 
@@ -76,17 +68,15 @@ def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
         (True, _poses(result)),
         (True, _orientations(result)),
         (False, _series(result)),
-        *((False, table) for table in by_hand_tables(result)),
         (False, _axes(result)),
         (True, _cooperative(result)),
         (False, _directions(result)),
         (True, _distances(result)),
         (False, _drift(result)),
         (False, _drift_groups(result)),
-        *((False, table) for table in path_tables(result)),
-        (False, _exchange(result)),
-        (False, abilities_table(result.abilities)),
-        (True, coverage_table(result.coverage)),
+        (False, _paths(result)),
+        (False, _velocities(result)),
+        (True, _coverage(result)),
         (False, _cubes(result)),
         (False, _test_poses(result)),
     ]
@@ -102,9 +92,7 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *_conditions(result),
         *_bases(result),
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
-        *(words for one in result.abilities if (words := ability_words(one))),
         *_uncertain(result),
-        *by_hand_sentences(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
         *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
@@ -124,9 +112,6 @@ def _message(result: Iso9283Result) -> str:
             if words := _largest({kind: values(tests) for kind, tests in arm.tests.items()}):
                 parts.append(f"arm {name} has a {what} of {words}")
                 break
-        else:
-            yielded = [one.compliance_um_n for tests in arm.tests.values() for one in tests.compliance]
-            parts += [f"arm {name} yields by up to {max(yielded):.1f} µm/N"] if yielded else []
     for pair in result.pairs:
         if words := _largest({kind: [one.accuracy for one in poses] for kind, poses in pair.vector.items()}):
             parts.append(f"{' and '.join(pair.arms)} together of {words}")
@@ -225,9 +210,9 @@ def _poses(result: Iso9283Result) -> Table:
     return table_of(
         "Pose accuracy AP and repeatability RP [mm]",
         _measured_poses(result),
-        *COMMANDED,
+        *_COMMANDED,
         ("pose", "one.pose"),
-        *pair_fields("AP", "RP"),
+        *_pair_fields("AP", "RP"),
     )
 
 
@@ -253,25 +238,25 @@ def _orientations(result: Iso9283Result) -> Table:
             pose.orientation.repeatability_expanded_mrad,
             pose.orientation.n,
         )
-        for name, kind, tests in tests_of(result)
+        for name, kind, tests in _tests_of(result)
         for pose in tests.pose
         if pose.orientation is not None
     )
     return Table("Orientation accuracy AP and repeatability RP about the axes of the base [mrad]", columns, rows)
 
 
-def _measured_poses(result: Iso9283Result) -> list[Commanded]:
-    return [Commanded(name, kind, pose) for name, kind, tests in tests_of(result) for pose in tests.pose]
+def _measured_poses(result: Iso9283Result) -> list[_Commanded]:
+    return [_Commanded(name, kind, pose) for name, kind, tests in _tests_of(result) for pose in tests.pose]
 
 
 def _series(result: Iso9283Result) -> Table:
     return table_of(
         "Pose accuracy AP and repeatability RP at other speeds [mm]",
-        [Commanded(name, kind, pose, series) for name, kind, series in series_of(result) for pose in series.pose],
-        *COMMANDED,
+        [_Commanded(name, kind, pose, series) for name, kind, series in _series_of(result) for pose in series.pose],
+        *_COMMANDED,
         ("speed", "of.speed_share", ".0f", "%"),
         ("pose", "one.pose"),
-        *pair_fields("AP", "RP"),
+        *_pair_fields("AP", "RP"),
     )
 
 
@@ -279,9 +264,9 @@ def _axes(result: Iso9283Result) -> Table:
     return table_of(
         "Components of AP along the axes of the arm's base [mm]",
         _measured_poses(result),
-        *COMMANDED,
+        *_COMMANDED,
         ("pose", "one.pose"),
-        *axis_fields(),
+        *_axis_fields(),
     )
 
 
@@ -290,8 +275,8 @@ def _cooperative(result: Iso9283Result) -> Table:
         Column("arms"),
         Column("commands"),
         Column("poses"),
-        *pair_columns("AP", "RP"),
-        *pair_columns("AD", "RD"),
+        *_pair_columns("AP", "RP"),
+        *_pair_columns("AD", "RD"),
         number_column("n", "d"),
     )
     rows: list[tuple[Cell, ...]] = []
@@ -300,7 +285,7 @@ def _cooperative(result: Iso9283Result) -> Table:
             both = zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
             for vector, length in both:
                 values = (vector.accuracy, vector.repeatability, length.accuracy, length.repeatability)
-                cells = [cell for value in values for cell in value_cells(value)]
+                cells = [cell for value in values for cell in _value_cells(value)]
                 rows.append((" and ".join(pair.arms), kind, vector.pose, *cells, vector.accuracy.n))
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
     return Table(title, columns, tuple(rows))
@@ -309,8 +294,8 @@ def _cooperative(result: Iso9283Result) -> Table:
 def _directions(result: Iso9283Result) -> Table:
     return table_of(
         "Multi-directional pose accuracy variation vAP [mm]",
-        [Commanded(name, kind, one) for name, kind, tests in tests_of(result) for one in tests.multidirectional],
-        *COMMANDED,
+        [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in tests.multidirectional],
+        *_COMMANDED,
         ("pose", "one.pose"),
         ("vAP", "one.variation.value_mm", ".3f"),
         ("U", "one.variation.expanded_mm", ".3f"),
@@ -321,20 +306,20 @@ def _directions(result: Iso9283Result) -> Table:
 def _distances(result: Iso9283Result) -> Table:
     return table_of(
         "Distance accuracy AD and repeatability RD [mm]",
-        [Commanded(name, kind, one) for name, kind, tests in tests_of(result) for one in tests.distance],
-        *COMMANDED,
+        [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in tests.distance],
+        *_COMMANDED,
         ("between", lambda row: " and ".join(row.one.between)),
         ("commanded", "one.commanded_mm", ".3f"),
-        *pair_fields("AD", "RD"),
+        *_pair_fields("AD", "RD"),
     )
 
 
 def _drift(result: Iso9283Result) -> Table:
-    *pairs, _ = pair_fields("dAP", "dRP")
+    *pairs, _ = _pair_fields("dAP", "dRP")
     return table_of(
         "Drift at P1 [mm]",
-        [Commanded(*drift) for drift in _drifts(result)],
-        *COMMANDED,
+        [_Commanded(*drift) for drift in _drifts(result)],
+        *_COMMANDED,
         ("observed", "one.minutes", ".0f", "min"),
         *pairs,
         ("shift of the mean", "one.shift_mm", ".3f"),
@@ -345,27 +330,83 @@ def _drift(result: Iso9283Result) -> Table:
 def _drift_groups(result: Iso9283Result) -> Table:
     return table_of(
         "Groups of the drift test [mm]",
-        [Commanded(name, kind, group) for name, kind, drift in _drifts(result) for group in drift.groups],
+        [_Commanded(name, kind, group) for name, kind, drift in _drifts(result) for group in drift.groups],
         ("arm", "arm"),
         ("after", "one.minutes", ".0f", "min"),
         ("AP", "one.accuracy_mm", ".3f"),
         ("RP", "one.repeatability_mm", ".3f"),
-        *axis_fields(),
+        *_axis_fields(),
         ("air", "one.temperature_c", ".1f", "degC"),
         ("n", "one.n", "d"),
     )
 
 
-def _exchange(result: Iso9283Result) -> Table:
+def _paths(result: Iso9283Result) -> Table:
     return table_of(
-        "Exchangeability E with nominal commands [mm]",
-        [(name, arm.exchange) for name, arm in result.arms.items() if arm.exchange is not None],
-        ("arm", lambda row: row[0]),
-        ("compared with", lambda row: row[1].with_run),
-        ("pose", lambda row: row[1].pose),
-        ("E", lambda row: row[1].value.value_mm, ".3f"),
-        ("U", lambda row: row[1].value.expanded_mm, ".3f"),
-        ("n", lambda row: row[1].value.n, "d"),
+        "Path accuracy AT and repeatability RT [mm]",
+        [_Commanded(*driven) for driven in _driven(result)],
+        *_COMMANDED,
+        ("path", "one.path"),
+        ("speed", "one.speed_mm_s", ".0f", "mm/s"),
+        ("length", "one.length_mm", ".0f"),
+        *_pair_fields("AT", "RT"),
+    )
+
+
+def _velocities(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("path"),
+        number_column("commanded", ".0f", "mm/s"),
+        number_column("AV", ".3f", "%"),
+        number_column("U(AV)", ".3f", "%"),
+        number_column("RV", ".3f", "%"),
+        number_column("FV", ".2f", "mm/s"),
+        number_column("tracker's FV", ".2f", "mm/s"),
+        number_column("n", "d"),
+        Column("programme"),
+    )
+    rows = [
+        (
+            name,
+            kind,
+            one.path,
+            one.speed_mm_s,
+            one.velocity.accuracy_percent,
+            one.velocity.expanded_percent,
+            one.velocity.repeatability_percent,
+            one.velocity.fluctuation_mm_s,
+            one.velocity.tracker_fluctuation_mm_s,
+            one.velocity.n,
+            one.slowed or "keeps the speed",
+        )
+        for name, kind, one in _driven(result)
+        if one.velocity is not None
+    ]
+    return Table("Path velocity: accuracy AV, repeatability RV, fluctuation FV", columns, tuple(rows))
+
+
+def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:
+    """Yield every path with its arm and commands, at all speeds."""
+    for name, kind, tests in _tests_of(result):
+        for one in tests.path:
+            yield name, kind, one
+    for name, kind, series in _series_of(result):
+        for one in series.path:
+            yield name, kind, one
+
+
+def _coverage(result: Iso9283Result) -> Table:
+    """Show what the norm requires: done, done in part or not done, and how or why not."""
+    return table_of(
+        "What ISO 9283:1998 asks for, done and not done",
+        result.coverage,
+        ("clause", "clause"),
+        ("characteristic", "characteristic"),
+        ("arms", lambda one: ", ".join(one.arms)),
+        ("state", "status"),
+        ("how, or why not", "words"),
     )
 
 
@@ -398,6 +439,57 @@ def _test_poses(result: Iso9283Result) -> Table:
 
 
 def _drifts(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, DriftCharacteristics]]:
-    for name, kind, tests in tests_of(result):
+    for name, kind, tests in _tests_of(result):
         if tests.drift is not None:
             yield name, kind, tests.drift
+
+
+# -- cells -------------------------------------------------------------------------------------------------------------
+
+
+def _tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
+    """Yield arm, commands and the tests with these commands."""
+    for name, arm in result.arms.items():
+        for kind in ISO_COMMANDS:
+            if kind in arm.tests:
+                yield name, kind, arm.tests[kind]
+
+
+def _series_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, SpeedSeries]]:
+    """Yield arm, commands and the tests repeated at another speed."""
+    for name, kind, tests in _tests_of(result):
+        for one in tests.series:
+            yield name, kind, one
+
+
+class _Commanded(NamedTuple):
+    """A measurement of an arm with one kind of commands; ``of`` is what it is part of, as a series of tests."""
+
+    arm: str
+    commands: IsoCommands
+    one: Record
+    of: Record | None = None
+
+
+def _pair_fields(first: str, second: str) -> Iterator[Field]:
+    """Yield accuracy and repeatability of ``_Commanded.one`` with their uncertainties, and the number of cycles."""
+    for name, attribute in ((first, "accuracy"), (second, "repeatability")):
+        yield name, f"one.{attribute}.value_mm", ".3f"
+        yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
+    yield "n", "one.accuracy.n", "d"
+
+
+def _axis_fields() -> Iterator[Field]:
+    """Yield the error of ``_Commanded.one`` along each axis."""
+    for place, axis in enumerate("xyz"):
+        yield f"AP {axis}", lambda row, place=place: row.one.error_mm[place], ".3f"
+
+
+def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
+    """Build a column for each of two characteristics and its uncertainty."""
+    return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
+
+
+def _value_cells(value: IsoValue) -> tuple[Cell, Cell]:
+    """Return the cells of a characteristic and its uncertainty."""
+    return value.value_mm, value.expanded_mm

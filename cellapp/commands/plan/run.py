@@ -6,15 +6,13 @@ unmeasured stops designed again; measured stops never change.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cellapp.cell.driving.nests import Nests
 from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
@@ -32,7 +30,6 @@ from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import note_profile
-from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
@@ -154,15 +151,8 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         time=planned_time(run.profile, visited),
         sweeps=planned_sweeps(run),
         loads=planned_loads(run.profile, visited),
-        notes=(*notes, *_nest_notes(run.profile, visited.q)),
+        notes=tuple(notes),
     )
-
-
-def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> list[str]:
-    """Say what the tracker sees of several SMRs on a flange at the stops, arm -> (n, N) [rad]."""
-    if not any(arm.smr.nests for arm in profile.arms.values()):
-        return []
-    return Nests.of(profile, cell_bodies(profile)).notes(stops)
 
 
 def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, ...] | None:

@@ -8,7 +8,6 @@ from contextlib import suppress
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import check_cell
 from cellapp.cell.driving.loads import carrying
-from cellapp.cell.driving.nest_pose import nest_shapes
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
@@ -128,7 +127,6 @@ def push_targets(
             verify=verify,
             rounds=iterate or 0,
             repeatability_m=_repeatability_m(run),
-            nests=nest_shapes(run) if verify else {},
             judge=judge,
             confirm=confirmation(run.profile, ask),
             opened=opened,

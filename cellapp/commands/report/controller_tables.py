@@ -13,7 +13,6 @@ from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.sockets import in_sockets, measured_positions
 from cellapp.ground.profile import Arm
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import hayati_rows
@@ -34,13 +33,13 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
         arm, controller = run.profile.arms[name], recorded.get(name)
         own = None if controller is None else controller.dh_rows
         factory = np.array(own) if own is not None else None if arm.factory is None else controller_rows(arm)
-        if factory is None or in_sockets(data.readings[name]):
+        if factory is None:
             continue
         learn = data.readings[name].take(data.readings[name].in_split("identify"))
         errors: dict[str, Array] = {}
         for whose, table in (("published", published_rows(arm)), ("factory", factory)):
             computed = _computed(arm, table, learn.q, learn.p_M, held_out.readings.q)
-            errors[whose] = position_errors(measured_positions(held_out.readings, computed), computed) * 1e3
+            errors[whose] = position_errors(held_out.readings.p_M, computed) * 1e3
         if "geometry" in held_out.errors_mm:
             errors["cellapp"] = held_out.errors_mm["geometry"]
         for whose, off in errors.items():

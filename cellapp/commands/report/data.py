@@ -21,7 +21,6 @@ from cellapp.estimation.calibration.measurement_conditions import conditions_of_
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets, placed
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
@@ -141,26 +140,14 @@ def read_report_data(run: RunFile) -> ReportData:
         calibrate=results.calibrate,
         calibrated=calibrated,
         discovered=discovered,
-        readings=_placed(
-            discovered or calibrated,
-            {name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms},
-        ),
+        readings={
+            name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms
+        },
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
         next_step="" if verb == "report" else command,
     )
-
-
-def _placed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Readings]:
-    """Return the readings, with those of a ball in sockets at the points that the model finds for them."""
-    if not any(in_sockets(its) for its in readings.values()):
-        return dict(readings)
-    conditions = conditions_of_arms(model.arms, readings)
-    return {
-        name: placed(its, model.arms[name].predict(its.q, conditions=conditions[name]))
-        for name, its in readings.items()
-    }
 
 
 def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:

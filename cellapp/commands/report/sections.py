@@ -31,16 +31,15 @@ from cellapp.commands.calibrate.detail_tables import (
     pair_tables,
 )
 from cellapp.commands.calibrate.motion_view import motion_sentences
-from cellapp.commands.calibrate.nests_view import nest_sentences
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts_drift import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
 from cellapp.commands.compensate.section import targets_section
+from cellapp.commands.compensate.view import paths_section
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
-from cellapp.commands.follow.view import paths_section, stored_paths
 from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
@@ -59,7 +58,7 @@ from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, StageName
 from cellapp.ground.times import day_of
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
@@ -156,7 +155,6 @@ def _accuracy(data: ReportData) -> Section:
             *accuracy_charts(data),
             *detailed_tables(calibrate),
             *motion_sentences(calibrate),
-            *nest_sentences(calibrate),
             Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
         ],
         _accuracy_message(data),
@@ -307,8 +305,8 @@ def _most_turned(curves: list[Chart]) -> list[Chart]:
 
 
 def _paths(data: ReportData) -> Section | None:
-    result = stored_paths(data.results)
-    return None if result is None else paths_section(result)
+    result = data.results.path
+    return None if result is None or PATH in data.out_of_date else paths_section(result)
 
 
 def _station(data: ReportData) -> Section | None:

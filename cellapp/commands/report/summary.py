@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -113,8 +114,9 @@ def _found(data: ReportData) -> Iterator[Found]:
 
 def _effect_words(effect: AcceptedEffect) -> str:
     gap = effect.evidence.heldout_mm
-    error = f"In the model it takes the held-out error from {mm(gap.before)} to {mm(gap.after)} rms."
-    return error if effect.meaning is None else f"{_first_sentence(effect.meaning.cause)} {error}"
+    known = math.isfinite(gap.before)  # else the fit without it did not converge
+    error = f"In the model it takes the held-out error from {mm(gap.before)} to {mm(gap.after)} rms." if known else ""
+    return error if effect.meaning is None else f"{_first_sentence(effect.meaning.cause)} {error}".rstrip()
 
 
 # -- what to do next --------------------------------------------------------------------------------------------------

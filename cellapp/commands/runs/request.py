@@ -14,6 +14,10 @@ class RunsRequest(Request):
     folder: Annotated[Path | None, Asked("A folder that holds runs; logs if not given.", "FOLDER", argument=True)] = (
         None
     )
+    history: Annotated[
+        str | None,
+        Asked("One arm over its runs, what moved since the first: its serial number, or its name.", "ARM"),
+    ] = None
     today: Annotated[bool, Asked("What waits today: open runs, and how old calibration and check of each arm are.")] = (
         False
     )

@@ -1,16 +1,16 @@
-"""Results of ``runs`` and ``compare``: what a folder of runs holds, and where two runs differ."""
+"""Results of ``runs``: what a folder of runs holds, and one arm over its runs."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Literal
 
+from cellapp.cell.run.arm_identity import IdentityBasis
 from cellapp.commands.next_step import ArmState
 from cellapp.commands.stages import NextVerb
-from cellapp.estimation.discovery.records import BeforeAfter, Place
+from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.profile import CellKind
-from cellapp.ground.results import Method, Record, Result, Stage, StageName, Verdict
+from cellapp.ground.results import Record, Result, Stage, StageName, Verdict
 
 LastSession = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "no end"]
 """End of the last session of collecting; "no end": the program died during it, or it is still running."""
@@ -101,103 +101,49 @@ class RunsResult(Result, schema="cellapp-runs"):
     runs: tuple[RunSummary, ...]
 
 
-class ProfileDifference(Record):
-    """A key of the profile, as ``arms.left.base.position[0]``, with its values as JSON; None where it is missing."""
+class MovedParameter(Record):
+    """A parameter of the geometry that moved beyond its uncertainty since the first calibration [m, rad].
 
-    key: str
-    a: str | None
-    b: str | None
-
-
-class ValueComparison(Record):
-    """A parameter of two runs with standard errors, all in ``unit``; None where a run does not have it.
-
-    ``difference`` is b less a; ``z`` is that over the combined standard uncertainty, the root of the sum of both
-    squared standard errors (JCGM 100:2008, 5.1.2, for independent estimates).
+    ``moved_mm`` is the rms displacement of the SMR by ``difference`` over evenly drawn configurations; ``chance`` that
+    of such a difference without a change, times the number of ``comparisons`` of the whole history.
     """
 
     name: str
     unit: str
-    a: float | None
-    b: float | None
-    a_standard_error: float | None
-    b_standard_error: float | None
-    difference: float | None
-    z: float | None
-
-    @property
-    def combined_standard_uncertainty(self) -> float | None:
-        """Root of the sum of both squared standard errors; None where one is not known."""
-        if self.a_standard_error is None or self.b_standard_error is None:
-            return None
-        return math.hypot(self.a_standard_error, self.b_standard_error)
-
-    @property
-    def differs(self) -> bool:
-        """Whether the two values differ by more than three combined standard uncertainties."""
-        return self.z is not None and abs(self.z) > MOST_Z
+    difference: float
+    standard_uncertainty: float
+    moved_mm: float
+    chance: float
 
 
-MOST_Z = 3.0
-"""Difference in combined standard uncertainties from which it counts: 0.3 % of normal differences are larger."""
+class ArmRun(Record):
+    """One run of an arm, which its profile calls ``name``.
 
-
-class ErrorComparison(Record):
-    """Mean and rms error of two runs [mm]; None where a run does not have it."""
-
-    a_mean_mm: float | None
-    b_mean_mm: float | None
-    a_rms_mm: float | None
-    b_rms_mm: float | None
-
-
-class EffectComparison(Record):
-    """An effect in one run or in both: where it acts, None in a run without it, and its sizes."""
-
-    effect: str
-    title: str
-    a_where: Place | None
-    b_where: Place | None
-    parameters: tuple[ValueComparison, ...]
-
-    @property
-    def found_in(self) -> Literal["a", "b", "both"]:
-        """Which of the runs has the effect."""
-        if self.a_where is not None and self.b_where is not None:
-            return "both"
-        return "b" if self.a_where is None else "a"
-
-
-class ArmComparison(Record):
-    """One arm of two runs: parameters of the geometry, held-out errors by stage, effects, verification.
-
-    ``verified_mm`` has the distances from the targets with nominal and with compensated commands.
+    ``compared``: it was compared with the first calibration, ``moved`` is what moved since. Otherwise ``remark`` says
+    why it was not.
     """
 
-    parameters: tuple[ValueComparison, ...] = ()
-    heldout_mm: Mapping[Stage, ErrorComparison] = {}
-    effects: tuple[EffectComparison, ...] = ()
-    verified_mm: Mapping[Literal["nominal", "compensated"], ErrorComparison] = {}
+    run: str
+    began: str
+    name: str
+    figures: ArmFigures
+    compared: bool = False
+    remark: str = ""
+    moved: tuple[MovedParameter, ...] = ()
 
 
-class PairComparison(Record):
-    """The inter-base transform of ``method`` in two runs, and the pair's held-out cooperative errors by method.
+class ArmHistory(Result, schema="cellapp-arm-history"):
+    """``runs --history``: one arm over its runs, the oldest first.
 
-    ``distance_mm`` is the distance between the two origins of the second base in the frame of the first.
+    ``arm`` is its serial number or, where none is known, the names of profile and arm with its type. ``false_alarm`` is
+    the largest chance that anything at all is said to have moved where nothing has; ``comparisons`` share it.
+    ``problems`` are sentences on runs that cannot be read.
     """
 
-    method: Method | None
-    parameters: tuple[ValueComparison, ...] = ()
-    distance_mm: float | None = None
-    cooperative_mm: Mapping[Method, ErrorComparison] = {}
-
-
-class RunComparison(Result, schema="cellapp-comparison"):
-    """``compare``: where two runs differ; ``notes`` say what cannot be compared, and what is out of date."""
-
-    a: str
-    b: str
-    profile: tuple[ProfileDifference, ...]
-    arms: Mapping[str, ArmComparison]
-    pair: PairComparison | None
-    notes: tuple[str, ...]
+    folder: str
+    arm: str
+    known_by: IdentityBasis
+    runs: tuple[ArmRun, ...]
+    false_alarm: float
+    comparisons: int
+    problems: tuple[str, ...] = ()

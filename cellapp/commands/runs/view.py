@@ -1,4 +1,4 @@
-"""Tables and sentences of ``runs``: every run below a folder, and the one that can be resumed."""
+"""Tables and sentences of ``runs``: runs below a folder, the one that can be resumed, and one arm over its runs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from rich import filesize
 
 from cellapp.commands.record import Request, View
 from cellapp.commands.runs.request import RunsRequest
-from cellapp.commands.runs.result import ArmFigures, RunsResult, RunSummary
+from cellapp.commands.runs.result import ArmFigures, ArmHistory, ArmRun, MovedParameter, RunsResult, RunSummary
 from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.runs.words import CELL_WORDS, effects_words, next_words, session_words, short_name, stops_words
-from cellapp.commands.view.table import Column, Table, number_column, with_rows
+from cellapp.commands.view.table import Column, Table, number_column, table_of, with_rows
+from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
@@ -20,8 +21,10 @@ from cellapp.ground.times import day_of, minute_of
 _MM = ".3f"
 
 
-def view(result: RunsResult, request: Request | None = None) -> View:
-    """Show every run below the folder, or what is due today."""
+def view(result: RunsResult | ArmHistory, request: Request | None = None) -> View:
+    """Show every run below the folder, what is due today, or one arm over its runs."""
+    if isinstance(result, ArmHistory):
+        return View((history_table(result), *history_sentences(result)))
     if isinstance(request, RunsRequest) and request.today:
         now = datetime.now(UTC)
         return View((*today_tables(result, now), *today_sentences(result, now)))
@@ -75,6 +78,46 @@ def runs_sentences(result: RunsResult) -> list[str]:
     if newest is not None and newest.next_step and not newest.resumable:
         sentences.append(f"next in the newest run: {newest.next_step}")
     return sentences
+
+
+def history_table(result: ArmHistory) -> Table:
+    """Show every run of the arm, the oldest first, and what moved since its first calibration."""
+    return table_of(
+        f"{result.arm}: mean errors [mm], and what moved since the first calibration",
+        result.runs,
+        ("run", lambda one: short_name(one, result.folder)),
+        ("began", lambda one: day_of(one.began)),
+        ("geometry", lambda one: _pair(one.figures.heldout_mm)[0], _MM),
+        ("best", lambda one: _pair(one.figures.heldout_mm)[1], _MM),
+        ("compensated", lambda one: _pair(one.figures.verified_mm)[1], _MM),
+        ("effects", lambda one: effects_words(one.figures.effects)),
+        ("moved", _moved_words),
+    )
+
+
+def history_sentences(result: ArmHistory) -> list[str]:
+    """State what cannot be read, what moved in the newest run, and how sure that is."""
+    compared = [run for run in result.runs if run.compared]
+    sentences = list(result.problems)
+    if not compared:
+        return [*sentences, f"{result.arm}: fewer than two of its runs are calibrated; nothing is compared"]
+    newest = compared[-1]
+    moved = [f"{one.name} moves the SMR by {one.moved_mm:.3f} mm (rms)" for one in newest.moved]
+    words = "; ".join(moved) or "no parameter moved beyond its uncertainty"
+    sure = (
+        f"a chance below {result.false_alarm:.0%} that anything is said to have moved where nothing has, shared by"
+        f" {counted(result.comparisons, 'comparison')}; base and tool are not judged"
+    )
+    return [*sentences, f"{newest.run}: {words}", sure]
+
+
+def _moved_words(run: ArmRun) -> str:
+    return ", ".join(map(_parameter_words, run.moved)) or ("nothing" if run.compared else run.remark)
+
+
+def _parameter_words(one: MovedParameter) -> str:
+    factor, unit = display_unit(one.unit)
+    return f"{one.name} {factor * one.difference:+.1f} {unit} (u {factor * one.standard_uncertainty:.1f})"
 
 
 def run_lines(run: RunSummary) -> list[str]:

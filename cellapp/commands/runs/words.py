@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cellapp.commands.runs.result import RunSummary
+from cellapp.commands.runs.result import ArmRun, RunSummary
 from cellapp.ground.profile import CellKind
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -16,7 +16,7 @@ CELL_WORDS: dict[CellKind, str] = {
 }
 
 
-def short_name(run: RunSummary, folder: str) -> str:
+def short_name(run: RunSummary | ArmRun, folder: str) -> str:
     """Return the run's folder relative to the listed one."""
     path = Path(run.run)
     return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run

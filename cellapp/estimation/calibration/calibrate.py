@@ -27,14 +27,10 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
-from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
-from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_torques
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Arm, Profile
@@ -197,9 +193,6 @@ def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
     """Draw a split for each reading by the profile's seed, the same for all arms at a stop; return splits and notes."""
-    if any(in_sockets(arm) for arm in readings.values()):
-        positions = {name: smr_positions(nominal_arm(profile.arms[name]), its.q) for name, its in readings.items()}
-        return draw_point_splits(readings, positions, profile.seed)
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_
@@ -230,8 +223,6 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings that are gross errors by the fit to the identify split."""
     good, geometry = fitted.readings, fitted.identification.geometry
-    if in_sockets(good):
-        return gross_errors_in_sockets(geometry, fitted.nominal, good)
     learned, its = len(good.in_split("identify")), measured_quantities(good)
     wrong = gross_errors_of_geometry(
         geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
@@ -247,7 +238,6 @@ class _Fitted:
     nominal: Geometry
     identification: Identification
     excess_m: float
-    notes: tuple[str, ...] = ()
 
 
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
@@ -260,10 +250,6 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
     arm, learn = profile.arms[name], readings.take(identify_rows)
-    if in_sockets(readings):
-        nominal, fit, priors = fit_arm(profile, name, learn, robust=robust)
-        notes = socket_notes(name, readings, fit, priors, nominal)
-        return _Fitted(readings, nominal, fit.tabulated(priors, nominal), fit.noise_m, notes)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)
@@ -292,14 +278,14 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         for stage, geometry in geometries.items()
     }
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
-    stated = None if in_sockets(held_out) else stated_uncertainty(held_out)
+    stated = stated_uncertainty(held_out)
     return ArmCalibration(
         model=model,
         identification=identification,
         excess_m=fitted.excess_m,
         validate=stages,
         counts={word: len(good.in_split(word)) for word in SPLITS},
-        repeatability=None if in_sockets(good) else repeatability(good.q, good.p_M),
+        repeatability=repeatability(good.q, good.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
@@ -308,7 +294,7 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
 
 def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
     """Fit masses to measured torques or currents; put them into the model if they are clearly better."""
-    if in_sockets(readings) or not has_torques(readings):
+    if not has_torques(readings):
         return arm
     found = fit_torques(arm.model, readings)
     model = replace(arm.model, bodies=found.bodies) if found.used else arm.model
@@ -319,10 +305,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
     notes = [left_out_note(name, arm)] if arm.left_out else []
-    notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
-    if in_sockets(readings):
-        gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
-        return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
+    notes += [*_hardly_better(name, arm), *undetermined_offset(name, found)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
@@ -404,8 +387,6 @@ def train_arm(
     The training data are the train split, or the identify split if there is no train split.
     """
     readings = without(readings, arm.left_out)
-    if in_sockets(readings):  # a network would learn the unknown points with the rest
-        return arm
     rows = readings.in_split("train")
     taught = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))

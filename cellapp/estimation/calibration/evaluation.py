@@ -9,9 +9,7 @@ import scipy
 
 from cellapp.estimation.calibration.quantities import Quantities
 from cellapp.estimation.calibration.records import Repeatability
-from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import gauge_errors, in_sockets, measured_positions
-from cellapp.ground.results import ErrorSummary, GaugeErrors, StageErrors
+from cellapp.ground.results import ErrorSummary, StageErrors
 from cellapp.robot.kinematics.transforms import Array
 
 _SAMPLES = 400
@@ -91,23 +89,12 @@ def repeatability(q: Array, p_M: Array) -> Repeatability | None:
     return Repeatability(mean=float(off.mean()), rp=float(off.mean() + 3.0 * off.std(ddof=1)), n=len(off))
 
 
-def evaluate_readings(readings: Readings, computed: Array) -> StageErrors:
-    """Compute the errors of one model, ``computed`` (n, 3) [m], at measured points or at a ball in sockets."""
-    if not in_sockets(readings):
-        return evaluate(readings.p_M, computed)
-    gauge = np.abs(gauge_errors(readings, computed)) * 1e3
-    return StageErrors(
-        position_mm=summarise(position_errors(measured_positions(readings, computed), computed)),
-        gauge_mm=GaugeErrors(mean=float(gauge.mean()), max=float(gauge.max()), n=len(gauge)) if len(gauge) else None,
-    )
-
-
 def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
     """Compute the errors of one model, ``computed`` (m, 3), at positions [m] and orientations [rad]."""
-    turned = measured.turned
+    p_M, turned = measured.readings.p_M, measured.turned
     if turned is None:
-        return evaluate_readings(measured.readings, computed)
-    errors = evaluate_readings(measured.readings.take(~turned), computed[~turned])
+        return evaluate(p_M, computed)
+    errors = evaluate(p_M[~turned], computed[~turned])
     return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[turned], axis=1))})
 
 

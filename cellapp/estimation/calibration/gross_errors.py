@@ -16,7 +16,6 @@ from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
-from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -107,7 +106,7 @@ def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: Measu
     """Return a mask (n,) of the readings whose position or orientation is a gross error by a model."""
     its = measured_quantities(readings, conditions)
     computed = model.predict(its.readings.q, conditions=its.conditions)
-    return its.readings_with(gross_errors(measured_positions(its.readings, computed) - computed, its.turned))
+    return its.readings_with(gross_errors(its.readings.p_M - computed, its.turned))
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:

@@ -12,7 +12,6 @@ from the common tracker frame (both bases registered to the tracker on the same 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -23,17 +22,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.pair_by_touching import TouchedPair, TouchedPoints, common_points, tie_by_touching
-from cellapp.estimation.calibration.pair_on_flange import (
-    FlangeRows,
-    fit_on_flange,
-    flange_rows,
-    moved_by_parameters,
-    nominal_flange_rows,
-    tie_on_flange,
-)
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, ErrorSummary, Method
@@ -61,15 +50,12 @@ class PairMethod:
 
     ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
     maps each arm to the absolute errors (n,) [m] at the same stops, with the bases from the arms' calibration.
-    Without a tracker, errors are the distances (n,) [m] between both arms' positions of a socket: one for each socket
-    that both touched, or one for each touch of a socket that an arm carries. ``position_errors`` are then the scatter
-    of each arm's touches of those sockets; empty for carried ones.
     """
 
     by_distances: ErrorSummary
-    by_tracker: ErrorSummary | None
+    by_tracker: ErrorSummary
     identification: PairIdentification
-    T_R_L_tracker: Array | None
+    T_R_L_tracker: Array
     errors: Mapping[str, Array]
     position_errors: Mapping[str, Array]
 
@@ -78,10 +64,8 @@ class PairMethod:
 class PairCalibration:
     """Calibration of the pair by method.
 
-    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; without a tracker it is
-    ``touches`` for fixed sockets, or ``flange`` for sockets that an arm carries.
-    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors; for sockets on
-    a flange, the numbers of the touches, from 1.
+    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``. ``stops`` (n,) are the numbers
+    of the held-out configurations in the order of each method's errors.
     """
 
     methods: Mapping[Method, PairMethod]
@@ -97,8 +81,7 @@ class PairCalibration:
     @property
     def T_R_L(self) -> Array:
         """Selected transform of the best available method, shape (4, 4)."""
-        by_tracker = self.best.T_R_L_tracker if self.chosen == "tracker" else None
-        return self.best.identification.T_R_L if by_tracker is None else by_tracker
+        return self.best.T_R_L_tracker if self.chosen == "tracker" else self.best.identification.T_R_L
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -125,8 +108,6 @@ def calibrate_pair(
     """Calibrate the pair by every method that the arms' models allow; return it, None if skipped, and notes."""
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
-    if any(in_sockets(its) for its in readings.values()):
-        return _by_touching(readings, list(arms.values()))
     left, right = common_stops(*readings.values())
     learn, held_out = pair_stops(profile, left)
     if len(learn) < 7 or len(held_out) < 1:
@@ -168,107 +149,6 @@ def calibrate_pair(
         )
     counts = {"identify": len(learn), "validate": len(held_out)}
     return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
-
-
-def _by_touching(
-    readings: Mapping[str, Readings], arms: list[CalibratedArm]
-) -> tuple[PairCalibration | None, list[str]]:
-    """Calibrate the pair by sockets that both arms touched, or that are known distances apart."""
-    left, right = readings.values()
-    if not (in_sockets(left) and in_sockets(right)):
-        return None, ["pair: skipped, only one arm was in sockets"]
-    start = np.asarray(invert(arms[1].model.geometry.T_M_B()) @ arms[0].model.geometry.T_M_B())
-    fixed, of_fixed = _by_fixed_sockets(readings, arms, start)
-    if left.on_flange is None and right.on_flange is None:
-        return fixed, of_fixed
-    carried, of_carried = _by_carried_sockets((left, right), arms, start)
-    if carried is None or fixed is None:
-        return carried or fixed, of_carried if carried is not None else [*of_fixed, *of_carried]
-    both = [one.best.identification for one in (fixed, carried)]
-    apart_mm = 1e3 * float(np.linalg.norm(both[0].values[:3] - both[1].values[:3]))
-    sizes = [float(np.linalg.norm(one.standard_errors[:3])) for one in both]
-    kept, notes = (carried, of_carried) if sizes[1] < sizes[0] else (fixed, of_fixed)
-    return kept, [
-        *notes,
-        f"pair: fixed sockets and those on a flange differ by {apart_mm:.3f} mm (standard uncertainty of the difference"
-        f" {1e3 * math.hypot(*sizes):.3f} mm at most); the less uncertain tie counts",
-    ]
-
-
-def _by_fixed_sockets(
-    readings: Mapping[str, Readings], arms: list[CalibratedArm], start: Array
-) -> tuple[PairCalibration | None, list[str]]:
-    """Calibrate the pair by fixed sockets; ``start`` (4, 4) is T_R_L from the profile."""
-    left, right = readings.values()
-    methods: dict[Method, PairMethod] = {}
-    tied = None
-    for name, positions in _positions((left, right), arms).items():
-        points = [
-            TouchedPoints.of(its, p_B, None if name == "nominal" else arm.model)
-            for its, p_B, arm in zip((left, right), positions, arms, strict=True)
-        ]
-        common = common_points(*points)
-        tied = tie_by_touching(points[0], points[1], (*left.distances, *right.distances), start)
-        if tied is None:
-            return None, [
-                f"pair: skipped, {counted(len(common), 'socket was', 'sockets were')} touched by both arms: this leaves"
-                " a direction open of how their bases stand to each other; touch three that are not on one line, far"
-                " apart, with both arms"
-            ]
-        if not common:
-            return None, ["pair: skipped, no socket was touched by both arms; distances alone are no test of the tie"]
-        rows = [[one.place[point] for point in common] for one in points]
-        scatter = {arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)}
-        methods[name] = _without_tracker(tied, "touches", scatter)
-    assert tied is not None
-    least = (
-        "each error is at a socket that the tie never had"
-        if tied.held_out
-        else ("with fewer than four, none can be left out: errors are what the tie itself leaves")
-    )
-    notes = [f"pair: tied by {counted(len(common), 'socket')} that both arms touched, without a tracker; {least}"]
-    counts = {"identify": len(common), "validate": len(common) if tied.held_out else 0}
-    return PairCalibration(methods, "touches", counts, points[0].first[rows[0]]), notes
-
-
-def _by_carried_sockets(
-    both: tuple[Readings, Readings], arms: list[CalibratedArm], start: Array
-) -> tuple[PairCalibration | None, list[str]]:
-    """Calibrate the pair by sockets on the flange of either arm, in which the ball of the other arm rested."""
-    methods: dict[Method, PairMethod] = {}
-    models = [arm.model for arm in arms]
-    refined: Method = "effects" if any(model.effects for model in models) else "method_1"
-    touches: dict[Method, FlangeRows] = {
-        "nominal": nominal_flange_rows(both, [one.nominal for one in models]),
-        refined: flange_rows(both, models),
-    }
-    for name, rows in touches.items():
-        found = fit_on_flange(rows, start)
-        if found is None:
-            return None, [
-                f"pair: {counted(len(rows.socket), 'touch', 'touches')} of sockets on a flange leave a direction open;"
-                " turn all joints of both arms, and touch each socket ten times at least"
-            ]
-        moved = None if name == "nominal" else moved_by_parameters(rows, both, models, found)
-        tied = tie_on_flange(rows, found, moved)
-        methods[name] = _without_tracker(tied, "flange", {})
-    least = "each error is at a touch that the tie never had" if tied.held_out else "errors are what the tie leaves"
-    number = len(rows.socket)
-    notes = [f"pair: tied by {counted(number, 'touch', 'touches')} of sockets on a flange, without a tracker; {least}"]
-    counts = {"identify": number, "validate": number if tied.held_out else 0}
-    return PairCalibration(methods, "flange", counts, np.arange(1, number + 1)), notes
-
-
-def _without_tracker(tied: TouchedPair, chosen: str, position_errors: Mapping[str, Array]) -> PairMethod:
-    """Return the results of one method from touches alone."""
-    return PairMethod(
-        by_distances=summarise(tied.errors_m),
-        by_tracker=None,
-        identification=tied.identification,
-        T_R_L_tracker=None,
-        errors={chosen: tied.errors_m},
-        position_errors=position_errors,
-    )
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:

@@ -221,30 +221,6 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
-class NestEstimate(Record):
-    """Where a nest is on the flange: coordinates in F [m], their standard errors, and the number of rows."""
-
-    offset_m: tuple[float, float, float]
-    standard_error_m: tuple[float, float, float]
-    n: int
-
-
-class NestsResult(Record):
-    """Several SMRs on a flange.
-
-    ``found`` are the nests by name. Of the ``stops``, those ``with_orientation`` have one that is known to
-    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
-    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
-    """
-
-    found: Mapping[str, NestEstimate]
-    stops: int
-    with_orientation: int
-    left_out: tuple[int, ...] = ()
-    noise_mm: float | None = None
-    orientation_mrad: float | None = None
-
-
 class JointTorqueResult(Record):
     """What one joint's torques or currents told: ``constant`` of its motor [Nm/A] for currents; ``friction``,
     ``offset`` and ``scatter`` in Nm or A. ``fault`` says why nothing rests on the joint; empty where it is used."""
@@ -292,8 +268,7 @@ class ArmCalibrationResult(Record):
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
-    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion. ``nests`` are
-    those of an arm with several SMRs.
+    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
 
     identified: Mapping[str, Estimate]
@@ -319,9 +294,8 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    nests: NestsResult | None = None
     torques: TorquesResult | None = None
-    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "nests", "torques"})
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "torques"})
 
     @property
     def best_stage(self) -> Stage:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import JointFit, fitted_model, identification_without
+from cellapp.estimation.discovery.joint_fit import JointFit, fitted_model
 from cellapp.estimation.discovery.movement import term_movements
 from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
 from cellapp.estimation.discovery.records import (
@@ -28,6 +28,7 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
+from cellapp.ground.errors import NotConverged
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS, EffectTerm, place_in_words, term_to_json
 from cellapp.robot.effects.contradiction import contradicted_effect, is_contradiction
@@ -47,12 +48,10 @@ def accepted_effects(
         described = describe(found.data, fit, number) if term.slug == UNKNOWN else None
         if described is not None:
             term = replace(term, note=described.sentence)
-        near = identification_without(fit, number)
-        without = fitted_model(found.data, without_term(fit.terms, number), near)
         evidence = Evidence(
             statistic=review.score,
             corrected_p=review.p_value,
-            heldout_mm=BeforeAfter(before=held_out.rms_mm(without), after=after_mm),
+            heldout_mm=BeforeAfter(before=_error_without(found, number, held_out), after=after_mm),
         )
         where = Place(
             joints=tuple(sorted({column.joint + 1 for column in columns if column.joint is not None})),
@@ -75,6 +74,14 @@ def accepted_effects(
             )
         )
     return tuple(terms), tuple(accepted)
+
+
+def _error_without(found: SearchResult, number: int, held_out: HeldOut) -> float:
+    """Return the held-out rms error [mm] without a term, the others fitted again; NaN if that fit does not converge."""
+    try:
+        return held_out.rms_mm(fitted_model(found.data, without_term(found.fit.terms, number)))
+    except NotConverged:
+        return math.nan
 
 
 def accepted_effect(

@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import measured_quantities
-from cellapp.estimation.calibration.socket_identification import estimated_in_sockets, identify_in_sockets
-from cellapp.estimation.calibration.socket_points import PointColumns
 from cellapp.estimation.calibration.weights import whitener, with_excess
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations
@@ -55,8 +52,6 @@ class ArmData:
         Values of an earlier fit, by effect and column, as a start of the next fit.
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None means the controller's positions.
-    points : PointColumns, optional
-        For a ball in sockets: the unknown points, whose estimates replace measured positions in ``readings``.
     reading : array, shape (n,), or None
         Index of the reading of each row, if orientations were measured and are rows of their own
         (``calibration.quantities``); None if rows are readings.
@@ -74,7 +69,6 @@ class ArmData:
     prior_sigma: Mapping[str, float]
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
-    points: PointColumns | None = None
     reading: NDArray[np.intp] | None = None
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
@@ -93,8 +87,6 @@ class ArmData:
         """
         geometry_only = replace(model, effects=(), network=None)
         settings = profile.calibration
-        if in_sockets(readings):
-            return cls._in_sockets(profile, geometry_only, readings, conditions, prior_sigma)
         its = measured_quantities(readings, conditions)
         readings, conditions, stated = its.readings, its.conditions, its.stated
         found, excess_m = identify_with_excess(
@@ -124,34 +116,6 @@ class ArmData:
             reading=reading,
         )
 
-    @classmethod
-    def _in_sockets(
-        cls,
-        profile: Profile,
-        model: ArmModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        prior_sigma: Mapping[str, float] | None,
-    ) -> ArmData:
-        """Prepare readings of a ball in sockets: fit points with the geometry; they replace measured positions."""
-        settings = profile.calibration
-        stated = prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma
-        parameters, priors = estimated_in_sockets(settings.parameter_set, model.nominal, stated)
-        fit = identify_in_sockets(
-            model.geometry, readings, parameters, priors, prior_mean=model.nominal, tolerance=TOLERANCE
-        )
-        return cls(
-            profile,
-            replace(model, geometry=fit.geometry),
-            replace(readings, p_M=fit.points.measured),
-            conditions,
-            None,
-            np.full(len(readings), max(fit.noise_m, LEAST_SCATTER_M)),
-            parameters,
-            priors,
-            points=fit.points,
-        )
-
     def __len__(self) -> int:
         return len(self.readings)
 
@@ -170,14 +134,10 @@ class ArmData:
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
         kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
         here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
-        if self.points is not None:
-            centres = self.points.contacts.centres(model.predict(self.readings.q, conditions=self.conditions))
-            points = PointColumns.near(self.points.contacts, centres)
-            here = replace(here, points=points, readings=replace(self.readings, p_M=points.measured))
         return here.beginning_at(model)
 
     def take(self, rows: NDArray[np.intp]) -> ArmData:
-        """Return some of the rows; not for a ball in sockets, whose points depend on all readings."""
+        """Return some of the rows."""
         return replace(
             self,
             readings=self.readings.take(rows),

@@ -27,61 +27,19 @@ from cellapp.robot.kinematics.transforms import Array
 _FOLD_SEED = 0xF01D
 """Combined with the profile's seed, so that the folds are independent of all other draws."""
 
-_FEWEST_PLACEMENTS = 4
-"""Least number of placements to leave one out: the others must determine the arm."""
-
 
 def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:
-    """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit.
-
-    For a ball in sockets whole placements are left out and the scatter within each point is compared: the position of a
-    left-out point is unknown, and a known place is no test for an unknown one.
-    """
-    if data.points is not None:
-        return float(placement_gains(data, fit, new_rows).sum())
+    """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit."""
     folds = data.profile.discovery.folds
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
     readings = len(data) if data.reading is None else int(data.reading.max()) + 1
     fold = generator.permutation(readings) % folds
     fold = np.tile(fold if data.reading is None else fold[data.reading], 3)
-    return float(sum(np.sum(before**2) - np.sum(after**2) for _, before, after in _left_out(fit, new_rows, fold)))
+    return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
 
 
-def may_leave_placements_out(data: ArmData) -> bool:
-    """Return whether a ball rested at enough placements to determine an arm without any one of them."""
-    points = data.points
-    return points is not None and int(points.contacts.placements(points.at).max()) + 1 >= _FEWEST_PLACEMENTS
-
-
-def placement_gains(data: ArmData, fit: JointFit, new_rows: Array) -> Array:
-    """Return the decrease of the whitened sum of squares (m,) at each left-out placement by columns that join a fit.
-
-    With few placements, single points are left out instead.
-    """
-    points = data.points
-    assert points is not None
-    contacts = points.contacts
-    whole = contacts.placements(points.at) if may_leave_placements_out(data) else np.arange(len(contacts.names))
-    fold = np.tile(whole[contacts.index], 3)
-    gains = np.zeros(int(whole.max()) + 1)
-    for number, (out, before, after) in enumerate(_left_out(fit, new_rows, fold)):
-        point = contacts.index[out[: len(data)]]
-        gains[number] = np.sum(_within_points(point, before) ** 2) - np.sum(_within_points(point, after) ** 2)
-    return gains
-
-
-def _within_points(point: NDArray[np.intp], left: Array) -> Array:
-    """Subtract from residuals (3 k,) of k readings the mean of each coordinate over the readings of the same point."""
-    _, point, counts = np.unique(point, return_inverse=True, return_counts=True)
-    axes = left.reshape(3, -1)
-    means = np.stack([np.bincount(point, axis) / counts for axis in axes])
-    return np.asarray((axes - means[:, point]).ravel())
-
-
-def _left_out(
-    fit: JointFit, new_rows: Array, fold: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.bool_], Array, Array]]:
-    """Yield for each fold the mask of left-out coordinates and their residuals without and with the new columns."""
+def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterator[tuple[Array, Array]]:
+    """Yield for each fold the residuals of the left-out coordinates without and with the new columns."""
     scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
     new, target = new_rows * scale[:, None], fit.target
     for one in _folds(fit, fold):
@@ -96,11 +54,11 @@ def _left_out(
             precision = np.concatenate([fit.precision, np.zeros(len(new))])
             of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
             solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
-            yield one.out, one.left, target[one.out] - solution @ rows[:, one.out]
+            yield one.left, target[one.out] - solution @ rows[:, one.out]
             continue
         moment = B @ target[learnt] - taken.T @ one.moment
         values = scipy.linalg.lapack.dpotrs(factor, moment, lower=1)[0]
-        yield one.out, one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
+        yield one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.records import AbsentEffect, SmallestSize
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -38,13 +37,11 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     """
     fit = found.fit if found.fit.terms else found.geometry_only
     noise_mm = 1e3 * (1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.positions]) ** 2))))
-    # score of a name with even odds
-    needed = found.threshold + (SCORE_MARGIN if found.data.points is None else 0.0)
+    needed = found.threshold + SCORE_MARGIN  # score of a name with even odds
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in found.absent:
-        blind = found.data.points is not None and slug in OF_THE_TRACKER
-        if lacking := "no tracker" if blind else EFFECTS[slug].missing_data(found.data.context):
+        if lacking := EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
         one = _detectable(scan, slug, needed)

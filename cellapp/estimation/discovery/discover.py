@@ -24,7 +24,6 @@ from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
-from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -49,7 +48,6 @@ from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import verdict
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.memory import give_back
@@ -199,8 +197,6 @@ def discover_arm(
 
 def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings that are gross errors for the geometry alone."""
-    if in_sockets(readings):
-        return gross_errors_in_sockets(model.geometry, model.nominal, readings)
     its = measured_quantities(readings)
     wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
     return its.readings_with(wrong)

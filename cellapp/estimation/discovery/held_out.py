@@ -13,7 +13,6 @@ from cellapp.estimation.calibration.evaluation import evaluate_quantities, posit
 from cellapp.estimation.calibration.quantities import Quantities, measured_quantities
 from cellapp.estimation.discovery.records import HeldOutBeforeAfter, HeldOutPosition, PredictedUncertainty
 from cellapp.estimation.readings import Readings, stated_uncertainty
-from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
@@ -55,7 +54,7 @@ class HeldOut:
     def errors_m(self, model: ArmModel) -> Array:
         """Return the position errors (n,) of a model [m]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        return position_errors(measured_positions(self.readings, computed), computed)
+        return position_errors(self.readings.p_M, computed)
 
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
         """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import excess_of
 from cellapp.estimation.calibration.identification import Identification, identify
-from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.readings_noise import readings_noise
-from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
@@ -41,6 +39,8 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Step of a fit [m at arm's length] up to which the effects' columns are kept. They change relatively by about as much:
 an effect of 0.3 mm by 0.3 µm."""
+_LEAST_STEPS = 200
+"""Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
 _DRAW_SEED = 0xD4A7
 """Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
@@ -229,8 +229,7 @@ class JointFit:
 
     def candidates(self, data: ArmData, slugs: Sequence[str]) -> list[CandidateLaw]:
         """Return all laws of the effects ``slugs`` that the data allow to test, as candidates."""
-        blind = OF_THE_TRACKER if data.points is not None else frozenset()
-        testable = [slug for slug in slugs if slug not in blind and not EFFECTS[slug].missing_data(data.context)]
+        testable = [slug for slug in slugs if not EFFECTS[slug].missing_data(data.context)]
         return [self.candidate(data, slug, law) for slug in testable for law in EFFECTS[slug].laws(data.context)]
 
     def displacements(self, columns: Sequence[EffectColumn]) -> Array:
@@ -248,19 +247,18 @@ def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = No
     return _linearised(data, terms, *_identify(data, terms, near))
 
 
-def fitted_model(data: ArmData, terms: ModelTerms, near: Identification) -> ArmModel:
+def fitted_model(data: ArmData, terms: ModelTerms) -> ArmModel:
     """Return only the model of ``fit_terms``, without linearising."""
-    found, _ = _identify(data, terms, near)
-    return _fitted_model(data, found, terms, _layout(data, found, terms))
+    found, _ = _identify(data, terms)
+    return _fitted_model(data, found, terms, _layout(found, terms))
 
 
-def _layout(data: ArmData, found: Identification, terms: ModelTerms) -> TermLayout:
-    points = 0 if data.points is None else len(data.points)
-    return TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
+def _layout(found: Identification, terms: ModelTerms) -> TermLayout:
+    return TermLayout.of(len(found.parameter_set.columns), [term.size for term in terms])
 
 
 def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns: tuple[EffectColumn, ...]) -> JointFit:
-    layout = _layout(data, found, terms)
+    layout = _layout(found, terms)
     white = whitening(data.sigma)
     linear = LinearModel.of(
         found.geometry, data.readings.q, white, found.parameter_set.columns, columns, data.conditions.R_M_S
@@ -273,19 +271,11 @@ def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns
         model=_fitted_model(data, found, terms, layout),
         white=white,
         by_joint=linear.by_joint,
-        rows=_with_points(data, linear.rows, white, len(found.parameter_set.columns)),
+        rows=linear.rows,
         precision=_precision(data, found, layout, columns),
         residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
     )
     return _with_misfits(fit) if any(term.modulations for term in terms) else fit
-
-
-def _with_points(data: ArmData, rows: Array, white: Array, geometric: int) -> Array:
-    """Insert the rows of unknown points after the geometric ones; return rows (p, 3 n)."""
-    if data.points is None:
-        return rows
-    of_points = np.einsum("acn,kcn->kan", white, data.points.shifts).reshape(len(data.points), -1)
-    return np.concatenate([rows[:geometric], of_points, rows[geometric:]])
 
 
 def _with_misfits(fit: JointFit) -> JointFit:
@@ -318,7 +308,7 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     here, near = reweighted(data, terms)
     found, columns = _identify(here, terms, near)
     if sum(found.steps) > _SAME_COLUMNS:
-        here = here.at(_fitted_model(here, found, terms, _layout(here, found, terms)))
+        here = here.at(_fitted_model(here, found, terms, _layout(found, terms)))
         return here, fit_terms(here, terms, found)
     fit = _linearised(here, terms, found, columns)
     return here.beginning_at(fit.model), fit
@@ -380,9 +370,9 @@ def _identify(
         prior_sigma=data.prior_sigma,
         prior_mean=data.model.nominal,
         robust=settings.robust,
-        effects=effects if data.points is None else data.points.after(effects),
+        effects=effects,
         tolerance=max(settings.tolerance, TOLERANCE),
-        max_iterations=settings.max_iterations,
+        max_iterations=max(settings.max_iterations, _LEAST_STEPS),
     ).settled("fit of geometry and effects")
     return _reordered(found, np.argsort(order)), columns
 
@@ -403,21 +393,6 @@ def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], st
     )
 
 
-def identification_without(fit: JointFit, term: int) -> Identification:
-    """Predict the fit without one term, as a start: its values set to zero, the others conditioned on that."""
-    found, own = fit.identification, fit.layout.parameters(term)
-    values = np.concatenate([found.values[: fit.layout.geometric], found.effect_values])
-    of_term = solve_psd(found.covariance[own, own], values[own])
-    values = values - found.covariance[:, own] @ of_term
-    columns = list(found.estimated.columns)
-    vector = found.geometry.vector()
-    vector[columns] = values[: len(columns)]
-    kept = np.delete(np.arange(len(values)), own)
-    return replace(
-        found, geometry=found.geometry.with_vector(vector), effect_values=values[kept][fit.layout.geometric :]
-    )
-
-
 def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn]) -> Array:
     """Return start values (m,) of an earlier fit; zero for columns that it lacked."""
     slugs = (term.slug for term in terms for _ in range(term.size))
@@ -426,10 +401,9 @@ def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColu
 
 
 def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
-    """Put the effect parameters into the order ``effects``, after those of unknown points."""
-    size, count = len(found.parameter_set.columns), len(found.effect_values)
-    others = np.arange(len(effects), count)  # unknown points
-    place = np.concatenate([np.arange(size), size + others, size + effects]).astype(np.intp)
+    """Put the effect parameters into the order ``effects``."""
+    size = len(found.parameter_set.columns)
+    place = np.concatenate([np.arange(size), size + effects]).astype(np.intp)
     return replace(
         found,
         names=tuple(found.names[i] for i in place),
@@ -447,8 +421,6 @@ def _precision(data: ArmData, found: Identification, layout: TermLayout, columns
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
             precision[row] = 1.0 / data.prior_sigma[name] ** 2
-    if data.points is not None:
-        precision[layout.geometric - len(data.points) : layout.geometric] = data.points.prior_sd**-2.0
     sd = prior_sd(columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2

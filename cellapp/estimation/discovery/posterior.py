@@ -117,23 +117,7 @@ class _Set:
 def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
     """Compute the probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
     further, reviews = further_scores(found, scan), cautious_reviews(found)
-    if found.data.points is not None:
-        reviews, further = _at_few_places(reviews, further, found.threshold)
     return posteriors(reviews, further, found.threshold, found.fit.projector.freedom, _log_odds_outside(found, reviews))
-
-
-def _at_few_places(
-    reviews: Sequence[Review], further: Mapping[str, float], threshold: float
-) -> tuple[tuple[Review, ...], dict[str, float]]:
-    """Limit the scores of a ball in sockets. There an effect was accepted for its prediction elsewhere, not for its
-    score, so a rival with a larger score is as probable but not more."""
-    return (
-        tuple(
-            replace(one, alternatives={slug: min(score, one.score) for slug, score in one.alternatives.items()})
-            for one in reviews
-        ),
-        {slug: min(score, threshold) for slug, score in further.items()},
-    )
 
 
 def posteriors(
@@ -192,11 +176,8 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
 def _log_odds_outside(found: SearchResult, reviews: Sequence[Review]) -> dict[str, float]:
     """Return for each named effect the log odds that the library lacks its cause, from the squares removed and left.
 
-    With few readings the evidence of such a cause counts too, relative to the effect's score in ``reviews``. Empty for
-    a ball in sockets, which is judged by its prediction elsewhere.
+    With few readings the evidence of such a cause counts too, relative to the effect's score in ``reviews``.
     """
-    if found.data.points is not None:
-        return {}
     fit, left = found.fit, scatter(found.data, found.fit)
     beyond_noise = 0.0 if left is None else max(1.0 - left.ratio**-2, 0.0) * fit.projected_residual.square
     removed = grouped(
@@ -255,8 +236,7 @@ def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
         share = _share_of_a_larger(fit, number)
         if score > found.threshold and share < math.inf:
             score = found.threshold + 1.0 / (1.0 / (score - found.threshold) + _LIKE_ANOTHER**2 / share)
-        if found.data.points is None:
-            score = min(score, review.score - SCORE_MARGIN)
+        score = min(score, review.score - SCORE_MARGIN)
         alternatives = {slug: rival - review.score + score for slug, rival in review.alternatives.items()}
         cautious.append(replace(review, score=score, alternatives=alternatives))
     return tuple(cautious)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import AliasChoices, Field
+from pydantic import AliasChoices, BeforeValidator, Field
 
 from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
@@ -15,9 +16,9 @@ StructureKind = Literal["joints", "order", "time", "approach", "position", "trac
 
 
 class BeforeAfter(Record):
-    """A number before and after."""
+    """A number before and after; ``before`` is NaN, null in JSON, where it could not be computed."""
 
-    before: float
+    before: Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
     after: float
 
 

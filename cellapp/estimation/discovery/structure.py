@@ -66,7 +66,7 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
             "time": tests.against_time,
             "approach": tests.against_approach,
         }
-        if data.points is None and rows is not data.turned:  # sockets are few and have no tracker
+        if rows is not data.turned:
             kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
         for kind, test in kinds.items():
             found.setdefault(kind, []).extend(test())

@@ -112,6 +112,34 @@ def plane_crossings(points: Array, commanded: Array, tangents: Array, within_m: 
     return found
 
 
+def speeds(times: Array, s: Array) -> Array:
+    """Compute speeds (n, m - 1) [m/s] between points at arc lengths ``s`` (m,) [m] passed at ``times`` (n, m) [s]."""
+    return np.asarray(np.diff(s) / np.diff(times, axis=-1))
+
+
+def velocity_accuracy(found: Array, commanded: float) -> float:
+    """Compute AV (8.6.2) [1]: mean of the speeds (n, k) [m/s] minus the commanded speed, as a share of it.
+
+    The standard's text was not at hand; the formulas of velocities are those commonly given.
+    """
+    return float(found.mean(axis=-1).mean() / commanded - 1.0)
+
+
+def velocity_repeatability(found: Array, commanded: float) -> float:
+    """Compute RV (8.6.3) [1]: three standard deviations of the cycles' mean speeds, as a share of ``commanded``.
+
+    The speeds ``found`` are (n, k) [m/s]. Raise ``ValueError`` for fewer than two cycles.
+    """
+    means = found.mean(axis=-1)
+    _require_cycles(means)
+    return float(3.0 * means.std(ddof=1) / commanded)
+
+
+def velocity_fluctuation(found: Array) -> float:
+    """Compute FV (8.6.4) [m/s]: the largest difference of two speeds (n, k) [m/s] within a cycle, over all cycles."""
+    return float(np.ptp(found, axis=-1).max())
+
+
 def _upper_limit(lengths: Array) -> Array:
     _require_cycles(lengths)
     return np.asarray(lengths.mean(axis=-1) + 3.0 * lengths.std(axis=-1, ddof=1))

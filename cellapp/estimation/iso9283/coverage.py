@@ -14,7 +14,6 @@ from cellapp.estimation.iso9283.norm import (
     NORM_CYCLES,
     NORM_DRIFT_MIN,
     NORM_SPEEDS,
-    REORIENTED_LINE,
     IsoTest,
 )
 from cellapp.estimation.iso9283.records import (
@@ -29,15 +28,9 @@ from cellapp.ground.grouping import grouped
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
-ONE_SMR = (
-    "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) or three nests"
-    " (smr.nests) do"
-)
+ONE_SMR = "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) does"
 POSES_ONLY = "orientation is evaluated in the pose test only"
-PERSON = "it needs a person at the arm: 'cellapp iso9283 compliance' asks for each step"
-OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"
-
-_EXCHANGE = "exchangeability E"
+NOT_OFFERED = "this program does not test it"
 
 
 class _Counted(Protocol):
@@ -53,22 +46,15 @@ _Values = Callable[[CommandedTests], Sequence[_Counted]]
 class _Asked:
     """Characteristic of the standard that ``test`` measures; ``never`` says why if this program does not measure it.
 
-    ``without`` says why a test that was made does not show it. ``cycles`` is the standard's number if it differs from
-    that of the test; ``part`` says which part is never covered.
+    ``without`` says why a test that was made does not show it.
     """
 
     clause: str
     words: str
     test: IsoTest | None = None
     values: _Values = lambda tests: ()
-    never: str = ""
-    cycles: int | None = None
-    part: str = ""
+    never: str = NOT_OFFERED
     without: str = ""
-
-
-def _settled(made: CommandedTests) -> Sequence[_Counted]:
-    return () if made.settling is None else (made.settling.overshoot,)
 
 
 _ASKED: tuple[_Asked, ...] = (
@@ -93,39 +79,23 @@ _ASKED: tuple[_Asked, ...] = (
         lambda made: [one.accuracy for one in made.distance],
     ),
     _Asked("7.3", "AD, RD of the orientation", never=POSES_ONLY),
-    _Asked("7.4", "position stabilisation time", "stabilisation", _settled),
-    _Asked("7.5", "position overshoot OV", "stabilisation", _settled),
+    _Asked("7.4", "position stabilisation time"),
+    _Asked("7.5", "position overshoot OV"),
     _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
-    _Asked("7.7", _EXCHANGE, never=OTHER_ARM),
+    _Asked("7.7", "exchangeability E"),
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
     _Asked("8.2, 8.3", "AT, RT of the orientation", never=POSES_ONLY),
-    _Asked(
-        "8.4",
-        "path accuracy on reorientation",
-        "path",
-        lambda made: [one.accuracy for one in made.path if one.path == REORIENTED_LINE],
-    ),
-    _Asked(
-        "8.5",
-        "cornering deviations CR, CO",
-        "path",
-        lambda made: [corner.rounding for one in made.path for corner in one.corners if corner.rounding is not None],
-        cycles=3,
-    ),
+    _Asked("8.4", "path accuracy on reorientation"),
+    _Asked("8.5", "cornering deviations CR, CO"),
     _Asked(
         "8.6",
         "path velocity AV, RV, FV",
         "path",
         lambda made: [one.accuracy for one in made.path if one.velocity is not None],
     ),
-    _Asked("9", "minimum posing time", "stabilisation", _settled, part="one distance of the norm's several"),
-    _Asked("10", "static compliance", "compliance", lambda made: made.compliance),
-    _Asked(
-        "11",
-        "weaving deviations WS, WF",
-        "path",
-        lambda made: () if made.weaving is None else (made.weaving,),
-    ),
+    _Asked("9", "minimum posing time"),
+    _Asked("10", "static compliance"),
+    _Asked("11", "weaving deviations WS, WF"),
 )
 
 
@@ -156,30 +126,25 @@ def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
 
 
 def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: str) -> tuple[IsoStatus, str]:
-    if asked.words == _EXCHANGE and arm.exchange is not None:
-        return "in part", f"two of the norm's five arms, with {arm.exchange.with_run}"
     if asked.test is None:
         return "not done", asked.never
     found = {kind: values for kind in ISO_COMMANDS if kind in arm.tests and (values := asked.values(arm.tests[kind]))}
     refused = arm.refused.get(asked.test, "")
     if not found:
         if asked.test not in tests:
-            return "not done", PERSON if asked.test == "compliance" else NOT_ASKED
+            return "not done", NOT_ASKED
         return "not done", refused or stopped or asked.without or NOT_MEASURED
-    norm = asked.cycles or NORM_CYCLES[asked.test]
+    norm = NORM_CYCLES[asked.test]
     n = min(value.n for values in found.values() for value in values)
     words = f"{n} of {counted(norm, 'cycle')}" if n < norm else counted(n, "cycle")
     short = n < norm
-    if asked.test == "compliance":
-        most = max(step.force_n for own in arm.tests.values() for one in own.compliance for step in one.steps)
-        words += f", forces up to {most:g} N"
     if asked.test == "drift":
         minutes = max(made.drift.minutes for made in arm.tests.values() if made.drift is not None)
         words += f" a group, over {minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
         short = short or minutes < NORM_DRIFT_MIN
     words = f"{words}, {' and '.join(found)} commands"
-    if left_out := "; ".join(one for one in (refused, asked.part) if one):
-        return "in part", f"{words}; {left_out}"
+    if refused:
+        return "in part", f"{words}; {refused}"
     return ("in part" if short else "done"), words
 
 
@@ -199,17 +164,11 @@ def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> I
         status="in part" if missing else "done",
         words=f"{words}; {', '.join(missing)}: {why}" if missing else words,
     )
-    for (status, words), names in grouped((_loads(arm, made), name) for name, arm in arms.items()).items():
-        what = "rated load, and 10 % of it"
-        yield IsoLine(clause="6.6", characteristic=what, arms=tuple(names), status=status, words=words)
-
-
-def _loads(arm: ArmIso9283, made: IsoConditions) -> tuple[IsoStatus, str]:
-    """Judge the loads of an arm: done if the pose test was made with one load and with a tenth of it."""
-    more = {one.payload_kg for own in arm.tests.values() for one in own.loads}
-    loads = sorted({arm.payload_kg, *more}, reverse=True)
-    tenth = any(abs(small - 0.1 * large) <= 0.01 * large for large in loads for small in loads)
-    words = f"{', '.join(f'{load:g}' for load in loads)} kg"
-    if not tenth:
-        words += f"; a tenth of the largest: {NOT_MEASURED if set(made.also_loads) - more else NOT_ASKED} (--also-load)"
-    return ("done" if tenth else "in part"), f"{words}; profiles state no rated load"
+    for load, names in grouped((f"{arm.payload_kg:g} kg", name) for name, arm in arms.items()).items():
+        yield IsoLine(
+            clause="6.6",
+            characteristic="rated load, and 10 % of it",
+            arms=tuple(names),
+            status="in part",
+            words=f"{load}; profiles state no rated load",
+        )

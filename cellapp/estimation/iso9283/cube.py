@@ -40,7 +40,6 @@ PLANES: tuple[tuple[str, str, str, str], ...] = (
 )
 """Planes a to d of the standard, in its order."""
 POSES = ("P1", "P2", "P3", "P4", "P5")
-RECTANGLE_CORNERS = ("P3", "P4", "P5", "P2")
 CYCLE = ("P5", "P4", "P3", "P2", "P1")
 """Order of visits in a cycle that begins at P1 (7.2): every pose is always reached from the same previous pose."""
 _INSET = 0.1
@@ -61,12 +60,6 @@ def pose_positions(centre: Array, edge: float, plane: tuple[str, str, str, str])
     reach = 0.5 * edge * (1.0 - 2.0 * _INSET)
     corners = [centre + reach * np.array(CORNERS[name]) for name in plane]
     return dict(zip(POSES, [np.asarray(centre), *corners], strict=True))
-
-
-def rectangle_positions(poses: Mapping[str, Array]) -> Array:
-    """Return points (6, 3) [m] of the rectangle P2 to P5: middle between P2 and P3, then P3, P4, P5, P2, middle."""
-    middle = 0.5 * (poses["P2"] + poses["P3"])
-    return np.array([middle, *(poses[name] for name in RECTANGLE_CORNERS), middle])
 
 
 def circle_positions(poses: Mapping[str, Array], edge: float, share: float = LARGE_CIRCLE) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,13 +11,13 @@ import numpy as np
 from cellapp.estimation.iso9283.characteristics import (
     FEWEST_CYCLES,
     accuracy_vector,
+    coverage_of_mean,
     distances,
     pose_accuracy,
     pose_repeatability,
 )
 from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
-from cellapp.estimation.iso9283.orientation import orientation_characteristics
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,
@@ -33,9 +34,62 @@ from cellapp.estimation.iso9283.uncertainty import (
     drift_values,
     repeatability_value,
 )
-from cellapp.robot.kinematics.transforms import Array, xyz_of
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors, rotations_of, xyz_of
 
 _MINUTE_S = 60.0
+_COVERAGE = 2.0
+"""Coverage factor of expanded uncertainties."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Key of what is measured at a visit; the positions of one place are evaluated together over all cycles.
+
+    ``poses`` are those of ``arms`` in turn. ``approach`` is the direction of a multi-directional test.
+    ``speed`` is the share of the profile's speed if the test is repeated at another speed, else 0.
+    """
+
+    test: IsoTest
+    commands: IsoCommands
+    arms: tuple[str, ...]
+    poses: tuple[str, ...]
+    approach: str = ""
+    speed: float = 0.0
+
+    def __str__(self) -> str:
+        where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
+        where += f", {self.speed:.0%} of the speed" if self.speed else ""
+        return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
+
+
+@dataclass(frozen=True, eq=False)
+class ArmProgramme:
+    """Commands of one arm with one kind of commands.
+
+    Attributes
+    ----------
+    name : str
+    commands : str
+    position_M : mapping
+        Name of a pose -> commanded SMR position (3,) [m].
+    frame : mapping
+        Name of a pose -> covariance (3, 3) of that position [m^2].
+    rotation_M : mapping
+        Name of a pose -> commanded orientation (3, 3) of its probe; empty if unknown.
+    q : mapping
+        (pose, previous pose) -> joint positions (N,) [rad]: with backlash in the model they depend on the approach.
+    """
+
+    name: str
+    commands: IsoCommands
+    position_M: Mapping[str, Array]
+    frame: Mapping[str, Array]
+    q: Mapping[tuple[str, str], Array]
+    rotation_M: Mapping[str, Array] = field(default_factory=dict)
+
+    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> Place:
+        """Return the place of a pose of this arm alone."""
+        return Place(test, self.commands, (self.name,), (pose,), approach, speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +131,14 @@ def pose_characteristics(
     base_M: Array,
     rng: np.random.Generator,
     speed: float = 0.0,
-    load_kg: float | None = None,
 ) -> tuple[PoseCharacteristics, ...]:
     """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
-    ``speed`` and ``load_kg`` are as in ``Place``.
+    ``speed`` is as in ``Place``.
     """
     found = []
     for pose in POSES:
-        visits = measured.at(arm.place("pose", pose, speed=speed, load_kg=load_kg))
+        visits = measured.at(arm.place("pose", pose, speed=speed))
         cycles = _cycles(arm, pose, visits)
         if cycles is not None:
             own = _pose(pose, cycles, base_M, rng)
@@ -172,6 +225,44 @@ def cooperative_characteristics(
         ends_of = f"{names[0]} {place.poses[0]}", f"{names[1]} {place.poses[1]}"
         lengths.append(_distance(ends_of, a, b, rng))
     return tuple(vectors), tuple(lengths)
+
+
+def orientation_characteristics(
+    attained: Sequence[Array], commanded_M: Array, base_M: Array, sigma_rad: Sequence[float]
+) -> OrientationCharacteristics | None:
+    """Compute accuracy and repeatability of orientation at one pose (7.2.1, 7.2.2); None with fewer than two cycles.
+
+    The standard takes differences of three angles between attained and commanded orientation. Here they are the
+    components of the rotation vector from the commanded to the attained orientation, about the axes of the arm's base.
+    To first order this is the same, and no choice of angles can be singular at the commanded orientation.
+
+    Parameters
+    ----------
+    attained : sequence of n arrays, shape (4,)
+        Measured orientations of the probe in the tracker frame, unit quaternions, scalar first.
+    commanded_M : array, shape (3, 3)
+        Commanded orientation of the probe in the tracker frame.
+    base_M : array, shape (3, 3)
+        Rotation of the base in the tracker frame.
+    sigma_rad : sequence of n float
+        Standard uncertainty of each orientation about each axis [rad]; for the uncertainty of the accuracy, all of it
+        is taken as common to the cycles.
+    """
+    n = len(attained)
+    if n < FEWEST_CYCLES:
+        return None
+    off = rotation_vectors(rotations_of(attained) @ commanded_M.T) @ base_M
+    scatter = off.std(axis=0, ddof=1)
+    largest = float(scatter.max())
+    accuracy = math.hypot(coverage_of_mean(n) * largest, _COVERAGE * float(np.mean(sigma_rad)))
+    return OrientationCharacteristics(
+        accuracy_mrad=xyz_of(1e3 * off.mean(axis=0)),
+        accuracy_expanded_mrad=1e3 * accuracy,
+        repeatability_mrad=xyz_of(3e3 * scatter),
+        repeatability_expanded_mrad=_COVERAGE * 3e3 * largest / math.sqrt(2.0 * (n - 1)),
+        n=n,
+        deviations_mrad=tuple(xyz_of(1e3 * one) for one in off),
+    )
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -1,24 +1,22 @@
-"""Compute the characteristics of a path, AT, RT, velocity and corners, from points measured along it."""
+"""Compute the characteristics of a path, AT, RT and velocity, from points measured along it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from cellapp.estimation.iso9283.along import (
-    Corner,
-    corner_overshoot,
-    corner_rounding,
+from cellapp.estimation.iso9283.characteristics import (
+    FEWEST_CYCLES,
+    coverage_of_mean,
+    plane_crossings,
     speeds,
     velocity_accuracy,
     velocity_fluctuation,
     velocity_repeatability,
 )
-from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, coverage_of_mean, plane_crossings
 from cellapp.estimation.iso9283.norm import IsoCommands
-from cellapp.estimation.iso9283.records import CornerCharacteristics, IsoValue, PathCharacteristics, PathVelocity
+from cellapp.estimation.iso9283.records import PathCharacteristics, PathVelocity
 from cellapp.estimation.iso9283.uncertainty import path_values
 from cellapp.robot.kinematics.transforms import Array
 
@@ -62,8 +60,6 @@ class PathRuns:
         Covariances as in ``Cycles`` [m^2].
     wanted : int
         Requested number of cycles.
-    corners : tuple of Corner
-        Corners of the commanded path; with corners the arm does not keep its speed.
     slowed : str
         Why the planned motion does not keep the commanded speed; empty if it does.
     series : float
@@ -84,14 +80,13 @@ class PathRuns:
     tracker: Array
     frame: Array
     wanted: int
-    corners: tuple[Corner, ...] = ()
     slowed: str = ""
     series: float = 0.0
     problems: list[str] = field(default_factory=list)
 
 
 def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
-    """Compute velocity, corners, and AT and RT over the points whose planes every cycle crossed; None with fewer than
+    """Compute velocity, and AT and RT over the points whose planes every cycle crossed; None with fewer than
     two cycles."""
     if len(runs.tracks) < FEWEST_CYCLES:
         return None
@@ -109,7 +104,6 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
         accuracy=accuracy,
         repeatability=repeatability,
         velocity=_velocity(runs, crossed[:, :, 3].T, rng),
-        corners=tuple(_corner(runs, corner) for corner in runs.corners),
         slowed=runs.slowed,
     )
 
@@ -125,9 +119,9 @@ def _crossings(runs: PathRuns, track: PathTrack) -> Array:
 
 
 def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:
-    """Compute AV, RV and FV over the middle half of a path; None with corners or if a plane there was not crossed."""
+    """Compute AV, RV and FV over the middle half of a path; None if a plane there was not crossed."""
     middle = (runs.s >= _MIDDLE[0] * runs.length) & (runs.s <= _MIDDLE[1] * runs.length)
-    if runs.corners or middle.sum() < 3 or not np.isfinite(times[:, middle]).all():
+    if middle.sum() < 3 or not np.isfinite(times[:, middle]).all():
         return None
     n, s = len(times), runs.s[middle]
     found = speeds(times[:, middle], s)
@@ -144,33 +138,3 @@ def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVel
         tracker_fluctuation_mm_s=1e3 * float(np.mean(alone)),
         n=n,
     )
-
-
-def _corner(runs: PathRuns, corner: Corner) -> CornerCharacteristics:
-    count = float(
-        np.mean([(np.linalg.norm(one.p_M - corner.at_M, axis=1) <= corner.reach).sum() for one in runs.tracks])
-    )
-    return CornerCharacteristics(
-        corner=corner.name,
-        rounding=_mean_of(runs, corner, corner_rounding, 0.0),
-        overshoot=_mean_of(runs, corner, corner_overshoot, float(np.sqrt(2.0 * np.log(max(count, 1.0))))),
-    )
-
-
-def _mean_of(
-    runs: PathRuns, corner: Corner, formula: Callable[[Array, Corner], float], contained: float
-) -> IsoValue | None:
-    """Compute the mean over the cycles that passed the corner; None with fewer than two.
-
-    ``contained`` is the noise that the value may contain, in standard deviations of a coordinate: the maximum of many
-    points is larger than it would be without noise.
-    """
-    values = np.array([formula(one.p_M, corner) for one in runs.tracks])
-    values = values[np.isfinite(values)]
-    n = len(values)
-    if n < FEWEST_CYCLES:
-        return None
-    sigma = float(np.sqrt(np.trace(runs.tracker + runs.frame) / 3.0))
-    sampling = coverage_of_mean(n) * float(values.std(ddof=1))
-    expanded = float(np.sqrt(sampling**2 + (2.0 * sigma) ** 2 + (contained * sigma) ** 2))
-    return IsoValue(value_mm=1e3 * float(values.mean()), expanded_mm=1e3 * expanded, n=n)

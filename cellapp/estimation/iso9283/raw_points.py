@@ -9,12 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from cellapp.estimation.iso9283.evaluate import Measurements
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measurements, Place
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
-from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
-from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 
 HEADER = (
@@ -25,8 +22,6 @@ HEADER = (
     "place",
     "approach",
     "speed_percent",
-    "load_kg",
-    "force_n",
     "group",
     "cycle",
     "time_s",
@@ -42,8 +37,7 @@ HEADER = (
     "quat_z",
 )
 """Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
-``speed_percent`` is the share of the profile's speed if a test was repeated at another speed, else empty; likewise
-``load_kg``. ``force_n`` is the force on the flange along ``approach`` in a static compliance test; group 2 is after it.
+``speed_percent`` is the share of the profile's speed if a test was repeated at another speed, else empty.
 Quaternions are those of a 6-D probe in the tracker frame; empty without a measured orientation."""
 _NO_DIRECTION = ("", "", "")
 _NOT_TURNED = ("", "", "", "")
@@ -55,10 +49,8 @@ def raw_rows(
     programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
     measured: Measurements,
     paths: Sequence[PathRuns],
-    settling: Sequence[SettlingRuns] = (),
-    weaving: Sequence[WeavingRuns] = (),
 ) -> Iterator[Row]:
-    """Yield all rows: commanded and measured positions at rest, then paths, motions to a pose, weaving."""
+    """Yield all rows: commanded and measured positions at rest, then paths."""
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
             where = _place_cells(place, name)
@@ -79,19 +71,10 @@ def raw_rows(
             yield ("measured", *_place_cells(one.place, name), *counted, *_numbers(p_M), *_NO_DIRECTION, *turned)
     for runs in paths:
         yield from _of_path(runs)
-    for motions in settling:
-        where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "", "", "")
-        yield ("commanded", *where, "", "", "", *_numbers(motions.commanded_M), *_NO_DIRECTION, *_NOT_TURNED)
-        yield from _of_tracks(where, motions.tracks)
-    for weaves in weaving:
-        where = ("path", weaves.commands, weaves.arm, "weaving", "", "", "", "")
-        for place_M in weaves.commanded_M:
-            yield ("commanded", *where, "", "", "", *_numbers(place_M), *_NO_DIRECTION, *_NOT_TURNED)
-        yield from _of_tracks(where, weaves.tracks)
 
 
 def _of_path(runs: PathRuns) -> Iterator[Row]:
-    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series), "", "")
+    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
     for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
         yield ("commanded", *where, "", "", "", *_numbers(place_M), *_numbers(tangent_M), *_NOT_TURNED)
     yield from _of_tracks(where, runs.tracks)
@@ -113,8 +96,7 @@ def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
 
 
 def _place_cells(place: Place, name: str) -> tuple[str, ...]:
-    more = ("" if value is None else f"{value:g}" for value in (place.load_kg, place.force_n))
-    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed), *more
+    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
 
 
 def _percent(share: float) -> str:

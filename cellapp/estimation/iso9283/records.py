@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.results import Record, Result
 
 Vector3 = tuple[float, float, float]
@@ -132,18 +132,10 @@ class PathVelocity(Record):
     n: int
 
 
-class CornerCharacteristics(Record):
-    """Cornering deviations at one corner: rounding CR and overshoot CO, None where too few cycles passed it."""
-
-    corner: str
-    rounding: IsoValue | None
-    overshoot: IsoValue | None
-
-
 class PathCharacteristics(Record):
     """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path.
 
-    ``velocity`` is None on a path with corners, and where it was not found. ``slowed`` says why the programme itself
+    ``velocity`` is None where it was not found. ``slowed`` says why the programme itself
     does not keep the commanded speed.
     """
 
@@ -154,98 +146,7 @@ class PathCharacteristics(Record):
     accuracy: IsoValue
     repeatability: IsoValue
     velocity: PathVelocity | None = None
-    corners: tuple[CornerCharacteristics, ...] = ()
     slowed: str = ""
-
-
-class SettlingCharacteristics(Record):
-    """How an arm comes to rest at a pose.
-
-    Attributes
-    ----------
-    pose, before : str
-        The pose, and the one from which the arm came, ``distance_mm`` away.
-    band_mm : float
-        Radius of the limit band about the position at rest.
-    stabilisation_s, posing_s : float
-        Means over the motions: from entering the band until the SMR stays in it, and from the beginning of the motion.
-    overshoot : IsoValue
-        Largest distance from the position at rest after the band was entered; zero where it was not left again.
-    step_s : float
-        Time between two points: no time is known better.
-    """
-
-    pose: str
-    before: str
-    distance_mm: float
-    band_mm: float
-    stabilisation_s: float
-    posing_s: float
-    overshoot: IsoValue
-    step_s: float
-
-
-class WeavingCharacteristics(Record):
-    """Weaving deviations along a straight line, of ``n`` cycles with ``waves`` whole waves each.
-
-    Attributes
-    ----------
-    stroke_mm, frequency_hz : float
-        Commanded: from one side to the other, and waves per second at the commanded speed.
-    stroke_percent, stroke_expanded_percent : float
-        WS: mean attained stroke against the commanded one, and its expanded uncertainty.
-    frequency_percent, frequency_expanded_percent : float
-        WF: likewise of the frequency.
-    slowed : str
-        As of ``PathCharacteristics``.
-    """
-
-    stroke_mm: float
-    frequency_hz: float
-    speed_mm_s: float
-    waves: int
-    stroke_percent: float
-    stroke_expanded_percent: float
-    frequency_percent: float
-    frequency_expanded_percent: float
-    n: int
-    slowed: str = ""
-
-
-class ForceStep(Record):
-    """Displacement of the SMR under a force, mean of the cycles, along the axes of the arm's base."""
-
-    force_n: float
-    displacement_mm: Vector3
-
-
-class ComplianceCharacteristics(Record):
-    """Static compliance at a pose in one direction, of ``n`` cycles.
-
-    Attributes
-    ----------
-    direction : str
-        Of the force, along an axis of the arm's base, as "+x".
-    compliance_um_n, expanded_um_n : float
-        Displacement along the force for each newton, and its expanded uncertainty; that of the force is not in it.
-    left_mm : float
-        Displacement along the force that stayed after it was taken away, mean.
-    """
-
-    pose: str
-    direction: str
-    compliance_um_n: float
-    expanded_um_n: float
-    left_mm: float
-    steps: tuple[ForceStep, ...]
-    n: int
-
-
-class LoadSeries(Record):
-    """The pose test repeated with another payload [kg]."""
-
-    payload_kg: float
-    pose: tuple[PoseCharacteristics, ...] = ()
 
 
 class SpeedSeries(Record):
@@ -264,11 +165,7 @@ class CommandedTests(Record):
     distance: tuple[DistanceCharacteristics, ...] = ()
     drift: DriftCharacteristics | None = None
     path: tuple[PathCharacteristics, ...] = ()
-    settling: SettlingCharacteristics | None = None
     series: tuple[SpeedSeries, ...] = ()
-    loads: tuple[LoadSeries, ...] = ()
-    weaving: WeavingCharacteristics | None = None
-    compliance: tuple[ComplianceCharacteristics, ...] = ()
 
 
 class IsoPose(Record):
@@ -317,26 +214,14 @@ class BaseAlignment(Record):
     smr_offset_mm: Vector3
 
 
-class Exchangeability(Record):
-    """Exchangeability E of two arms of one type with nominal commands, at the pose where it is largest.
-
-    ``with_run`` is the folder of the other arm's test.
-    """
-
-    with_run: str
-    pose: str
-    value: IsoValue
-
-
 class ArmIso9283(Record):
-    """Characteristics of one arm. ``refused`` maps tests that were not made to the reason."""
+    """Characteristics of one arm. ``refused`` maps tests that were not made to the reason; some had other tests."""
 
     payload_kg: float
     cube: IsoCube | None = None
     base: BaseAlignment | None = None
     tests: Mapping[IsoCommands, CommandedTests] = {}
-    refused: Mapping[IsoTest, str] = {}
-    exchange: Exchangeability | None = None
+    refused: Mapping[str, str] = {}
 
 
 class PairIso9283(Record):
@@ -368,45 +253,11 @@ class IsoLine(Record):
     words: str
 
 
-class IsoAbility(Record):
-    """A tolerance against what the instrument can tell, as found before measuring.
-
-    Attributes
-    ----------
-    shown_mm : float
-        What an arm without any error would show, characteristic and expanded uncertainty together.
-    distance_m : float
-        Largest distance from the tracker to a pose of the test.
-    cycles : int
-        That were asked for.
-    distance_that_does_m, cycles_that_do : float, int or None
-        With which an arm without error would conform; None where nothing helps, or nothing needs to.
-    """
-
-    characteristic: Characteristic
-    where: str
-    tolerance_mm: float
-    shown_mm: float
-    distance_m: float
-    cycles: int
-    distance_that_does_m: float | None = None
-    cycles_that_do: int | None = None
-
-
-class PersonStep(Record):
-    """What a person, or the simulated cell in its place, was asked to do, and when it was done on the cell's clock."""
-
-    words: str
-    time_s: float
-    simulated: bool
-
-
 class IsoConditions(Record):
     """Conditions of the tests.
 
-    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated, with
-    ``also_loads`` [kg] pose tests; ``cycles`` what was asked for, ``temperature_c`` lowest and highest of the measured
-    air.
+    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated;
+    ``cycles`` what was asked for, ``temperature_c`` lowest and highest of the measured air.
     """
 
     cycles: int
@@ -415,7 +266,6 @@ class IsoConditions(Record):
     averaging_s: float
     commands: tuple[IsoCommands, ...]
     also_speeds: tuple[float, ...] = ()
-    also_loads: tuple[float, ...] = ()
     began: str = ""
     seconds: float = 0.0
     temperature_c: tuple[float, float] | None = None
@@ -424,24 +274,22 @@ class IsoConditions(Record):
 class Iso9283Result(Result, schema="cellapp-iso9283"):
     """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
 
+    ``tests`` of earlier versions may have other names.
+
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
     ``coverage`` lists what the norm asks for, done or not; results of before it was kept have none.
-    ``abilities`` compare the tolerances with what the instrument can tell, as found before measuring.
-    ``by_person`` is what a person was asked to do.
     ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
-    tests: tuple[IsoTest, ...]
+    tests: tuple[str, ...]
     arms: Mapping[str, ArmIso9283]
     pairs: tuple[PairIso9283, ...] = ()
     conditions: IsoConditions | None = None
     judgements: tuple[Judgement, ...] = ()
     coverage: tuple[IsoLine, ...] = ()
-    abilities: tuple[IsoAbility, ...] = ()
     missing: tuple[str, ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()
-    by_person: tuple[PersonStep, ...] = ()
     points_file: str = ""
     points_sha256: str = ""
 

@@ -23,8 +23,6 @@ from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Posterior
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
@@ -46,19 +44,7 @@ class _PairArm:
 def calibrate_with_prior(
     profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
 ) -> Calibration:
-    """Calibrate the arms in ``earlier`` again with their prior, and the pair with them.
-
-    Raises
-    ------
-    InputError
-        If such an arm has readings in sockets.
-    """
-    for name in earlier:
-        if in_sockets(readings[name]):
-            raise InputError(
-                f"arm '{name}': an earlier calibration as prior needs measured points, and these readings are of a ball"
-                " in sockets; calibrate without --prior, or check the earlier one ('cellapp docs sockets')"
-            )
+    """Calibrate the arms in ``earlier`` again with their prior, and the pair with them."""
     models = {name: arm.model for name, arm in calibration.arms.items()}
     conditions = conditions_of_arms(models, readings)
     arms, notes = dict(calibration.arms), list(calibration.notes)

@@ -11,13 +11,11 @@ import numpy as np
 from cellapp.estimation.calibration.gross_errors import gross_errors_of_model
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import candidate_columns
-from cellapp.estimation.calibration.socket_identification import estimated_in_sockets
 from cellapp.estimation.prior.belief import Belief, sizes
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Posterior, Prior, posterior
 from cellapp.estimation.prior.update import update
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import in_sockets, placed
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EffectTerm
@@ -70,7 +68,7 @@ def calibration_posterior(
 ) -> tuple[Posterior, Measured]:
     """Return the posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
     model, conditions = models[name], conditions_of_arms(models, readings)[name]
-    its = placed(readings[name], model.predict(readings[name].q, conditions=conditions))
+    its = readings[name]
     good = ~gross_errors_of_model(model, its, conditions)
     some, conditions = its.take(good), conditions.take(good)
     model = replace(model, network=None, posterior=None)
@@ -78,7 +76,7 @@ def calibration_posterior(
     if measured.turned is None:
         model = model.of_positions()
     if before is None:
-        return posterior(model, measured, _first_prior(model, some, sizes(profile, model, measured))), measured
+        return posterior(model, measured, _first_prior(model, sizes(profile, model, measured))), measured
     carried = {_key(term) for term in before.terms}
     further = tuple(term for term in model.effects if _key(term) not in carried)
     return update(profile, name, some, conditions, before, since, further).found, measured
@@ -89,12 +87,7 @@ def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:
     return term.slug, term.law.name, term.names
 
 
-def _first_prior(model: ArmModel, readings: Readings, size: Array) -> Prior:
-    """Return the prior of an arm before its first calibration; parameters that sockets cannot determine stay fixed."""
-    columns = candidate_columns(model.geometry)
-    if in_sockets(readings):
-        seen, _ = estimated_in_sockets("auto", model.nominal, {})
-        kept = np.concatenate([np.isin(columns, seen.columns), np.full(len(size) - len(columns), True)])
-        columns, size = tuple(column for column in columns if column in seen.columns), size[kept]
+def _first_prior(model: ArmModel, size: Array) -> Prior:
+    """Return the prior of an arm before its first calibration."""
     precision = 1.0 / np.maximum(size, 1e-12) ** 2
-    return Prior(columns, model.nominal, np.zeros(len(size)), np.diag(precision))
+    return Prior(candidate_columns(model.geometry), model.nominal, np.zeros(len(size)), np.diag(precision))

@@ -18,7 +18,6 @@ from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import Contacts, in_sockets, measured_positions
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations
 from cellapp.robot.kinematics.chain import Geometry
@@ -74,17 +73,14 @@ class Measured:
         return replace(its, conditions=replace(its.conditions, R_M_S=None))
 
     def chunks(self) -> Iterator[Measured]:
-        """Yield the readings in chunks; those in sockets as a whole, as the points couple them."""
-        if in_sockets(self.readings):
-            yield self
-            return
+        """Yield the readings in chunks."""
         for first in range(0, len(self), _CHUNK):
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
     def left(self, model: ArmModel) -> Array:
         """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured [rad]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        return np.asarray(measured_positions(self.readings, computed) - computed)
+        return np.asarray(self.readings.p_M - computed)
 
 
 def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
@@ -113,20 +109,10 @@ def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...],
     total = len(deviation)
     found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
     for chunk in measured.chunks():
-        rows = _seen(chunk.readings, design(model, chunk, columns))
+        rows = design(model, chunk, columns)
         target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.left(model)).ravel() + deviation @ rows
         found += NormalMatrix.of(rows, target)
     return found
-
-
-def _seen(readings: Readings, rows: Array) -> Array:
-    """Remove from whitened derivatives (p, 3 n) what unknown points absorb: in sockets the mean of each point, whose
-    readings have equal weights."""
-    if not in_sockets(readings):
-        return rows
-    contacts = Contacts.of(readings)
-    by_reading = rows.reshape(-1, len(readings)).T
-    return np.asarray((by_reading - contacts.centres(by_reading)[contacts.index]).T.reshape(rows.shape))
 
 
 def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[int, ...], reference: Geometry) -> Array:

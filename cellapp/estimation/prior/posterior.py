@@ -19,8 +19,6 @@ from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.prior.linear_model import Measured, normal_matrix, values_of, with_values
-from cellapp.estimation.readings import Readings
-from cellapp.estimation.sockets import Contacts, in_sockets
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
@@ -117,9 +115,9 @@ def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, f
 
     The parameters are charged to both kinds in proportion to their numbers of readings.
     """
-    readings, turned, stated = measured.readings, measured.turned, measured.stated
+    turned, stated = measured.turned, measured.stated
     if turned is None:
-        return scatter_of(left_M, stated, 3 * (len(readings) - _unknown_points(readings)) - fitted), _FIRST_SCATTER_RAD
+        return scatter_of(left_M, stated, 3 * len(measured) - fitted), _FIRST_SCATTER_RAD
     assert stated is not None
     kinds = [
         scatter_of(
@@ -130,11 +128,6 @@ def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, f
         for rows in (~turned, turned)
     ]
     return kinds[0], kinds[1]
-
-
-def _unknown_points(readings: Readings) -> int:
-    """Count the points of a ball in sockets, which are fitted with the rest."""
-    return len(Contacts.of(readings).names) if in_sockets(readings) else 0
 
 
 def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:

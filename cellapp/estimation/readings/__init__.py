@@ -1,9 +1,7 @@
 """Readings of one arm as arrays, and the names and units of their columns."""
 
 from cellapp.estimation.readings.columns import SPLITS
-from cellapp.estimation.readings.flange_touches import FlangeTouches
 from cellapp.estimation.readings.readings import (
-    Distance,
     Reading,
     Readings,
     coordinate_uncertainty,
@@ -13,8 +11,6 @@ from cellapp.estimation.readings.readings import (
 
 __all__ = [
     "SPLITS",
-    "Distance",
-    "FlangeTouches",
     "Reading",
     "Readings",
     "coordinate_uncertainty",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -253,20 +254,23 @@ def _of_unit_length(quaternions: NDArray[Any]) -> Fault | None:
     return Fault(row, None, text)
 
 
-def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
-    """Check upper triangles (n, 6) by their correlations: 1e-12 m^2 is a usual variance, not a sign of singularity."""
+def _positive_definite(triangles: NDArray[Any], low: float, high: float, unit: str) -> Fault | None:
+    """Check upper triangles (n, 6) by their correlations: 1e-12 m^2 is a usual variance, not a sign of singularity.
+
+    ``low`` and ``high`` are the least and largest standard uncertainty, ``unit`` is that of their squares.
+    """
     missing = np.isnan(triangles)
     incomplete = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if len(incomplete):
         row = int(incomplete[0])
         place = int(np.argmax(missing[row]))
         return Fault(row, place, "the value is missing; give all six of the covariance or none")
-    least, largest = _LEAST_SIGMA_M**2, _LARGEST_SIGMA_M**2
+    least, largest = low**2, high**2
     variances = triangles[:, _VARIANCES]
     absurd = np.argwhere((variances > largest) | ((variances > 0.0) & (variances < least)))
     if len(absurd):
         row, place = absurd[0].tolist()
-        text = f"expected a variance of {least:g} to {largest:g} m^2, got {variances[row, place]:g}"
+        text = f"expected a variance of {least:g} to {largest:g} {unit}, got {variances[row, place]:g}"
         return Fault(row, _VARIANCES[place], text)
     given = np.flatnonzero(~missing.any(axis=1))
     if not len(given):
@@ -283,7 +287,7 @@ def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
     usable = positive & np.all(np.abs(correlation) < 2.0, axis=(1, 2))
     smallest = np.linalg.eigvalsh(np.where(usable[:, np.newaxis, np.newaxis], correlation, -np.eye(3)))[:, 0]
     wrong = given[smallest <= _SINGULAR]
-    return Fault(int(wrong[0]), None, "expected a positive definite covariance in m^2") if len(wrong) else None
+    return Fault(int(wrong[0]), None, f"expected a positive definite covariance in {unit}") if len(wrong) else None
 
 
 def _places(sequence: NDArray[Any]) -> Fault | None:
@@ -307,8 +311,10 @@ _DEGREES_C = _within(-273.15, 1e3, "degC")
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """Number of the stop; with the arm it is the key of a reading."""
 
-MEASURED_POINT = "p_M"
-"""Quantity that a reading of a ball in a socket lacks: it names the point instead."""
+OF_SOCKETS = "point"
+"""Column of readings of a ball in sockets, which earlier versions stored: kept for export, refused by an import."""
+OF_SEVERAL = "smr"
+"""Column that names the SMR that was measured; earlier versions stored several of a stop."""
 
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,
@@ -347,10 +353,19 @@ COLUMNS: tuple[Column, ...] = (
         ("sxx", "sxy", "sxz", "syy", "syz", "szz"),
         "symmetric",
         sql="covariance_m2",
-        check=_positive_definite,
+        check=partial(_positive_definite, low=_LEAST_SIGMA_M, high=_LARGEST_SIGMA_M, unit="m^2"),
     ),
     Column("quaternion_M", "", ("quat_w", "quat_x", "quat_y", "quat_z"), "quaternion", check=_of_unit_length, since=8),
     Column("sigma_rad", "rad", ("sigma_rad",), check=_positive_angle, since=8),
+    Column(
+        "turning_covariance_M",
+        "rad^2",
+        ("rot_xx", "rot_xy", "rot_xz", "rot_yy", "rot_yz", "rot_zz"),
+        "symmetric",
+        sql="turning_covariance_rad2",
+        check=partial(_positive_definite, low=_LEAST_SIGMA_RAD, high=_LARGEST_SIGMA_RAD, unit="rad^2"),
+        since=10,
+    ),
     Column("tau_nm", "Nm", ("tau",), "joints", check=_within(-1e5, 1e5, "Nm"), since=8),
     Column("current_a", "A", ("current",), "joints", check=_within(-1e4, 1e4, "A"), since=8),
     Column("smr", "", ("smr",), dtype=str, since=8),

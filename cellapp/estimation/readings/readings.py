@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
-from cellapp.estimation.readings.flange_touches import FlangeTouches
 
 FIRST_SAMPLE = 1_000_000_000
 """Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
@@ -49,14 +48,16 @@ class Reading:
         Orientation of the probe's frame S in M, unit quaternion, scalar first.
     sigma_rad : float or None
         Standard uncertainty of the orientation about each axis [rad].
+    turning_covariance_M : array, shape (3, 3), or None
+        Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
     tau_nm, current_a : array, shape (N,), or None
         Measured joint torques [Nm] and motor currents [A].
     smr : str or None
-        Name of the nest on the flange that was measured; None for the only one.
+        Name of the SMR on the flange that was measured; None for the only one.
     station : str or None
         Name of the tracker station, in whose frame the measurement is; None for the only one.
     point : str or None
-        Name of the fixed but unknown point that the ball's centre rests in; ``p_M`` is then NaN.
+        Name of the socket that a ball rested in; only earlier versions stored such readings.
     split : str or None
         identify, train or validate; None if not assigned.
     extras : dict
@@ -78,6 +79,7 @@ class Reading:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: float | None = None
+    turning_covariance_M: _Floats | None = None
     tau_nm: _Floats | None = None
     current_a: _Floats | None = None
     smr: str | None = None
@@ -106,16 +108,6 @@ class Reading:
             else:
                 values[column.name] = np.asarray(value, dtype=column.dtype)[np.newaxis]
         return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
-
-
-@dataclass(frozen=True)
-class Distance:
-    """A known distance between two points [m], with its standard uncertainty [m]."""
-
-    point_a: str
-    point_b: str
-    distance_m: float
-    sigma_m: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -156,21 +148,17 @@ class Readings:
         Orientation of the probe's frame S in M, unit quaternion, scalar first; NaN in rows where it was not measured.
     sigma_rad : array, shape (n,), or None
         Standard uncertainty of the orientation about each axis [rad].
+    turning_covariance_M : array, shape (n, 3, 3), or None
+        Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
     tau_nm, current_a : array, shape (n, N), or None
         Measured joint torques [Nm] and motor currents [A].
     smr : tuple of n (str or None), or None
-        Names of the nests on the flange that were measured; a stop has a row for each.
+        Names of the SMRs on the flange that were measured.
     station : tuple of n (str or None), or None
         Names of the tracker stations, in whose frames the measurements are.
     point : tuple of n str, or None
-        Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
-    distances : tuple of Distance
-        Known distances between such points.
-    on_flange : FlangeTouches or None
-        Touches of sockets on the other arm's flange, beside the n readings.
-    turning_covariance_M : array, shape (n, 3, 3), or None
-        Covariance of a rotation about the axes of M [rad^2], for an orientation from several nests; it takes precedence
-        over ``sigma_rad``. Not a column: it is computed from the rows of the nests.
+        Names of the sockets that a ball rested in, in place of ``p_M``, which is NaN; only earlier versions stored such
+        readings, and nothing is estimated from them.
     other_q : array, shape (n, K), or None
         Joint positions of the other arm if that has no reading of its own at the stop, as in samples of recordings
         [rad]; NaN if unknown. Not a column: it comes from recordings.
@@ -196,14 +184,12 @@ class Readings:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: _Floats | None = None
+    turning_covariance_M: _Floats | None = None
     tau_nm: _Floats | None = None
     current_a: _Floats | None = None
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
-    distances: tuple[Distance, ...] = ()
-    on_flange: FlangeTouches | None = None
-    turning_covariance_M: _Floats | None = None
     other_q: _Floats | None = None
     split: tuple[str | None, ...] | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -284,12 +270,9 @@ def joined(parts: Sequence[Readings]) -> Readings:
                 for part, words in zip(parts, own, strict=True)
                 for word in ((None,) * len(part) if words is None else words)
             )
-    turning = _stacked([part.turning_covariance_M for part in parts], [(len(part), 3, 3) for part in parts])
     beside = [part.other_q for part in parts]
     others = max((0 if q is None else q.shape[1] for q in beside), default=0)
-    return Readings(
-        **values, turning_covariance_M=turning, other_q=_stacked(beside, [(len(part), others) for part in parts])
-    )
+    return Readings(**values, other_q=_stacked(beside, [(len(part), others) for part in parts]))
 
 
 def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:

@@ -29,14 +29,12 @@ def turn_budget(
     smr, scatter = profile.arms[arm].smr, f"orientations scatter by {noise_mrad:.4f} mrad about the model"
     stated = None if smr.probe is None else smr.probe.sigma * 1e3
     beyond = math.sqrt(max(noise_mrad**2 - (stated or 0.0) ** 2, 0.0))
-    said = "not given: the profile states no probe (smr.probe), and fewer than three nests (smr.nests)"
+    said = "not given: the profile states no probe (smr.probe)"
     lines = [
         ("6-D probe", stated, "B", said if stated is None else "stated standard uncertainty about each axis"),
         ("repeatability of the arm", beyond, "A", f"{scatter}; what exceeds the probe's"),
         ("calibrated model", model_mrad, "A", f"posterior of the model in force {basis}"),
     ]
-    if smr.probe is None and smr.tells_orientation:
-        lines[:2] = [("several SMRs", noise_mrad, "A", f"{scatter}, with the repeatability of the arm")]
     return tuple(
         TurnContribution.model_validate(
             {"source": source, "standard_mrad": value, "evaluation": kind, "basis": words, "where": arm}

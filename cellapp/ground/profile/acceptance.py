@@ -73,6 +73,11 @@ class Tolerances(GrownSection):
     later_keys = frozenset({"mpe", "orientation"})
 
     @property
+    def covariance_factor(self) -> float:
+        """Factor for a tracker's covariance: drivers take half of the maximum permissible error as sigma."""
+        return (MPE_SHARE[self.mpe] / MPE_SHARE["half"]) ** 2
+
+    @property
     def any_given(self) -> bool:
         """Whether anything is judged."""
         rules = ("decision", "mpe")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import operator
-import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -18,14 +17,15 @@ import typer
 from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
-from cellapp.commands.record import PASSPHRASE_VARIABLE, Asked, Verb, View, Work
+from cellapp.commands.record import Asked, Verb, View, Work
 from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
+from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking, typed_line
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
-from cellapp.interfaces.page import draw_certificate, write_page, write_result_page
+from cellapp.interfaces.page import draw_certificate, write_page
 
 if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
@@ -33,9 +33,11 @@ if TYPE_CHECKING:
 
 
 class _FirstByDefault(TyperGroup):
-    """A group whose first command word may be omitted."""
+    """A group whose first command word may be omitted; it answers for removed words."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and (removed := removed_command(" ".join([*ctx.command_path.split()[1:], args[0]]))):
+            raise InputError(removed)
         if args and args[0] not in self.commands and args[0] != "--help":
             args = [next(iter(self.commands)), *args]
         return super().parse_args(ctx, args)
@@ -85,7 +87,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     own = [
         _parameter(name, field, words)
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
-        if name not in fixed and not words.secret
+        if name not in fixed
     ]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))
@@ -110,14 +112,11 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.outputs,
         verbs=VERBS,
         write_page=write_page,
-        result_page=partial(write_result_page, outputs=job.outputs),
         certificate_page=draw_certificate,
         screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
         choose=partial(_choose, job),
-        line=partial(typed_line, job),
-        secret=_secret,
     )
 
 
@@ -133,18 +132,6 @@ def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
         return ""
     said = typed_line(job, f"{question}\n{', '.join(answers)} [{answers[0]}]:") or answers[0]
     return said if said in answers else ""
-
-
-def _secret(question: str, twice: bool) -> str | None:
-    """Return a passphrase from the environment, or typed without echo; None if nobody sits at a terminal."""
-    given = os.environ.get(PASSPHRASE_VARIABLE)
-    if given is not None or not sys.stdin.isatty():
-        return given
-    default = "" if twice else None  # a new one may be empty
-    typed: str = typer.prompt(
-        question, default=default, show_default=False, hide_input=True, err=True, confirmation_prompt=twice
-    )
-    return typed
 
 
 def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:

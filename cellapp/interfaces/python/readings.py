@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, read_csv_table
-from cellapp.cell.run.nests import all_one_a_stop
 from cellapp.cell.run.stations import require_ties
 from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
 from cellapp.commands.view.parts import Parts
@@ -87,7 +86,7 @@ def checked_readings(profile: Profile, source: ReadingsLike, *, in_order: bool =
         source = source.arms
     readings, _, notes = readings_of_table(profile, _table(profile, source), in_order=in_order)
     require_ties(Path("readings"), readings)
-    return CellReadings(profile, all_one_a_stop(profile, readings), tuple(notes))
+    return CellReadings(profile, readings, tuple(notes))
 
 
 def _table(profile: Profile, source: object) -> CsvTable:

@@ -40,11 +40,9 @@ from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
-    offer_paths,
     offer_to_quit,
     offer_to_resume,
     offer_whole_day,
-    show_paths,
 )
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -290,9 +288,6 @@ class CellApp(JobKeys):
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Yield every action for the command palette: those of the application and of the screen below it."""
         yield from self._commands
-        yield SystemCommand(
-            "Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self.day_screen)
-        )
         for arm in self.workspace.unseen:
             seen = partial(offer_at_rest, self, arm)
             yield SystemCommand(f"Arm {arm} is at rest", "a person has seen it: it no longer counts as moving", seen)
@@ -394,7 +389,6 @@ class CellApp(JobKeys):
         if not isinstance(message.ending, BaseException | None):
             for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
                 screen.show_result(message.ending)
-            show_paths(self, message.ending)
         if isinstance(message.ending, Detached):
             return  # something else is open now
         folder = message.job.folder or self.workspace.folder

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
-from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
 from cellapp.commands.replay.request import VERB as REPLAY
-from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
@@ -25,16 +23,12 @@ from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
-    from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result, StageName
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 """Answers if the model is out of date; the first one has the focus."""
-RECORD = (Answer("record", "Record", "ctrl+s", "success"), Answer("no", "Close", "f10"))
-_MOST_SOCKETS = 6
-"""Rows of a table in a dialog that fits into the smallest terminal."""
 _READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
@@ -148,105 +142,6 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
     screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
-
-
-class _TouchView:
-    """Shows the touches so far and asks for the next one, until the dialog is closed."""
-
-    def __init__(self, screen: DayScreen, asked: Request) -> None:
-        self._screen, self._asked = screen, asked
-
-    def show_result(self, result: Result) -> None:
-        """Ask again, with the previous arm and socket."""
-        from cellapp.commands.touch.result import TouchResult
-
-        if not isinstance(result, TouchResult):
-            return
-        values = self._asked.model_dump(include={"folder", "arm", "point"})
-        view = TOUCH.view(result.model_copy(update={"points": result.points[-_MOST_SOCKETS:]}))
-        parts = (*view.parts, *filter(None, [view.refused]))
-        _ask_touch(self._screen, values, plain_text(parts, _READING_WIDTH))
-
-
-def offer_touch(screen: DayScreen) -> None:
-    """Record touches of sockets by a hand-led arm, in the open run or else in a new one."""
-    app, profile = screen.cell_app, screen.workspace.profile
-    if app.workspace.profile_path is None or profile is None:
-        app.say(app.state.no_profile, "warning")
-        return
-    arm = next(iter(profile.arms)) if len(profile.arms) == 1 else None
-    folder = _touch_folder(screen.workspace, profile)
-    text = (
-        f"Nothing is moved. Lead the arm with its own freedrive, put the ball into a socket, let go, Enter: {folder}."
-    )
-    _ask_touch(screen, {"folder": folder, "arm": arm}, text)
-
-
-def _touch_folder(workspace: Workspace, profile: Profile) -> Path:
-    """Return the open run if touches may be added to it, else a new one."""
-    from cellapp.cell.run.touches import touches_before  # late: only needed for touches
-    from cellapp.ground.errors import InputError
-
-    if workspace.folder is None:
-        return new_folder(profile)
-    try:
-        touches_before(workspace.folder, profile, next(iter(profile.arms)))
-    except InputError:  # it is a run with a tracker
-        return new_folder(workspace.file_profile or profile)
-    return workspace.folder
-
-
-def _ask_touch(screen: DayScreen, values: Mapping[str, object], text: str) -> None:
-    app = screen.cell_app
-
-    def begin(request: Request | None) -> None:
-        if request is not None and app.start_job(work.verb_job(TOUCH, request)):
-            app.asked_by = _TouchView(screen, request)
-
-    given = {"profile": app.workspace.profile_path, "folder": values["folder"]}
-    profile = app.workspace.profile
-    choices = {"arm": () if profile is None else tuple(profile.arms)}
-    proposed = {name: values[name] for name in ("arm", "point") if values.get(name)}
-    app.push_screen(VerbQuestion(TOUCH, text, RECORD, given, proposed=proposed, choices=choices), begin)
-
-
-def offer_paths(screen: DayScreen) -> None:
-    """Plan paths of lines and arcs for the open run; drive and measure them if the person asks for it."""
-    from cellapp.commands.compensate.target_list import stale_model
-
-    app, profile = screen.cell_app, screen.workspace.profile
-    calibrated = screen.calibrated_run()
-    if calibrated is None or profile is None:
-        return
-    folder, results, _ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            app.start_job(work.verb_job(FOLLOW, request))
-
-    of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
-    text = f"Without a mark nothing moves; with one {arms_words(app.workspace)}, and real arms ask again."
-    if stale := stale_model(results):
-        text += f"\nThe model is not up to date: {stale}."
-    dialog = VerbQuestion(
-        FOLLOW,
-        text,
-        BEGIN,
-        {"folder": folder, "out_of_date": bool(stale)},
-        proposed={"path": of_profile if of_profile.is_file() else None},
-        choices={"arm": tuple(profile.arms)},
-    )
-    app.push_screen(dialog, begin)
-
-
-def show_paths(app: Host, result: object) -> None:
-    """Show the tables of planned or followed paths; other results are shown by their screens."""
-    from cellapp.cell.targets.path_records import PathResult
-    from cellapp.commands.follow.view import path_sentences, path_tables
-    from cellapp.commands.view.table import markdown
-
-    if isinstance(result, PathResult):
-        app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
 
 
 def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:

@@ -36,7 +36,6 @@ _STEP_OF_VERB: Mapping[str, Step] = {
     "push": "targets",
     "verify": "targets",
     "path": "targets",
-    "follow": "targets",
     "iso9283": "accept",
     "check": "accept",
     "certificate": "accept",

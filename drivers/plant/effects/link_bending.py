@@ -66,7 +66,7 @@ def _shear_shift(posture: Posture, link: int, shear: float) -> Array:
     # half of the link's own weight lies beyond its middle
     mass = posture.masses_beyond[link] - 0.5 * mechanism.masses[link]
     back = pose[:, :3, :3].swapaxes(1, 2)
-    force = mass[:, None] * (back @ posture.gravity) + back @ posture.pull
+    force = mass[:, None] * (back @ posture.gravity)
     along = root / length
     shift: Array = (force - (force @ along)[:, None] * along) * (length / shear)
     return shift
@@ -105,8 +105,7 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
         places + beside
     )
     total = carried[:, None] + own - (weight[:, None] + own_mass)[..., None] * places
-    pulled = (back @ posture.pull_moment(pose[:, :3, 3])[..., None])[..., 0]  # about the tip
-    moment = np.cross(total, down) + pulled[:, None] - np.cross(places, (back @ posture.pull)[:, None])
+    moment = np.cross(total, down)
     axial = (moment @ along)[..., None] * along
     turns = ((moment - axial) / bending + axial / torsion) * (length / _SEGMENTS)
 

@@ -30,7 +30,7 @@ class PedestalCompliance(Effect):
         twist = np.zeros((len(posture.q), 6))
         for part in range(self._PARTS):
             below = np.array([0.0, 0.0, -self.height * (part + 0.5) / self._PARTS])
-            moment = np.cross(place - mass * below, posture.gravity) + posture.pull_moment(below)
+            moment = np.cross(place - mass * below, posture.gravity)
             turn = moment / (self.stiffness * self._PARTS)
             twist[:, :3] += np.cross(turn, -below)
             twist[:, 3:] += turn
@@ -85,7 +85,7 @@ class FramePedestal(Effect):
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
         place = posture.first_moments.sum(axis=0) - posture.masses_beyond[0][:, None] * self.pivot
-        turn = (np.cross(place, posture.gravity) + posture.pull_moment(self.pivot)) @ self.compliance
+        turn = np.cross(place, posture.gravity) @ self.compliance
         return Deflection(base=np.concatenate([np.cross(turn, -self.pivot), turn], axis=1))
 
 

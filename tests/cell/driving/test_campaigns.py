@@ -113,10 +113,10 @@ def test_a_doubled_reading_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatc
     measure = CollectSession._measure
 
     def repeating(self: CollectSession, stop: int, states: Mapping[str, ArmState]) -> Any:
-        rows, outcomes, further = measure(self, stop, states)
+        rows, outcomes = measure(self, stop, states)
         if stop == 5:
             rows["right"] = replace(rows["right"], p_M=rows["left"].p_M)
-        return rows, outcomes, further
+        return rows, outcomes
 
     monkeypatch.setattr(CollectSession, "_measure", repeating)
     assert {"reading doubled", "reading false"} <= failures(bench, 0)
@@ -133,8 +133,8 @@ def test_a_missing_reading_without_a_reason_is_found(bench: Bench, monkeypatch: 
     measure = CollectSession._measure
 
     def silent(self: CollectSession, stop: int, states: Mapping[str, ArmState]) -> Any:
-        rows, _, further = measure(self, stop, states)
-        return {name: row for name, row in rows.items() if stop != 5}, [], further
+        rows, _ = measure(self, stop, states)
+        return {name: row for name, row in rows.items() if stop != 5}, []
 
     monkeypatch.setattr(CollectSession, "_measure", silent)
     assert "not listed" in failures(bench, 0)

@@ -49,12 +49,11 @@ def changed(name: str, **texts: str) -> ProfileDraft:
 
 
 def formed(profile: Profile) -> tuple[object, ...]:
-    """What a form fills of a profile, without settings of drivers, probes and further nests that it does not have."""
-    one_smr: dict[str, object] = {"probe": None, "name": "", "nests": {}}
+    """What a form fills of a profile, without settings of drivers and probes that it does not have."""
     arms = [
         (name, arm.type, arm.driver.kind, arm.base, arm.payload, arm.limits, arm.home, arm.speed_scale, smr)
         for name, arm in profile.arms.items()
-        for smr in (arm.smr.model_copy(update=one_smr),)
+        for smr in (arm.smr.model_copy(update={"probe": None}),)
     ]
     plan = (profile.plan.stops, profile.plan.clearance, profile.plan.floor)
     return profile.name, arms, profile.tracker.driver.kind, profile.tracker.pose, plan

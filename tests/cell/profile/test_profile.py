@@ -52,7 +52,6 @@ def test_there_are_profiles() -> None:
         "ur10-real",
         "ur10-real-d",
         "ur5-real",
-        "panda-sockets",
     }
 
 

@@ -22,7 +22,7 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert [starter.name for starter in starters] == NAMES
     assert all(starter.sentence.endswith(".") for starter in starters)
     without_device = {starter.name for starter in starters if not starter.has_device}
-    assert without_device == {"panda-sockets", "ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
+    assert without_device == {"ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
 
 
 def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:

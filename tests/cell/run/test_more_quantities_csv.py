@@ -1,4 +1,4 @@
-"""Orientation, torques, currents, nests and stations of a reading: stored, exported bit for bit, refused by row."""
+"""Orientation, torques, currents, SMRs and stations of a reading: stored, exported bit for bit, refused by row."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_quaternion_of_four_digits_gets_the_length_one(tmp_path: Path) -> None
         (0, "4e-05", "0", "sigma_rad", "expected 1e-09 to 0.1 rad, got 0"),
         (2, "11,-4", "11,1e6", "tau2", "expected -100000 to 100000 Nm"),
         (0, "0.01,0,0.05", "10.5,0,50", "payload_cx_m", "expected -10 to 10 m, got 10.5"),
-        (1, ",B,", ",A,", "configuration", "give one row per stop, nest and station"),
+        (1, ",B,", ",A,", "configuration", "give one row per stop, SMR and station"),
     ],
 )
 def test_a_bad_value_is_named_by_row(tmp_path: Path, row: int, old: str, new: str, column: str, says: str) -> None:

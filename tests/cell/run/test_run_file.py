@@ -566,7 +566,7 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
 
 
 @pytest.mark.fast
-def test_a_file_of_the_seventh_schema_takes_several_nests_at_a_stop(profile: Profile, folder: Path) -> None:
+def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
         before = run.readings("left")
@@ -581,8 +581,9 @@ def test_a_file_of_the_seventh_schema_takes_several_nests_at_a_stop(profile: Pro
             run.add_stop(2, {"left": replace(reading(2), smr=nest)})
         with pytest.raises(InputError, match="a stop is measured once"):
             run.add_stop(2, {"left": replace(reading(3), smr="A")})
-        left = run.rows("left")
-    assert left.smr == (None, "B", "A")
+        assert run.rows("left").smr == (None, "B", "A")
+        with pytest.raises(InputError, match="arm 'left': readings of several SMRs at a stop were removed in"):
+            run.readings("left")
 
 
 @pytest.mark.fast

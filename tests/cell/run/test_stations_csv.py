@@ -14,7 +14,8 @@ from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.import_.run import import_new_run
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
-from tests.cell.run.test_nests_csv import Rows, change, with_nests, written
+from tests.cell.run.csv_rows import Rows, written
+from tests.cell.run.test_several_smrs import change, left_alone
 
 pytestmark = pytest.mark.fast
 T = transform(Rotation.from_euler("z", 1.2).as_matrix(), [2.0, -1.0, 0.2])
@@ -51,7 +52,7 @@ def nests() -> Rows:
 
 def test_two_stations_are_one_frame_and_the_import_says_how_well(tmp_path: Path) -> None:
     table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
-    result = import_new_run(with_nests(), table, tmp_path / "run", reference_nests=floor)
+    result = import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
     (note,) = (one for one in result.notes if one.startswith("station south is tied to north by 5 reference nests"))
     assert "a coordinate of arm left is known to 0.0" in note
     with RunFile.open(tmp_path / "run") as run:
@@ -65,7 +66,7 @@ def test_two_stations_are_one_frame_and_the_import_says_how_well(tmp_path: Path)
 def test_stations_without_nests_are_refused(tmp_path: Path) -> None:
     table = written(tmp_path / "in.csv", readings())
     with pytest.raises(InputError, match=r"readings of 2 stations \(north, south\) have frames of their own"):
-        import_new_run(with_nests(), table, tmp_path / "run")
+        import_new_run(left_alone(), table, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -97,7 +98,7 @@ def test_a_mistake_is_named(tmp_path: Path, spoil: Callable[[Rows], None], says:
     spoil(rows)
     table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", rows)
     with pytest.raises(InputError, match=says):
-        import_new_run(with_nests(), table, tmp_path / "run", reference_nests=floor)
+        import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
     assert not (tmp_path / "run").exists()
 
 
@@ -106,12 +107,12 @@ def test_a_stop_of_two_stations_is_named(tmp_path: Path) -> None:
     rows[6]["configuration"] = "2"
     table, floor = written(tmp_path / "in.csv", rows), written(tmp_path / "floor.csv", nests())
     with pytest.raises(InputError, match="give each station stops of its own"):
-        import_new_run(with_nests(), table, tmp_path / "run", reference_nests=floor)
+        import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
 
 
 def test_the_words_are_kept_for_calibration(tmp_path: Path) -> None:
     table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
-    import_new_run(with_nests(), table, tmp_path / "run", reference_nests=floor)
+    import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
     with RunFile.open(tmp_path / "run") as run:
         (sentence,) = stored_tie_sentences(run.read_result(STATIONS_RESULT))
     assert sentence.startswith("station south is tied to north")

@@ -32,7 +32,7 @@ def model(run: RunFile) -> CellModel:
 
 @pytest.fixture
 def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The cells that pushing and following open, each with a witness of its clearances."""
+    """The cells that pushing opens, each with a witness of its clearances."""
     opened: list[Any] = []
 
     @contextmanager

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
-from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic, CertifiedData
+from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of
 from cellapp.commands.report.result import RunResults
 from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY
@@ -30,7 +30,7 @@ def certified(found: RunResults, **tolerances: Any) -> CertificateResult:
             conditions={},
             controllers={},
             measured=("2026-04-01T08:00:00+00:00",),
-            data=CertifiedData(profile="", readings={}),
+            rests_on={},
         )
     )
 

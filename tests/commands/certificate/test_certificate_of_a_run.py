@@ -2,43 +2,40 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import shutil
 import sqlite3
+import subprocess
 from contextlib import closing
 from datetime import UTC, date, datetime
 from pathlib import Path
 
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from cellapp.cell.run import RunFile
-from cellapp.commands.basis import basis_of
+from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SIGNATURE_FILE, certificate_run
-from cellapp.commands.check_certificate.run import check_certificate
+from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SUMS_FILE, certificate_run
 from cellapp.commands.out_of_date import CERTIFICATE_FILE, complaints_of
 from cellapp.commands.report.result import read_results
-from cellapp.commands.sign_key.minisign import PublicKey
 from cellapp.commands.stages import append_stage, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
 from cellapp.ground.results import CERTIFICATE, VERIFY
 from cellapp.interfaces.page.certificate_page import certificate_page
+from cellapp.robot.model import CellModel
 from tests.twin import small_twin
 
 NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
-KEY, OTHER = (Ed25519PrivateKey.from_private_bytes(bytes([number]) * 32) for number in (1, 2))
-PUBLIC = PublicKey.of(KEY)
 
 
 @pytest.fixture(scope="module")
 def certified(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the finished run with a signed certificate. No test may write to it."""
+    """A copy of the finished run with a certificate. No test may write to it."""
     folder = Path(shutil.copytree(finished_run, tmp_path_factory.mktemp("certified") / "run"))
     with RunFile.open(folder, write=True) as run:
-        certificate_run(run, certificate_page, key=KEY, now=NOON)
+        certificate_run(run, certificate_page, now=NOON)
     return folder
 
 
@@ -53,10 +50,21 @@ def stored(folder: Path) -> CertificateResult:
     return CertificateResult.from_json(text, "certificate")
 
 
-def problems(folder: Path, *, against: Path | None = None) -> tuple[str, ...]:
-    """What the check finds with the signer's key and the run."""
-    with RunFile.open(against or folder) as run:
-        return check_certificate(folder / CERTIFICATE_FILE, PUBLIC, run).problems
+def changed_files(folder: Path) -> list[str]:
+    """Files of the sums that are missing or have another content, as ``sha256sum -c`` says."""
+    lines = [line.split("  ", 1) for line in (folder / SUMS_FILE).read_text("utf-8").splitlines()]
+    found = [name for digest, name in lines if not (folder / name).is_file() or _sum(folder / name) != digest]
+    if tool := shutil.which("sha256sum"):
+        done = subprocess.run(
+            [tool, "--strict", "-c", SUMS_FILE], cwd=folder, capture_output=True, text=True, timeout=20
+        )
+        assert (done.returncode == 0) == (not found), done.stdout + done.stderr
+        assert [line.split(": FAILED")[0] for line in done.stdout.splitlines() if "FAILED" in line] == found
+    return found
+
+
+def _sum(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def empty_run(folder: Path, profile: Profile) -> RunFile:
@@ -66,16 +74,8 @@ def empty_run(folder: Path, profile: Profile) -> RunFile:
 def test_a_certificate_states_what_the_run_holds(certified: Path) -> None:
     found = stored(certified)
     with RunFile.open(certified) as run:
-        results, stages, basis = read_results(run), read_stages(run), basis_of(run)
+        results = read_results(run)
     assert results.verify is not None
-    assert found.data is not None
-    assert found.data.profile == basis.profile
-    assert found.data.readings == {name: one.sha256 for name, one in basis.readings.items()}
-    assert found.data.stages == {
-        "discover": stages.current["discover"].digest,
-        "verify": stages.current["verify"].digest,
-        "iso9283": "",
-    }
     for name, verified in results.verify.arms.items():
         errors = found.arms[name].errors
         assert (errors.found, errors.left) == (verified.nominal_mm, verified.compensated_mm)
@@ -98,61 +98,48 @@ def test_what_is_not_given_is_named_and_a_simulation_is_marked(certified: Path) 
     assert "not given" in page
 
 
-def test_a_signed_certificate_of_an_unchanged_run_holds(certified: Path) -> None:
+def test_the_sums_are_of_the_certificate_and_of_all_that_it_rests_on(certified: Path, tmp_path: Path) -> None:
+    listed = [line.split("  ", 1)[1] for line in (certified / SUMS_FILE).read_text("utf-8").splitlines()]
+    data = [f"certified/{name}" for name in ("model.json", "profile.json", "readings.csv", "verify.json")]
+    assert listed == [CERTIFICATE_FILE, PAGE_FILE, *data]
+    assert changed_files(certified) == []
+    found = stored(certified)
+    assert found.rests_on == {name: _sum(certified / name) for name in data}
+    page = (certified / PAGE_FILE).read_text("utf-8")
+    assert all(name in page and digest in page for name, digest in found.rests_on.items())
     with RunFile.open(certified) as run:
-        found = check_certificate(certified / CERTIFICATE_FILE, PUBLIC, run)
         assert complaints_of(run) == []
-    assert (found.signature, found.problems, found.key_id) == ("valid", (), PUBLIC.id_text)
-    assert found.comment == f"timestamp:{int(NOON.timestamp())}\tfile:certificate.json\tnumber:{found.number}"
+        stages, profile = read_stages(run), run.profile_text
+        write_readings_csv(run, tmp_path / "readings.csv")
+    assert (certified / "certified/profile.json").read_text("utf-8") == profile
+    assert (certified / "certified/verify.json").read_text("utf-8") == stages.current[VERIFY].text
+    assert CellModel.load(certified / "certified/model.json").provenance["stage"] == "discover"
+    assert (certified / "certified/readings.csv").read_bytes() == (tmp_path / "readings.csv").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [('"max": 0.', '"max": 0.0'), ('"number"', '"nummer"'), ("}", "")], ids=["figure", "key", "end"]
-)
-def test_a_tampered_certificate_is_found_with_and_without_its_signature(changeable: Path, old: str, new: str) -> None:
+@pytest.mark.parametrize("name", [CERTIFICATE_FILE, PAGE_FILE, "certified/readings.csv", "certified/verify.json"])
+def test_a_changed_file_and_a_missing_one_are_found(changeable: Path, name: str) -> None:
+    path = changeable / name
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    assert changed_files(changeable) == [name]
+    path.unlink()
+    assert changed_files(changeable) == [name]
+
+
+def test_later_results_of_the_run_leave_the_sums_true(changeable: Path) -> None:
+    with RunFile.open(changeable, write=True) as run:
+        calibrate_run(run)
+        run.log("info", "later")
+    assert changed_files(changeable) == []
+
+
+def test_a_changed_certificate_is_not_that_of_the_run(changeable: Path) -> None:
     path = changeable / CERTIFICATE_FILE
-    text = path.read_text("utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new, 1), "utf-8")
-    found = check_certificate(path, PUBLIC)
-    assert found.signature == "wrong"
-    assert "was changed" in found.problems[0]
-    (changeable / SIGNATURE_FILE).unlink()
-    assert check_certificate(path, PUBLIC).signature == "missing"
-    assert len(problems(changeable)) == 2
+    path.write_text(path.read_text("utf-8").replace('"max": 0.', '"max": 0.0', 1), "utf-8")
     with RunFile.open(changeable) as run:
         assert complaints_of(run) == [f"{CERTIFICATE_FILE} is not a certificate that the run stores"]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "state"),
-    [
-        ("\tnumber:", "\tnumber:1", "wrong"),
-        ("\ntrusted comment: ", "\ncomment: ", "wrong"),
-        ("untrusted comment: signature", "untrusted comment: anything", "valid"),
-    ],
-    ids=["signed comment", "form", "free comment"],
-)
-def test_a_tampered_signature(changeable: Path, old: str, new: str, state: str) -> None:
-    path = changeable / SIGNATURE_FILE
-    text = path.read_text("utf-8")
-    assert old in text
-    path.write_text(text.replace(old, new), "utf-8")
-    assert check_certificate(changeable / CERTIFICATE_FILE, PUBLIC).signature == state
-
-
-def test_another_key_and_no_key_are_no_confirmation(certified: Path) -> None:
-    other = check_certificate(certified / CERTIFICATE_FILE, PublicKey.of(OTHER))
-    assert other.signature == "other key"
-    assert PUBLIC.id_text in other.problems[0]
-    unchecked = check_certificate(certified / CERTIFICATE_FILE)
-    assert unchecked.signature == "not checked"
-    assert unchecked.problems
-
-
-def test_a_signature_with_a_copied_key_id_is_wrong(certified: Path) -> None:
-    disguised = PublicKey(PUBLIC.key_id, PublicKey.of(OTHER).key)
-    assert check_certificate(certified / CERTIFICATE_FILE, disguised).signature == "wrong"
 
 
 def test_a_verification_since_is_found(changeable: Path) -> None:
@@ -163,7 +150,7 @@ def test_a_verification_since_is_found(changeable: Path) -> None:
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         assert read_stages(run).out_of_date[CERTIFICATE] == "targets were verified since"
         assert "'certificate' is out of date (targets were verified since)" in complaints_of(run)
-    assert problems(changeable) == ("targets were verified since",)
+    assert changed_files(changeable) == []
 
 
 def edit_stored(folder: Path, name: str, old: str, new: str) -> None:
@@ -177,40 +164,8 @@ def edit_stored(folder: Path, name: str, old: str, new: str) -> None:
 
 def test_a_changed_verification_is_called_changed(changeable: Path) -> None:
     edit_stored(changeable, VERIFY, '"stopped":""', '"stopped":"by hand"')
-    assert problems(changeable) == ("the stored verification was changed",)
-
-
-@pytest.mark.parametrize("kept", [True, False], ids=["signed", "without its signature"])
-def test_an_edited_page_is_found(changeable: Path, kept: bool) -> None:
-    page = changeable / PAGE_FILE
-    text = page.read_text("utf-8")
-    assert "simulated cell" in text.lower()
-    page.write_text(text.replace("Simulated cell", "Real cell"), "utf-8")
-    if not kept:
-        (changeable / SIGNATURE_FILE).unlink()
-    words = f"{PAGE_FILE} was changed: it is not the file that was certified"
-    found = check_certificate(changeable / CERTIFICATE_FILE, PUBLIC)
-    assert found.documents == {PAGE_FILE: "changed"}
-    assert words in found.problems
-    assert words in problems(changeable)
-    assert check_certificate(page, PUBLIC).problems == found.problems
-
-
-def test_a_page_is_checked_by_its_own_path_and_may_be_elsewhere(changeable: Path) -> None:
     with RunFile.open(changeable) as run:
-        found = check_certificate(changeable / PAGE_FILE, PUBLIC, run)
-    assert (found.problems, found.documents) == ((), {PAGE_FILE: "as certified"})
-    (changeable / PAGE_FILE).rename(changeable / "page.html")
-    moved = check_certificate(changeable / CERTIFICATE_FILE, PUBLIC)
-    assert (moved.problems, moved.documents) == ((), {PAGE_FILE: "not here"})
-    (strange,) = check_certificate(changeable / "page.html", PUBLIC).problems
-    assert strange.startswith("page.html is not covered")
-
-
-def test_a_print_that_nobody_certified_is_named(changeable: Path) -> None:
-    (changeable / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
-    (problem,) = problems(changeable)
-    assert problem.startswith(f"{PRINT_FILE} is not covered by the certificate")
+        assert read_stages(run).out_of_date[CERTIFICATE] == "the stored verification was changed"
 
 
 def test_the_print_is_certified_with_the_page(
@@ -223,11 +178,11 @@ def test_the_print_is_certified_with_the_page(
     browser.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     with RunFile.open(finished_copy, write=True) as run:
-        made = certificate_run(run, certificate_page, key=KEY, pdf=True)
-    assert set(made.documents) == {PAGE_FILE, PRINT_FILE}
-    assert PRINT_FILE in made.files
+        made = certificate_run(run, certificate_page, pdf=True)
+    assert made.files == (CERTIFICATE_FILE, PAGE_FILE, PRINT_FILE, SUMS_FILE)
+    assert changed_files(finished_copy) == []
     (finished_copy / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
-    assert check_certificate(finished_copy / PRINT_FILE, PUBLIC).documents[PRINT_FILE] == "changed"
+    assert changed_files(finished_copy) == [PRINT_FILE]
 
 
 def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Path) -> None:
@@ -271,24 +226,22 @@ def test_a_wrong_pressure_is_told(finished_copy: Path, tmp_path: Path, value: st
         certificate_run(run, certificate_page, data=data)
 
 
-def test_changed_readings_are_found(changeable: Path) -> None:
+def test_changed_readings_put_the_certificate_out_of_date(changeable: Path) -> None:
     with RunFile.open(changeable, write=True) as run:
         words = list(run.readings("left").split or ())
         run.assign_splits("left", words[::-1])
-    assert "the readings of arm left were changed or added since" in problems(changeable)
+        assert "the readings or their splits were changed since" in read_stages(run).out_of_date[CERTIFICATE]
 
 
-def test_another_run_is_named(certified: Path, tmp_path: Path) -> None:
-    empty_run(tmp_path / "other", small_twin(7)).close()
-    (problem,) = problems(certified, against=tmp_path / "other")
-    assert "is another run" in problem
-
-
-def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path) -> None:
-    before = (changeable / CERTIFICATE_FILE).read_bytes()
+@pytest.mark.parametrize("suffix", [".minisig", ".asc"])
+def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path, suffix: str) -> None:
+    (changeable / f"{SUMS_FILE}{suffix}").write_text("signature")
+    before = {path: path.read_bytes() for path in changeable.rglob("*") if path.is_file() and "sqlite" not in path.name}
     with RunFile.open(changeable, write=True) as run:
-        with pytest.raises(InputError, match="never replaced"):
+        count = len(run.stage_rows())
+        with pytest.raises(InputError, match=rf"is signed \({SUMS_FILE}{suffix} stands beside it\).*never replaced"):
             certificate_run(run, certificate_page)
+        assert len(run.stage_rows()) == count
         certificate_run(run, certificate_page, out=tmp_path / "elsewhere", number="QA 2026/17")
         assert complaints_of(run) == []
         verify = read_results(run).verify
@@ -297,22 +250,32 @@ def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
         certificate_run(run, certificate_page, out=tmp_path / "again")
         assert complaints_of(run) == [f"{CERTIFICATE_FILE} is an earlier certificate, of other data"]
-    assert (changeable / CERTIFICATE_FILE).read_bytes() == before
+    assert {path: path.read_bytes() for path in before} == before
     assert stored(tmp_path / "elsewhere").number == "QA 2026/17"
-    assert not (tmp_path / "elsewhere" / SIGNATURE_FILE).exists()
+    assert changed_files(tmp_path / "elsewhere") == []
 
 
-def test_no_number_is_given_twice(changeable: Path, tmp_path: Path) -> None:
-    signed = stored(changeable).number
+def test_an_unsigned_certificate_in_the_folder_of_the_run_is_renewed_and_one_elsewhere_is_not(
+    changeable: Path, tmp_path: Path
+) -> None:
+    with RunFile.open(changeable, write=True) as run:
+        certificate_run(run, certificate_page, number="2")
+        certificate_run(run, certificate_page, out=tmp_path / "out")
+        with pytest.raises(InputError, match="exists already"):
+            certificate_run(run, certificate_page, out=tmp_path / "out")
+    assert stored(changeable).number == "2"
+    assert changed_files(changeable) == changed_files(tmp_path / "out") == []
+
+
+def test_no_number_is_made_twice(changeable: Path, tmp_path: Path) -> None:
+    first = stored(changeable).number
     with RunFile.open(changeable, write=True) as run:
         numbers = [certificate_run(run, certificate_page, out=tmp_path / str(one), now=NOON).number for one in range(2)]
-        with pytest.raises(InputError, match="give another number"):
-            certificate_run(run, certificate_page, out=tmp_path / "again", number=signed)
-    assert numbers == [f"{signed}-2", f"{signed}-3"]
+    assert numbers == [f"{first}-2", f"{first}-3"]
 
 
 @pytest.mark.parametrize("number", ["", " 1", "a\nb", "<b>", "n" * 61, "a\tb"])
-def test_numbers_that_do_not_fit_a_comment_are_refused(finished_copy: Path, number: str) -> None:
+def test_numbers_that_do_not_fit_a_heading_are_refused(finished_copy: Path, number: str) -> None:
     with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match="--number"):
         certificate_run(run, certificate_page, number=number)
     assert not (finished_copy / CERTIFICATE_FILE).exists()
@@ -331,8 +294,7 @@ def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: P
         assert found.operator == run.profile.traceability.operator
         judged = {(one.characteristic, one.where): one.conformity for one in found.judgements}
         assert judged["position", "left"] == "does not conform"
-        assert found.data is not None
-        assert found.data.data_file is not None
+        assert found.rests_on["certified/completed.yaml"] == _sum(data)
         count = len(run.stage_rows())
         for text, words in (
             ("traceability:\n  tracker: {serial: 7}\n", "data.yaml:2: traceability.tracker.serial: expected a text"),
@@ -362,12 +324,3 @@ def test_a_run_that_is_open_for_reading_is_left_as_it_is(finished_copy: Path) ->
     with RunFile.open(finished_copy) as run, pytest.raises(InputError, match="reading only"):
         certificate_run(run, certificate_page)
     assert not (finished_copy / CERTIFICATE_FILE).exists()
-
-
-def test_files_that_are_no_certificates(tmp_path: Path) -> None:
-    path = tmp_path / CERTIFICATE_FILE
-    with pytest.raises(InputError, match="cannot be read"):
-        check_certificate(path)
-    for content in (b"", b"\xff", json.dumps({"schema": "cellapp-verify"}).encode()):
-        path.write_bytes(content)
-        assert "it is no certificate that this cellapp can read" in check_certificate(path).problems

@@ -41,7 +41,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Profile:
     file = tmp_path / "token"
     file.write_text(TOKEN + "\n")
     file.chmod(0o600)
-    monkeypatch.setenv("CELLAPP_KEY_PASSPHRASE", PASSWORD)
+    monkeypatch.setenv("KEY_PASSPHRASE", PASSWORD)
     driver = BridgeSettings(url="socket://127.0.0.1:50960", token_file=str(file))
     twin = small_twin()
     notify = Notify(command=("curl", "-u", "night:another-password", "{text}"))

@@ -105,6 +105,7 @@ def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
     assert isinstance(arm, PathFollower)
     assert arm.path_period_s == {"left": 0.008, "right": 0.002}[arm.name]
     path = smooth_path(arm.path_period_s, 1.6)
+    arm.start_recording()
     arm.start_path(path, arm.path_period_s)
     with pytest.raises(ArmError, match="still moving"):
         arm.start_path(path, arm.path_period_s)
@@ -113,7 +114,8 @@ def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
         arm.start_path(path, arm.path_period_s)
     state = arm.wait_settled(PATIENT_S)
     np.testing.assert_allclose(state.q, path[-1], atol=1e-3)
-    followed = arm.followed()
+    followed = arm.end_recording()
+    assert arm.reached() == np.inf
     assert (np.diff(followed.time_s) > 0.0).all()
     farthest = np.abs(followed.q - HOME).max(axis=0)
     np.testing.assert_allclose(farthest, np.abs(path - HOME).max(axis=0), rtol=0.1)
@@ -171,7 +173,7 @@ def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
     thread.start()
     state = arm.wait_settled(PATIENT_S)
     thread.join(PATIENT_S)
-    part = driven(path, arm.followed().reached)
+    part = driven(path, arm.reached())
     assert 10 < len(part) < len(path)
     np.testing.assert_allclose(state.q, part[-1], atol=1e-3)
     arm.end_path()  # harmless at rest

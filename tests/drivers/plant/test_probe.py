@@ -1,4 +1,4 @@
-"""A 6-D probe and further SMRs on a flange of the simulated cell."""
+"""A 6-D probe on a flange of the simulated cell."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from drivers.trackers.simulated import SimulatedTracker
 pytestmark = pytest.mark.fast
 
 TURN = Rotation.from_euler("xyz", [0.3, -0.2, 2.0]).as_matrix()
-NESTS = {"B": np.array([0.1, 0.0, 0.02]), "C": np.array([0.0, 0.12, 0.02])}
 Q = np.array([[0.3, -1.2, 1.0, -0.5, 0.4, 0.7], [1.0, -0.7, 0.5, 0.2, -1.0, 2.0]])
 
 
 @pytest.fixture
 def plant(make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]) -> Plant:
-    return make_plant(make_arm(nests=NESTS, probe=TURN, probe_sigma=5e-5))
+    return make_plant(make_arm(probe=TURN, probe_sigma=5e-5))
 
 
 def flange(dh_frames: Callable[..., Any], plant: Plant, q: np.ndarray) -> np.ndarray:
@@ -30,29 +29,21 @@ def flange(dh_frames: Callable[..., Any], plant: Plant, q: np.ndarray) -> np.nda
     return np.asarray(plant.true_T_M_B("left") @ frames[-1])
 
 
-def test_nests_and_probe_are_carried_by_the_flange(plant: Plant, dh_frames: Callable[..., Any]) -> None:
+def test_the_probe_is_carried_by_the_flange(plant: Plant, dh_frames: Callable[..., Any]) -> None:
     for row, T_M_F in enumerate(flange(dh_frames, plant, q) for q in Q):
         turned = plant.probe_rotations("left", Q)[row]
         np.testing.assert_allclose(turned, T_M_F[:3, :3] @ TURN, atol=1e-12)
-        for name, offset in NESTS.items():
-            there = plant.smr_positions("left", Q, nest=name)[row]
-            np.testing.assert_allclose(there, T_M_F[:3, :3] @ offset + T_M_F[:3, 3], atol=1e-12)
 
 
-def test_a_perfect_tracker_measures_the_orientation_and_each_nest(plant: Plant) -> None:
+def test_a_perfect_tracker_measures_the_orientation(plant: Plant) -> None:
     tracker = SimulatedTracker(plant)
     tracker.connect()
-    expected = {one.nest: one.p_M for one in plant.targets()}
-    assert list(expected) == ["", "B", "C"]
-    point = tracker.measure(expected[""], 1.0)
+    (target,) = plant.targets()
+    point = tracker.measure(target.p_M, 1.0)
     assert point.sigma_rad == 5e-5
     assert point.quaternion_M is not None
     true = plant.probe_rotations("left", plant.q("left")[None])[0]
     np.testing.assert_allclose(point.quaternion_M, quaternion(true), atol=1e-12)
-    for name in NESTS:
-        nest = tracker.measure(expected[name], 1.0)
-        np.testing.assert_allclose(nest.p_M, expected[name], atol=1e-12)
-        assert nest.quaternion_M is None
 
 
 def test_noise_of_the_orientation_is_the_stated_one(
@@ -68,15 +59,12 @@ def test_noise_of_the_orientation_is_the_stated_one(
     assert off.std(axis=0) == pytest.approx([5e-5] * 3, rel=0.12)
 
 
-def test_a_true_probe_is_turned_and_nests_are_moved(
-    make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]
-) -> None:
-    plant = make_plant(make_arm(nests=NESTS, probe=TURN), errors=GeometryErrors(smr=1e-3, probe=2e-3))
+def test_a_true_probe_is_turned(make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]) -> None:
+    plant = make_plant(make_arm(probe=TURN), errors=GeometryErrors(smr=1e-3, probe=2e-3))
     mechanism = plant.true_mechanism("left")
     assert mechanism.probe is not None
     turned = Rotation.from_matrix(mechanism.probe @ TURN.T).magnitude()
     assert 1e-4 < turned < 1e-2
-    assert all(1e-5 < np.abs(mechanism.nests[name] - NESTS[name]).max() < 1e-2 for name in NESTS)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 3.1, np.pi])

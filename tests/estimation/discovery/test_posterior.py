@@ -103,22 +103,20 @@ def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
     np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
 
 
-def found_by(reviews, points=None) -> Any:
-    data, fit = SimpleNamespace(points=points), SimpleNamespace(terms=[None])
-    return SimpleNamespace(fit=fit, data=data, reviews=reviews, threshold=THRESHOLD)
+def found_by(reviews) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(terms=[None]), data=None, reviews=reviews, threshold=THRESHOLD)
 
 
 def test_a_name_just_above_the_threshold_is_less_likely_than_not(monkeypatch):
-    """Effects so small are rarer than noise of that score; a ball in sockets is judged by what it predicts."""
+    """Effects so small are rarer than noise of that score."""
     monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
     monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: math.inf)
 
-    def accepted(score, points=None):
-        reviews = posterior.cautious_reviews(found_by([review("backlash", score, base_step=score - 6.0)], points))
+    def accepted(score):
+        reviews = posterior.cautious_reviews(found_by([review("backlash", score, base_step=score - 6.0)]))
         return posteriors(reviews, {}, THRESHOLD, COORDINATES).terms[0]
 
     assert accepted(THRESHOLD + 6.0) < 0.2
-    assert accepted(THRESHOLD + 6.0, points=np.zeros(3)) > 0.8
     assert accepted(THRESHOLD + 30.0) > 0.9
 
 

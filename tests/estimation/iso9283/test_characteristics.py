@@ -113,3 +113,18 @@ def test_formulas_are_the_same_for_many_draws_at_once(points: Array) -> None:
     np.testing.assert_allclose(
         iso.pose_accuracy(both, np.ones(3))[0], iso.pose_accuracy(points, np.ones(3)), atol=1e-12
     )
+
+
+def test_velocity_of_two_cycles_worked_by_hand() -> None:
+    """Places 10 mm apart; 0.04, 0.05 s in the first cycle (250, 200 mm/s), 0.05, 0.05 s in the second."""
+    times = np.array([[0.0, 0.04, 0.09], [1.0, 1.05, 1.10]])
+    found = iso.speeds(times, np.array([0.0, 0.01, 0.02]))
+    np.testing.assert_allclose(found, [[0.25, 0.2], [0.2, 0.2]])
+    assert iso.velocity_accuracy(found, 0.25) == pytest.approx((0.225 + 0.2) / 2.0 / 0.25 - 1.0)
+    assert iso.velocity_repeatability(found, 0.25) == pytest.approx(3.0 * 0.025 / math.sqrt(2.0) / 0.25)
+    assert iso.velocity_fluctuation(found) == pytest.approx(0.05)
+
+
+def test_a_repeatability_of_the_velocity_of_one_cycle_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 2 cycles, not 1"):
+        iso.velocity_repeatability(np.array([[0.2, 0.2]]), 0.2)

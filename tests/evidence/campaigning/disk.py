@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal
 
 from cellapp.cell.run import Outcome, RunFile
@@ -88,10 +87,9 @@ class CampaignRun(RunFile):
         configuration: int,
         rows: Mapping[str, Reading],
         outcomes: Sequence[Outcome] = (),
-        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
     ) -> None:
         """Store a stop, and record that it was reported as stored."""
-        super().add_stop(configuration, rows, outcomes, further)
+        super().add_stop(configuration, rows, outcomes)
         if self.disk is not None:
             self.disk.monitor.reported(configuration, {name: reading.p_M for name, reading in rows.items()})
 

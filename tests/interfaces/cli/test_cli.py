@@ -249,15 +249,16 @@ paths:
 """
 
 
-def test_paths_are_planned_measured_and_shown(work: Path, call: Any) -> None:
+def test_paths_are_compensated_written_and_shown(work: Path, call: Any) -> None:
     (work / "paths.yaml").write_text(PATHS)
-    assert call("show", "collected", "paths").err.endswith("no paths are stored; run 'cellapp follow' first\n")
-    planned = call("follow", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
+    assert call("show", "collected", "paths").err.endswith("no paths are stored; run 'cellapp compensate' first\n")
+    planned = call("compensate", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
     assert planned["schema"] == "cellapp-path"
     assert (work / "q.csv").is_file()
-    assert call("follow", "done", "paths.yaml", "--verify").code == 0
+    assert call("compensate", "done", "paths.yaml", "--out", "q.txt").code == 2
+    assert "'cellapp compensate DIR PATHS --out FILE'" in call("follow", "done", "paths.yaml").err
     shown = call("show", "done", "paths")
-    assert "Distance of measured points from the path" in shown.out
+    assert "off by the" in shown.out
     assert call("report", "done").code == 0
     assert "<h2>Paths</h2>" in (work / "done" / "report.html").read_text("utf-8")
 

@@ -35,7 +35,6 @@ READ = {
         "--run",
         "--from",
         "--keep",
-        "--with-run",
         "--check",
         "--prior",
         "--answers",
@@ -44,9 +43,6 @@ READ = {
         "--key",
         "--public-key",
         "--person",
-        "--distances",
-        "--on-flange",
-        "--touches",
         "--reference-nests",
         "--joints",  # of import; those of export are written, and say so
         "--points",
@@ -93,6 +89,8 @@ def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("k.pub").write_text("untrusted comment: minisign public key 1\nRWQ\n")
     Path("signed.json").write_text("{}\n")
     Path("signed.json.minisig").write_text("untrusted comment: signature\n")
+    Path("SHA256SUMS").write_text("0  certificate.json\n")
+    Path("SHA256SUMS.asc").write_text("-----BEGIN PGP SIGNATURE-----\n")
     Path("link.csv").symlink_to("R/run.sqlite")
     Path("hard.csv").hardlink_to("R/run.sqlite")
     return Path("R/run.sqlite")
@@ -100,7 +98,7 @@ def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 PROTECTED = (
     *("R/run.sqlite", "link.csv", "hard.csv", "cell.yaml", "draft.txt", "k.key", "k.pub"),
-    *("signed.json", "signed.json.minisig"),
+    *("signed.json", "signed.json.minisig", "SHA256SUMS"),
 )
 
 
@@ -161,7 +159,6 @@ def test_every_command_has_its_outputs() -> None:
         "--plan",
         "--out",
         "--geometry",
-        "--page",
         "--results",
         "--joints",
         "--points",
@@ -211,7 +208,6 @@ WRITERS = [
     (("schema", "cellapp-check"), "--json", b"{"),
     (("runs", "."), "--json", b"{"),
     (("docs", "backlash"), "--json", b"{"),
-    (("fleet", "R"), "--page", b"<!DOCTYPE"),
 ]
 
 
@@ -335,7 +331,6 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/ground/outputs.py",
         "cellapp/robot/model/model.py",
         "cellapp/cell/run/file.py",
-        "cellapp/commands/sign_key/run.py",
         "cellapp/commands/trials/sealed.py",
         "cellapp/cell/driving/requests/job_requests.py",
     }

@@ -59,7 +59,7 @@ FAILING = {
     "missing argument": (("calibrate",), 2, "Missing argument 'DIR'"),
     "no such run": (("calibrate", "nowhere"), 2, "nowhere: run folder not found"),
     "before the job": (("docs", "effects", "--out", "x"), 2, "--out belongs to"),
-    "a check of a certificate": (("check-certificate", "none.json"), 2, "none.json"),
+    "a removed command": (("check-certificate", "none.json"), 2, "was removed in"),
 }
 
 

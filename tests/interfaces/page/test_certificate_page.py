@@ -13,7 +13,6 @@ from cellapp.commands.certificate.result import (
     SIMULATED,
     CertificateResult,
     CertifiedArm,
-    CertifiedData,
     CertifiedErrors,
     CertifiedInstrument,
 )
@@ -69,9 +68,8 @@ def certificate(*arms: str) -> CertificateResult:
         missing=("location", arms[0]),
         warnings=("not verified: nothing was measured",),
         out_of_date=("verify: 20 readings were added since",),
-        data=CertifiedData(profile="0" * 64, readings=dict.fromkeys(arms, "1" * 64), stages={"discover": "2" * 64}),
         files=("certificate.json", "certificate.html"),
-        key_id="E7620F1842B4E81F",
+        rests_on={"certified/profile.json": "0" * 64, "certified/readings.csv": "1" * 64},
     )
 
 

@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import SecretStr
 from textual.pilot import Pilot
 from textual.widgets import Checkbox, Input, Static, TabbedContent
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.check import run as check_verb
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
@@ -31,7 +29,7 @@ from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.ground.results import CALIBRATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
-from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
@@ -57,7 +55,6 @@ VALID = CheckResult(
 )
 MOVED = VALID.model_copy(update={"verdict": "tracker moved", "p_value": 1e-9})
 TESTED = Iso9283Result(tests=("pose",), arms={}, missing=("arm left: cycle 3 of pose P2: beam broken",))
-PASSPHRASE = "correct horse battery"
 
 
 @dataclass
@@ -286,8 +283,6 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             "speed": ("above 0 % and up to 100 %", ("101", "0", "nan")),
             "drift-minutes": ("above 0 and up to 960, got 0", ("0",)),
             "also-speeds": ("expected shares", ("0", "50, 101")),
-            "also-loads": ("expected loads", ("-1",)),
-            "forces": ("at least one force", ("", ",")),
         }
         for name, (says, texts) in wrong.items():
             right = app.screen.query_one(f"#{name}", Input).value
@@ -296,7 +291,7 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
                 await pilot.press("b")
                 await shows(pilot, says)
             fill(app, **{name: right})
-        fill(app, cycles="4", speed="50", forces="20, 40", **{"also-speeds": "50, 10"})
+        fill(app, cycles="4", speed="50", **{"also-speeds": "50, 10"})
         app.screen.query_one("#arms-left", Checkbox).value = True
         await pilot.press("b")
         await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
@@ -307,7 +302,6 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             cycles=4,
             speed=50.0,
             also_speeds=(50.0, 10.0),
-            forces=(20.0, 40.0),
             arms=("left",),
             commands=("calibrated",),
         )
@@ -317,43 +311,16 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
         assert "Nothing was tested yet" not in shown_text(app)
 
 
-async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finished_copy: Path) -> None:
+async def test_a_certificate_is_written_and_shown_with_what_is_missing(finished_copy: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "+", VerbQuestion)
-        fill(app, path="mine.pem", passphrase=PASSPHRASE)
-        app.screen.query_one("#passphrase-again", Input).value = "another one"
+        await ask(pilot, app, "e", VerbQuestion)
+        fill(app, number="K-1")
         await pilot.press("enter")
-        await shows(pilot, "passphrase differ: type the same one twice")
-        app.screen.query_one("#passphrase-again", Input).value = PASSPHRASE
-        assert PASSPHRASE not in shown_text(app)
-        await pilot.press("enter")
-        await until(pilot, lambda: isinstance(app.screen, Reading), "the key")
-        assert "mine.pub" in shown_text(app)
-        await pilot.press("q")
-        for passphrase, says in (("wrong", "wrong passphrase"), (PASSPHRASE, "was written")):
-            await ask(pilot, app, "e", VerbQuestion)
-            await until(pilot, lambda: app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made")
-            fill(app, number="K-1", passphrase=passphrase)
-            await pilot.press("enter")
-            await ended(pilot, app)
-            await until(pilot, lambda says=says: says in app.message, "how it ended")  # type: ignore[misc]
+        await ended(pilot, app)
+        await until(pilot, lambda: "was written" in app.message, "how it ended")
         assert tab(app) == "certificate-pane"
         await until(pilot, lambda: "not given: " in shown_text(app), "what is missing")
-        for content, says in ((b"", "signature valid"), (b" ", "signature wrong")):
-            certificate = finished_copy / "certificate.json"
-            certificate.write_bytes(certificate.read_bytes() + content)
-            await ask(pilot, app, "i", VerbQuestion)
-            app.screen.query_one("#public-key", Input).value = "mine.pub"
-            await pilot.press("enter")
-            await ended(pilot, app)
-            await until(pilot, lambda says=says: says in shown_text(app), "the check")  # type: ignore[misc]
-        assert PASSPHRASE not in log_text(app)
-    assert PASSPHRASE not in "".join(path.read_text("utf-8", "replace") for path in finished_copy.iterdir())
-
-
-def test_a_passphrase_is_in_no_text() -> None:
-    assert PASSPHRASE not in repr(
-        CertificateRequest(folder=Path("run"), key=Path("key"), passphrase=SecretStr(PASSPHRASE))
-    )
+        assert "certificate K-1: certificate.json, certificate.html, SHA256SUMS" in shown_text(app)
+    assert (finished_copy / "SHA256SUMS").is_file()

@@ -20,7 +20,6 @@ from cellapp.commands.runs.result import RunsResult
 from cellapp.interfaces.tui import browser
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.comparison import Comparison
-from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
@@ -178,27 +177,6 @@ async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypa
         await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
         await pilot.press("space")
         await until(pilot, lambda: shown_text(app).count("●") == 1, "one mark is gone")
-
-
-async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        for name in ("first", "second", "third"):
-            await go_to(pilot, app, name)
-            await pilot.press("space")
-        await until(pilot, lambda: shown_text(app).count("●") == 3, "the marks")
-        assert "3 runs are marked" in app.message
-        await pilot.press("=")
-        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the marked runs")
-        await until(pilot, lambda: "not compared" in shown_text(app), "a word about runs without a calibration")
-        await pilot.press("t")
-        await until(pilot, lambda: "too few runs at different times" in shown_text(app), "the trends")
-        await pilot.press("o", "enter")
-        await until(pilot, (LOGS / "fleet.html").is_file, "the page")
-        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history again")
-        await pilot.press("escape", "slash", *"second", "enter", "F")
-        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the listed run")
 
 
 async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

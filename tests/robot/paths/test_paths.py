@@ -26,10 +26,7 @@ from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
-from cellapp.robot.paths.lag import lag, rehearsed
 from cellapp.robot.paths.pieces import Arc
-from cellapp.robot.paths.timing import Rates
-from drivers.plant.servo import ServoMotion
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008
@@ -252,34 +249,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
-def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellModel) -> None:
-    sent = planned(profile, model, load_paths(TWIN, profile, "left")[0]).trajectory
-    assert sent is not None
-    motion, q = None, []
-    for row in sent.q:  # as a controller follows, one position in each cycle
-        now = 0.0 if motion is None else motion.start_s + PERIOD_S
-        here = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)
-        q.append(here[0])
-        motion = ServoMotion.towards(row, now, here[0], here[1], 66.7)
-    followed = np.array(q)
-    plain = lag(model.arms["left"], sent, sent.time_s, followed)
-    assert plain is not None
-    assert plain.delay_s == pytest.approx(2.0 / 66.7, abs=0.5 * PERIOD_S)
-    assert plain.cut_m > 2e-5
-    limits = Rates(np.full(6, 2.0), np.full(6, 4.0), 1.0)
-    corrected = rehearsed(sent, sent.time_s, followed, limits)
-    assert corrected is not None
-    np.testing.assert_array_equal(corrected.q[[0, -1]], sent.q[[0, -1]])
-    assert np.abs(corrected.q - sent.q).max() < 1e-3
-    assert rehearsed(sent, sent.time_s, followed, replace(limits, speed=np.full(6, 1e-3))) is None
-    assert rehearsed(sent, sent.time_s[:3], followed[:3], limits) is None
-
-
-def at_time(motion: ServoMotion, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    now = np.array([time_s])
-    return motion.position(now)[0], motion.velocity(now)[0]
-
-
 @pytest.mark.fast
 def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
@@ -355,10 +324,3 @@ def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile
     with pytest.raises(InputError, match=words) as caught:
         load_paths(path, profile)
     assert str(caught.value).startswith(f"{path}:")
-
-
-@pytest.mark.fast
-def test_one_arm_of_a_file(profile: Profile) -> None:
-    assert [one.name for one in load_paths(TWIN, profile, "right")] == ["right-arc"]
-    with pytest.raises(InputError, match="no arm 'up'"):
-        load_paths(TWIN, profile, "up")

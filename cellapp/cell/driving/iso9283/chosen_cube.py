@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from cellapp.cell.driving.iso9283.reach import CubeSearch, FoundCube, Region
+from cellapp.cell.driving.iso9283.reach import CubeSearch, FoundCube
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.estimation.iso9283.cube import CYCLE, DIRECTIONAL_POSES, DIRECTIONS, PLANES, plane_name, pose_positions
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
-from cellapp.robot.kinematics.transforms import Array, rotation_zyx, rpy_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 
 LEAST_EDGE_M = 0.05
 """Smallest useful edge [m]: a smaller cube does not represent an arm's working space."""
@@ -85,21 +85,6 @@ def choose_cube(search: CubeSearch) -> ChosenCube | str:
                 return chosen
             reason = chosen
     return f"no cube of {LEAST_EDGE_M * 1e3:.0f} mm or more fits: {reason}"
-
-
-def same_cube(search: CubeSearch, cube: IsoCube) -> ChosenCube | str:
-    """Return the cube of an earlier test with its plane and poses, or why this arm cannot be tested in it."""
-    plane = next((one for one in PLANES if plane_name(one) == cube.plane), None)
-    start = next((np.array(pose.q) for pose in cube.poses if pose.name == "P1"), None)
-    if plane is None or start is None or len(start) != search.nominal.geometry.joints:
-        return "the other test's cube is of another arm"
-    rotation_M = np.full((3, 3), np.nan)
-    if cube.rpy is not None:
-        roll, pitch, yaw = cube.rpy
-        rotation_M = search.nominal.geometry.T_M_B()[:3, :3] @ rotation_zyx(yaw, pitch, roll)
-    centre, edge = np.array(cube.centre_B), cube.edge_mm * 1e-3
-    region = Region(search.nominal, rotation_M, centre, edge, {}, {})
-    return _in_plane(search, FoundCube(region, edge, centre, start, "the cube of the other test"), plane)
 
 
 def approach_name(pose: str, direction: str) -> str:

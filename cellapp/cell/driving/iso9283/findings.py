@@ -10,30 +10,24 @@ import numpy as np
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.estimation.iso9283.evaluate import (
+    ArmProgramme,
     Measurements,
+    Place,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
     drift_characteristics,
     pose_characteristics,
 )
-from cellapp.estimation.iso9283.evaluate_compliance import compliance_characteristics
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
-from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns, settling_characteristics
-from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns, weaving_characteristics
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     BaseAlignment,
     CommandedTests,
-    IsoAbility,
-    LoadSeries,
     PairIso9283,
     PathCharacteristics,
-    PersonStep,
     SpeedSeries,
-    WeavingCharacteristics,
 )
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
@@ -54,16 +48,11 @@ class IsoFindings:
     cubes: dict[str, ChosenCube] = field(default_factory=dict)
     programmes: dict[tuple[str, IsoCommands], ArmProgramme] = field(default_factory=dict)
     pairs: dict[tuple[str, str], list[tuple[str, str]]] = field(default_factory=dict)
-    refused: dict[str, dict[IsoTest, str]] = field(default_factory=dict)
+    refused: dict[str, dict[str, str]] = field(default_factory=dict)
     wanted: dict[Place, int] = field(default_factory=dict)
     missed: dict[Place, str] = field(default_factory=dict)
     paths: list[PathRuns] = field(default_factory=list)
-    abilities: list[IsoAbility] = field(default_factory=list)
     also_speeds: tuple[float, ...] = ()
-    also_loads: tuple[float, ...] = ()
-    settling: list[SettlingRuns] = field(default_factory=list)
-    weaving: list[WeavingRuns] = field(default_factory=list)
-    by_person: list[PersonStep] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -111,12 +100,6 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
     for where, runs in _runs_of_paths(found):
         if (n := len(runs.tracks)) < runs.wanted:
             words.append(f"{where}: {n} of {counted(runs.wanted, 'cycle')}: {'; '.join(runs.problems) or _ENDED}")
-    for motions in found.settling:
-        if (n := len(motions.tracks)) < motions.wanted:
-            where = f"stabilisation of {motions.arm}, {motions.commands} commands"
-            words.append(
-                f"{where}: {n} of {counted(motions.wanted, 'motion')}: {'; '.join(motions.problems) or _ENDED}"
-            )
     for name, refused in found.refused.items():
         if set(tests) - {"cooperative"} <= set(refused):
             words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
@@ -137,13 +120,11 @@ def lost_beam_words(found: IsoFindings) -> tuple[str, ...]:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns | WeavingRuns]]:
+def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns]]:
     """Yield every path that was to be driven, with its name."""
     for runs in found.paths:
         at = f", {runs.series:.0%} of the speed" if runs.series else ""
         yield f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}", runs
-    for weaves in found.weaving:
-        yield f"weaving of {weaves.arm}, {weaves.commands} commands", weaves
 
 
 def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:
@@ -156,28 +137,13 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
         )
         for share in found.also_speeds
     ]
-    loads = [
-        LoadSeries(payload_kg=load, pose=pose_characteristics(arm, measured, base_M, rng, load_kg=load))
-        for load in found.also_loads
-    ]
     return CommandedTests(
         pose=pose_characteristics(arm, measured, base_M, rng),
         multidirectional=directional_characteristics(arm, measured, base_M, rng),
         distance=distance_characteristics(arm, measured, rng),
         drift=drift_characteristics(arm, measured, base_M, rng),
         path=_paths(found, name, kind, rng),
-        settling=next(
-            (
-                one
-                for runs in found.settling
-                if (runs.arm, runs.commands) == (name, kind) and (one := settling_characteristics(runs)) is not None
-            ),
-            None,
-        ),
         series=tuple(one for one in series if one.pose or one.path),
-        loads=tuple(one for one in loads if one.pose),
-        weaving=_weaving(found, name, kind),
-        compliance=compliance_characteristics(arm, measured, base_M),
     )
 
 
@@ -186,11 +152,6 @@ def _paths(
 ) -> tuple[PathCharacteristics, ...]:
     own = [runs for runs in found.paths if (runs.arm, runs.commands, runs.series) == (name, kind, series)]
     return tuple(one for runs in own if (one := path_characteristics(runs, rng)) is not None)
-
-
-def _weaving(found: IsoFindings, name: str, kind: IsoCommands) -> WeavingCharacteristics | None:
-    own = [runs for runs in found.weaving if (runs.arm, runs.commands) == (name, kind)]
-    return weaving_characteristics(own[0]) if own else None
 
 
 def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:

@@ -1,4 +1,4 @@
-"""Drive the test paths of ISO 9283 while the tracker follows the moving SMR."""
+"""The test paths of ISO 9283 (6.8), the diagonal P2 to P4 and circles, driven while the tracker follows the SMR."""
 
 from __future__ import annotations
 
@@ -7,36 +7,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.driving.following import run_up
+from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.cell.driving.iso9283.findings import IsoFindings
-from cellapp.cell.driving.iso9283.instrument import mpe_factor
-from cellapp.cell.driving.iso9283.paths import (
-    corners_of,
-    path_specs,
-    places_along,
-    weaving_axes,
-    weaving_spec,
-    weaving_turns,
-)
 from cellapp.cell.driving.motion import MotionRefused
 from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
-from cellapp.cell.targets.goals import goals_of_arm
-from cellapp.cell.targets.path_file import PathSpec
-from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.cell.targets.path_file import PathPose, PathSpec
+from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
+from cellapp.estimation.iso9283.cube import LARGE_CIRCLE, SMALL_CIRCLE, circle_positions
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
-from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TrackerError, stream_of
 
-_CLOSE = 2000
-"""Number of points of the commanded zigzag."""
+PATH_SPEED = 0.25
+"""Speed of the SMR along the paths at 100 % [m/s]. It stands for the standard's rated path velocity, which profiles do
+not state: collaborative arms may move so fast beside people, and most joints can follow."""
+_TOLERANCE_M = 1e-3
+"""Allowed distance of the model's joint path from the commanded path [m]; the plan itself stays below some 10 um."""
+_PLACES = 50
+"""Number of positions along each path where it is evaluated; the standard requires at least ten."""
+_ENDS = 0.02
+"""Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +67,6 @@ class PathTests:
                 reason = self._drive(spec, plan, kind)
                 if reason:
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
-        if not self.series:
-            self._weave(name, commands, arm.path_period_s)
 
     @property
     def _interval_s(self) -> float:
@@ -86,48 +81,6 @@ class PathTests:
             return f"the driver of arm {name} cannot follow a stream of joint positions"
         return ""
 
-    def _weave(self, name: str, commands: tuple[IsoCommands, ...], period_s: float) -> None:
-        """Drive a line with weaving over all cycles with each kind of commands; record why not."""
-        cube = self.findings.cubes[name]
-        spec = weaving_spec(name, cube, self.speed_share)
-        plan = plan_path(self.profile, self.model, spec, period_s)
-        for kind in commands:
-            chosen = _chosen(plan, kind)
-            if isinstance(chosen, str):
-                self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
-                continue
-            trajectory, path = chosen
-            arm = self.model.arms[name]
-            base_M = (arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3]
-            along, across = weaving_axes(cube)
-            runs = WeavingRuns(
-                arm=name,
-                commands=kind,
-                speed=spec.speed,
-                commanded_M=path.positions(np.linspace(0.0, path.length, _CLOSE)),
-                along_M=base_M @ along,
-                across_M=base_M @ across,
-                turns=weaving_turns(cube),
-                tracker=self._tracker_at(path),
-                wanted=self.cycles,
-                slowed=trajectory.slowed,
-            )
-            self.findings.weaving.append(runs)
-            self._repeat(runs, name, trajectory, path)
-
-    def _tracker_at(self, path: CartesianPath) -> Array:
-        """Return the covariance (3, 3) [m^2] of a point at the beginning of a path."""
-        start_M = path.positions(np.zeros(1))
-        return np.asarray(mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, start_M)[0])
-
-    def _repeat(self, runs: PathRuns | WeavingRuns, name: str, trajectory: Trajectory, path: CartesianPath) -> None:
-        """Drive a path once per cycle; record why fewer were driven."""
-        try:
-            for _ in range(self.cycles):
-                runs.tracks.append(self._run(name, trajectory, path))
-        except (MotionRefused, TrackerError) as error:
-            runs.problems.append(str(error))
-
     def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
         """Drive one path over all cycles; return why not, empty if it was driven."""
         chosen = _chosen(plan, kind)
@@ -135,6 +88,7 @@ class PathTests:
             return chosen
         trajectory, path = chosen
         s, commanded, tangents = places_along(path)
+        tracker = tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0]
         programme = self.findings.programmes.get((spec.arm, kind))
         runs = PathRuns(
             arm=spec.arm,
@@ -146,27 +100,37 @@ class PathTests:
             tangents_M=tangents,
             s=s,
             tracks=[],
-            tracker=self._tracker_at(path),
+            tracker=self.profile.tolerances.covariance_factor * tracker,
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
             wanted=self.cycles,
-            corners=corners_of(spec, _poses_M(self.model, spec, kind)),
             slowed=trajectory.slowed,
             series=self.series,
         )
         self.findings.paths.append(runs)
-        self._repeat(runs, spec.arm, trajectory, path)
+        try:
+            for _ in range(self.cycles):
+                runs.tracks.append(self._run(spec.arm, trajectory, path))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
         return ""
 
     def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
         def begin() -> None:
             self.hold()
-            for q in (run_up(trajectory.q), trajectory.q[0]):
+            for q in (_run_up(trajectory.q), trajectory.q[0]):
                 self.paths.mover.go_home_unless_clear(name, q)
                 self.paths.mover.move({name: q})
 
         found = self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
-        assert found.track is not None
         return PathTrack(found.track.time_s, found.track.p_M, found.lost_beams)
+
+
+def _run_up(q: Array) -> Array:
+    """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
+    moved = np.abs(q - q[0]) > 1e-5
+    first = np.argmax(moved, axis=0)
+    ahead = q[first, np.arange(q.shape[1])] - q[0]
+    return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
 
 
 def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:
@@ -183,9 +147,34 @@ def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPat
     return trajectory, path
 
 
-def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:
-    """Return the poses of a path in M (k, 3) [m], relative to the base that the commands assume, without arc points."""
-    targets = spec.targets()
-    goals = goals_of_arm(model, targets, spec.arm)
-    rows = [k for k, target in enumerate(targets) if target.name.startswith("pose")]
-    return np.asarray((goals.nominal_position_M if kind == "nominal" else goals.position_M)[rows])
+def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec] | str:
+    """Return the test paths of an arm in its base, or why it cannot drive them."""
+    if not np.isfinite(cube.rotation_B).all():
+        return "paths need an arm that can hold its rotation, with six joints or more"
+    rpy = rpy_of(cube.rotation_B)
+    at = cube.position_B
+    shapes = {
+        "line P2 to P4": (PathPose(position=xyz_of(at["P2"]), rpy=rpy), PathPose(position=xyz_of(at["P4"]))),
+        "large circle": _round(circle_positions(at, cube.edge, LARGE_CIRCLE), rpy),
+        "small circle": _round(circle_positions(at, cube.edge, SMALL_CIRCLE), rpy),
+    }
+    return [
+        PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
+        for words, poses in shapes.items()
+    ]
+
+
+def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
+    """Return arc lengths (m,) [m], positions (m, 3) [m] and unit tangents (m, 3) where a path is evaluated."""
+    s = path.length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES)
+    half = 1e-4 * path.length
+    chord = path.positions(s + half) - path.positions(s - half)
+    return s, path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
+
+
+def _round(points: Array, rpy: tuple[float, float, float]) -> tuple[PathPose, ...]:
+    return (
+        PathPose(position=xyz_of(points[0]), rpy=rpy),
+        PathPose(position=xyz_of(points[2]), via=xyz_of(points[1])),
+        PathPose(position=xyz_of(points[4]), via=xyz_of(points[3])),
+    )

@@ -1,4 +1,4 @@
-"""Programme of the tests: which positions the arms visit in which order, and to which test each visit belongs."""
+"""Programme of the tests: the commands of an arm, and which positions the arms visit in which order."""
 
 from __future__ import annotations
 
@@ -8,18 +8,64 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from cellapp.cell.driving.iso9283.chosen_cube import approach_sequence
+from cellapp.cell.driving.iso9283.alignment import Alignment
+from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
+from cellapp.cell.targets.choice import LARGEST_CORRECTION
+from cellapp.cell.targets.invert import invert, with_approach
+from cellapp.cell.targets.working_conditions import beside
 from cellapp.estimation.iso9283.cube import CYCLE, POSES
-from cellapp.estimation.iso9283.norm import NORM_CYCLES, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place
+from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector
+from cellapp.robot.model import CellModel
 
 
-def wanted_cycles(test: IsoTest, cycles: int) -> int:
-    """Return the number of cycles of a test if ``cycles`` were requested: some take no more than the standard's."""
-    short = ("drift", "path", "stabilisation", "compliance")
-    return min(cycles, NORM_CYCLES[test]) if test in short else cycles
+def arm_programme(
+    model: CellModel,
+    name: str,
+    cube: ChosenCube,
+    commands: IsoCommands,
+    homes: Mapping[str, Array],
+    *,
+    rested_s: float,
+    payload_kg: float,
+    alignment: Alignment | None = None,
+) -> ArmProgramme | str:
+    """Return the commands of one arm for all positions of the tests, or why the model cannot command them.
+
+    Calibrated commands assume that the arm has rested for ``rested_s`` [s] and came from the position before, with the
+    other arm of a pair at home.
+    """
+    arm, names = model.arms[name], list(cube.q)
+    position_B, q = np.array([cube.position_B[one] for one in names]), np.array([cube.q[one] for one in names])
+    if commands == "nominal":
+        wanted_M = apply(arm.nominal.T_M_B(), position_B)
+        at = dict(zip(names, q, strict=True))
+        sent = {(position, before): at[position] for position, before in legs()}
+    else:
+        T_M_B = arm.geometry.T_M_B()
+        wanted_M = apply(T_M_B, position_B)
+        rotation_M = np.broadcast_to(T_M_B[:3, :3] @ cube.rotation_B, (len(names), 3, 3))
+        conditions = _conditions(model, name, homes, len(names), rested_s, payload_kg)
+        found = invert(arm, wanted_M, rotation_M, q, conditions)
+        if not (found.reached & (np.abs(found.q - q).max(axis=1) <= LARGEST_CORRECTION)).all():
+            missed = int(np.argmin(found.reached))
+            return f"the calibrated model does not reach {names[missed]} near the nominal joint positions"
+        at = dict(zip(names, found.q, strict=True))
+        row = conditions.take(np.array([0]))
+        sent = {(position, before): with_approach(arm, at[position], at[before], row) for position, before in legs()}
+    frame = np.zeros((len(names), 3, 3)) if alignment is None else alignment.position_covariance(q)
+    return ArmProgramme(
+        name=name,
+        commands=commands,
+        position_M=dict(zip(names, wanted_M, strict=True)),
+        frame=dict(zip(names, frame, strict=True)),
+        q=sent,
+        rotation_M=_wanted_orientations(arm.nominal if commands == "nominal" else arm.geometry, cube, names),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +85,12 @@ def legs() -> list[tuple[str, str]]:
     return [(position, before) for before, position in dict.fromkeys(found)]
 
 
-def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0, load_kg: float | None = None) -> Iterator[Visit]:
-    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` and ``load_kg`` as in ``Place``."""
+def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0) -> Iterator[Visit]:
+    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``Place``."""
     yield _passing(arm, "P1", "P2")
     for cycle in range(cycles):
         for position in CYCLE:
-            place = arm.place("pose", position, speed=speed, load_kg=load_kg)
+            place = arm.place("pose", position, speed=speed)
             yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
@@ -125,3 +171,22 @@ def _passing(arm: ArmProgramme, position: str, before: str) -> Visit:
 def _before(position: str) -> str:
     """Return the position before this one in a cycle."""
     return CYCLE[CYCLE.index(position) - 1]
+
+
+def _wanted_orientations(geometry: Geometry, cube: ChosenCube, names: Sequence[str]) -> dict[str, Array]:
+    """Return the wanted orientation (3, 3) of the probe at each position, the same at all; empty without a probe."""
+    if geometry.probe is None:
+        return {}
+    R_M_S = geometry.T_M_B()[:3, :3] @ cube.rotation_B @ rotation_from_vector(geometry.probe)
+    return dict.fromkeys(names, R_M_S)
+
+
+def _conditions(
+    model: CellModel, name: str, homes: Mapping[str, Array], n: int, rested_s: float, payload_kg: float
+) -> MeasurementConditions:
+    """Return conditions of n commands: payload, rest until mid-measurement, the other arm of a pair at home."""
+    stated = MeasurementConditions(payload_kg=np.full(n, payload_kg), dwell_s=np.full(n, rested_s))
+    others = [other for other in model.arms if other != name]
+    if len(others) != 1:
+        return stated
+    return beside(stated, model.arms[others[0]], np.tile(homes[others[0]], (n, 1)), None)

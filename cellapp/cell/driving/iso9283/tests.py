@@ -6,7 +6,7 @@ Measurements are stored visit by visit in the caller's object, so that they can 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -14,14 +14,12 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.iso9283.alignment import align_points, alignment_configurations, published_cell
-from cellapp.cell.driving.iso9283.chosen_cube import choose_cube, same_cube
-from cellapp.cell.driving.iso9283.commands import arm_programme
+from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
 from cellapp.cell.driving.iso9283.findings import IsoFindings
-from cellapp.cell.driving.iso9283.hands import Hands
-from cellapp.cell.driving.iso9283.instrument import abilities, mpe_factor
 from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
     Visit,
+    arm_programme,
     directional_visits,
     distance_visits,
     drift_visits,
@@ -29,29 +27,21 @@ from cellapp.cell.driving.iso9283.programme import (
     paired_visits,
     pose_pairs,
     pose_visits,
-    wanted_cycles,
 )
 from cellapp.cell.driving.iso9283.reach import CubeSearch
-from cellapp.cell.driving.iso9283.settling_tests import SettlingTests
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.nest_pose import NestPoses
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.tracked_path import PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
-from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
-from cellapp.estimation.iso9283.evaluate import Measured
-from cellapp.estimation.iso9283.evaluate_compliance import POSE
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.estimation.iso9283.records import IsoCube
-from cellapp.estimation.nests import NestShape
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measured
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest, wanted_cycles
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, Notice, Progress, ignore
+from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import NotReady, Point, TrackerError
@@ -72,8 +62,7 @@ class IsoTask:
     The tracker of ``profile`` is at its true pose if the cell is simulated. ``model`` is the calibrated one; if None,
     base and SMR of each arm are found first. ``cycles`` is the requested number, ``speed`` the fraction of the
     profile's speed, ``drift_s`` the duration of the drift test [s]. Pose and path tests are repeated at
-    ``also_speeds``, pose tests with the payloads ``also_loads`` [kg]; static compliance is tested under ``forces`` [N].
-    ``cubes`` maps arms to cubes of an earlier test, other arms get new ones; ``nests`` are shapes of several SMRs.
+    ``also_speeds``.
     """
 
     profile: Profile
@@ -85,10 +74,6 @@ class IsoTask:
     speed: float
     drift_s: float
     also_speeds: tuple[float, ...] = ()
-    also_loads: tuple[float, ...] = ()
-    forces: tuple[float, ...] = ()
-    cubes: Mapping[str, IsoCube] = field(default_factory=dict)
-    nests: Mapping[str, NestShape] = field(default_factory=dict)
 
 
 def drive_tests(
@@ -131,7 +116,6 @@ def drive_tests(
             findings.model = task.model or session.aligned()
             session.use(cell_bodies(profile, findings.model))
             session.prepare(findings.model)
-            session.say_what_can_be_told()
             session.run()
             session.mover.go_home()
         finally:
@@ -162,7 +146,6 @@ class _Session:
         self.bodies = bodies
         self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
         self.driver = Driver(self.mover, self.homes)
-        self.nests = NestPoses.of(self.task.profile, self.task.model, bodies, self.task.nests)
         slow = self.task.profile.collection.slow_start.speed
         self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
 
@@ -197,14 +180,13 @@ class _Session:
             self._hold()
             self.listener(Progress("find cube", number, len(self.task.arms), f"arm {name}"))
             search = CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed)
-            earlier = self.task.cubes.get(name)
-            chosen = choose_cube(search) if earlier is None else same_cube(search, earlier)
+            chosen = choose_cube(search)
             if isinstance(chosen, str):
                 found.refuse(name, self.task.tests, chosen)
                 continue
             found.cubes[name] = chosen
             for kind in self.task.commands:
-                programme = self._programme(name, kind, profile.arms[name].payload.mass)
+                programme = self._programme(name, kind)
                 if isinstance(programme, str):
                     found.notes.append(f"arm {name}: no {kind} commands: {programme}")
                 else:
@@ -217,8 +199,8 @@ class _Session:
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
                 )
 
-    def _programme(self, name: str, kind: IsoCommands, payload_kg: float) -> ArmProgramme | str:
-        """Return an arm's commands in its cube with a payload, or why there are none."""
+    def _programme(self, name: str, kind: IsoCommands) -> ArmProgramme | str:
+        """Return an arm's commands in its cube, or why there are none."""
         assert self.findings.model is not None
         return arm_programme(
             self.findings.model,
@@ -227,17 +209,9 @@ class _Session:
             kind,
             self.homes,
             rested_s=DWELL_S + 0.5 * self.task.profile.tracker.averaging,
-            payload_kg=payload_kg,
+            payload_kg=self.task.profile.arms[name].payload.mass,
             alignment=self.findings.alignments.get(name),
         )
-
-    def say_what_can_be_told(self) -> None:
-        """Compare the tolerances with the tracker's uncertainty from here; report those that it cannot verify."""
-        task = self.task
-        self.findings.abilities = abilities(task.profile, self.findings, task.tests, task.cycles)
-        for one in self.findings.abilities:
-            if words := ability_words(one):
-                self.listener(Progress("iso9283", 0, self.total, detail=Notice(words)))
 
     # -- the tests -----------------------------------------------------------------------------------------------------
 
@@ -246,69 +220,27 @@ class _Session:
         tests = self.task.tests
         programmes = self.findings.programmes.values()
         self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
-        self.findings.also_speeds, self.findings.also_loads = self.task.also_speeds, self.task.also_loads
+        self.findings.also_speeds = self.task.also_speeds
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
-        loads = [(load, name) for load in self.task.also_loads for name in self.findings.cubes]
-        by_hand = [(load, name, self._poses_with(load, name)) for load, name in loads]
-        self.total = max(len(visits) + sum(map(len, series.values())) + sum(len(own) for *_, own in by_hand), 1)
+        self.total = max(len(visits) + sum(map(len, series.values())), 1)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
         self._visit_all(visits)
         if "path" in tests:
             self._paths(self.task.speed)
-        if "stabilisation" in tests:
-            self._settling()
         for share, own in series.items():
             self.mover.speed = share
             self._visit_all(own)
             if "path" in tests:
                 self._paths(share, share)
         self.mover.speed = self.task.speed
-        self._by_hand(by_hand)
-
-    def _by_hand(self, loads: Sequence[tuple[float, str, Sequence[Visit]]]) -> None:
-        """Run the tests that need a person at the arm: other loads, forces on the flange."""
-        cycles = wanted_cycles("compliance", self.task.cycles)
-        hands = Hands(self.cell, self.findings, self.control, self.listener, self._hold, cycles)
-        for load, name, visits in loads:
-            self.mover.go_home()
-            if hands.hang(name, load):
-                self._rehearse([visit for visit in visits if visit.cycle == 0])
-                self._visit_all(visits)
-        if loads:
-            self.mover.go_home()
-            for name in self.findings.cubes:
-                hands.hang(name, self.task.profile.arms[name].payload.mass)
-        for name in self.findings.cubes if "compliance" in self.task.tests else ():
-            self.mover.go_home()
-            if (programme := self._last_programme(name)) is None:
-                continue
-            self._visit(Visit({name: programme.q[POSE, "P2"]}, None, 0))
-            hands.under_forces(programme, self.task.forces, self._measure_here)
-            self.mover.go_home([name])
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
         """Return the commands of an arm, those of the calibrated model if available; None if there are none."""
         kinds = [kind for kind in self.task.commands if (name, kind) in self.findings.programmes]
         return self.findings.programmes[name, kinds[-1]] if kinds else None
-
-    def _settling(self) -> None:
-        """Test how each arm comes to rest, the others at home."""
-        tests = SettlingTests(
-            profile=self.task.profile,
-            cell=self.cell,
-            mover=self.mover,
-            reaction=self.reaction,
-            findings=self.findings,
-            control=self.control,
-            hold=self._hold,
-            cycles=wanted_cycles("stabilisation", self.task.cycles),
-        )
-        for name in self.findings.cubes:
-            self.mover.go_home()
-            tests.drive(name, self.task.commands)
 
     def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
@@ -325,18 +257,6 @@ class _Session:
             for programme in self.findings.programmes.values()
             for visit in pose_visits(programme, self.task.cycles, share)
         ]
-        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
-        return found
-
-    def _poses_with(self, load_kg: float, name: str) -> list[Visit]:
-        """Return the visits of the pose test of an arm with another payload."""
-        found: list[Visit] = []
-        for kind in self.task.commands if "pose" in self.task.tests else ():
-            programme = self._programme(name, kind, load_kg)
-            if isinstance(programme, str):
-                self.findings.notes.append(f"arm {name}: no {kind} commands with {load_kg:g} kg: {programme}")
-            else:
-                found += pose_visits(programme, self.task.cycles, load_kg=load_kg)
         self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
         return found
 
@@ -383,7 +303,7 @@ class _Session:
         return found
 
     def _rehearse(self, visits: Sequence[Visit]) -> None:
-        """Drive real arms slowly and without measuring, for a person to watch: first motions, or with another load."""
+        """Drive real arms slowly and without measuring, for a person to watch their first motions."""
         if self.task.profile.moves_hardware:
             self.mover.speed = min(self.task.profile.collection.slow_start.speed, self.task.speed)
             for visit in visits:
@@ -431,7 +351,7 @@ class _Session:
     def _keep(self, visit: Visit, points: Mapping[str, Point], group: int) -> None:
         self._missed = 0
         assert visit.place is not None
-        first, share = points[visit.place.arms[0]], mpe_factor(self.task.profile)
+        first, share = points[visit.place.arms[0]], self.task.profile.tolerances.covariance_factor
         self.findings.measured.visits.append(
             Measured(
                 place=visit.place,
@@ -445,24 +365,12 @@ class _Session:
             )
         )
 
-    def _measure_here(self, place: Place, cycle: int, group: int) -> None:
-        """Measure an arm where it is, without motion: a person may have hands on it."""
-        self._hold()
-        (name,) = place.arms
-        try:
-            points = {name: self._at_rest(name, self.mover.positions()[name])}
-        except TrackerError as error:
-            _raise_if_not_ready(error)
-            self._miss(Visit({}, place, cycle), str(error))
-            return
-        self._keep(Visit({}, place, cycle), points, group)
-
     def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
         return self.driver.to(list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)
-        return self.nests.measure(self.mover, name, q)
+        return self.mover.measure(name, q)
 
     def _miss(self, visit: Visit, reason: str) -> None:
         self._missed += 1

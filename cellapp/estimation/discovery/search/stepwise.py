@@ -33,7 +33,6 @@ from cellapp.estimation.discovery.search.free_part import (
     with_free_parts,
     without_free_parts,
 )
-from cellapp.estimation.discovery.search.in_sockets import with_effects_in_sockets
 from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.review import review, reviewed
 from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
@@ -172,9 +171,7 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
     # free parts were fitted beside the dropped term, and may hold the effect that takes its place
     rest = problem.state(without_free_parts(without_term(state.fit.terms, number)), state)
     rest = replace(rest, dropped=(*rest.dropped, slug))
-    if rest.data.points is None:
-        rest = reviewed(problem, _with_library_effects(problem, rest))
-    return problem, rest
+    return problem, reviewed(problem, _with_library_effects(problem, rest))
 
 
 @dataclass
@@ -201,8 +198,6 @@ class _SearchProgress:
 
 def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchProgress) -> SearchState:
     """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse."""
-    if start.data.points is not None:
-        return reviewed(problem, with_effects_in_sockets(problem, start))
     named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
     before_names = cache(partial(_smooth, problem, start))

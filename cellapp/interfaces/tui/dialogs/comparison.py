@@ -5,8 +5,8 @@ from __future__ import annotations
 from textual.app import ComposeResult
 from textual.widgets import Static
 
+from cellapp.commands.compare.result import RunComparison
 from cellapp.commands.compare.view import comparison_sentences, comparison_tables
-from cellapp.commands.runs.result import RunComparison
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.widgets.tables import TablesView
 

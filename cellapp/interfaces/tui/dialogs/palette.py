@@ -12,9 +12,8 @@ from textual.command import CommandPalette
 
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.rehearse.request import VERB as REHEARSE
-from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.offers import offer_touch, offer_verb, offer_verb_of_profile, verbs_of_run
+from cellapp.interfaces.tui.offers import offer_verb, offer_verb_of_profile, verbs_of_run
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.stop import StopCorner
@@ -42,7 +41,6 @@ def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
         if own and active.enabled and not hidden:
             run = partial(app.run_action, binding.action, active.node)
             yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
-    yield SystemCommand(f"cellapp {TOUCH.name}", TOUCH.summary, partial(offer_touch, screen))
     for verb in (DOCTOR, REHEARSE):
         yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb_of_profile, screen, verb))
     for verb in verbs_of_run():

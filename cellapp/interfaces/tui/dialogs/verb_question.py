@@ -103,10 +103,6 @@ class VerbQuestion(AnswerQuestion[Request]):
         if value == "no":
             self.dismiss(None)
             return
-        for name, words in self._fields.items():
-            if words.secret == "new" and self._value(name) != self.query_one(f"#{_id(name)}-again", Input).value:
-                self.explain(f"The two of {words.label} differ: type the same one twice.")
-                return
         values = {name: self._value(name) for name in self._fields}
         given = {name: value for name, value in values.items() if value is not None}
         try:
@@ -129,10 +125,6 @@ class VerbQuestion(AnswerQuestion[Request]):
                 for one in self._possible(name)
             )
             yield ItemGrid(*boxes, min_column_width=_COLUMN)
-        elif words.secret:
-            yield text_field(label, key, hint=words.hint, hidden=True)
-            if words.secret == "new":
-                yield text_field("once more", f"{key}-again", hidden=True)
         elif kind is Path or words.suffixes:
             text = "" if default is None else str(default)
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
@@ -146,8 +138,6 @@ class VerbQuestion(AnswerQuestion[Request]):
     def _value(self, name: str) -> Any:
         """Return the value of a field; None if it is empty and may be."""
         kind = self._kind(name)
-        if self._fields[name].secret:
-            return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Box).value
         if get_origin(kind) is tuple and self._possible(name):

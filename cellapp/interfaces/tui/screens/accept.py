@@ -15,15 +15,10 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
-from cellapp.commands.check_certificate.result import CertificateCheckResult
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.report.result import RunResults
-from cellapp.commands.sign_key.request import VERB as SIGN_KEY
-from cellapp.commands.sign_key.result import SignKeyResult
-from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
+from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work_acceptance
-from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens import accept_jobs
@@ -42,9 +37,7 @@ _NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures 
 _NOT_TESTED = (
     f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
 )
-_NO_CERTIFICATE = (
-    f"No certificate was written yet. {SHOWN['export']} writes and signs it; {SHOWN['import']} checks the file of one."
-)
+_NO_CERTIFICATE = f"No certificate was written yet. {SHOWN['export']} writes it."
 _MEASURED: tuple[StageName, ...] = (CHECK, ISO9283)
 """Stages that are also shown below the verdict in a tall terminal."""
 _TALL = 50
@@ -78,9 +71,8 @@ of the profile, and in red whatever is out of date.
   it is sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
 - *ISO 9283*: **{measure}** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
   calibrated one, or both.
-- *Certificate*: **{export}** writes the certificate and signs it with a key file, **{add}** makes such a key,
-  **{import}** checks the file of a certificate. What nobody gave stands there as not given; the profile's section
-  *traceability* takes it.
+- *Certificate*: **{export}** writes the certificate, all that it rests on, and the sums of these files. What nobody
+  gave stands there as not given; the profile's section *traceability* takes it.
 - **{go}** writes the report: the page, and on request its print as PDF.
 
 The check and the tests ask first, and real arms ask again with the first path. The handbook's chapters *check*,
@@ -90,9 +82,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
         bind("go", "report", "Report", "write the page, and its PDF if asked to"),
         bind("check", "check", "Check", "does the calibration still hold? THE ARMS MOVE"),
         bind("measure", "iso9283", "ISO 9283", "measure by ISO 9283: THE ARMS MOVE"),
-        bind("export", "certificate", "Certificate", "write and sign the certificate; nothing moves"),
-        bind("import", "check_file", "Check file", "check signature and data of a certificate; nothing moves"),
-        bind("add", "sign_key", "Make key", "make a key that signs certificates", show=False),
+        bind("export", "certificate", "Certificate", "write the certificate; nothing moves"),
         bind("tab", "next_tab", "Next tab"),
     ]
     DEFAULT_CSS = """
@@ -114,7 +104,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
     def __init__(self) -> None:
         super().__init__()
         self._drawn: Workspace | None = None
-        self._checked: CertificateCheckResult | None = None
 
     def body(self) -> ComposeResult:
         yield Static("", id="decision", markup=False)
@@ -144,16 +133,8 @@ The check and the tests ask first, and real arms ask again with the first path. 
         accept_jobs.ask_iso9283(self)
 
     def action_certificate(self) -> None:
-        """Ask for number, data and key, then write the certificate."""
-        accept_jobs.ask_certificate(self, self.key_file)
-
-    def action_check_file(self) -> None:
-        """Ask for a certificate, then check its signature and its data."""
-        accept_jobs.ask_check_file(self)
-
-    def action_sign_key(self) -> None:
-        """Ask where a new key for signing goes, then make it."""
-        accept_jobs.ask_sign_key(self)
+        """Ask for number and data, then write the certificate."""
+        accept_jobs.ask_certificate(self)
 
     def action_report(self) -> None:
         """Ask for page or page and PDF, then write."""
@@ -176,14 +157,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def show_result(self, result: Result) -> None:
-        """Show the check of a certificate file, or a new key, which are not stored in a run."""
-        if isinstance(result, CertificateCheckResult):
-            self._checked = result
-            self._draw_certificate()
-        elif isinstance(result, SignKeyResult) and self.app.screen is self:
-            self.app.push_screen(Reading("\n\n".join(["# A new key", *map(str, SIGN_KEY.view(result).parts)])))
-
     def show_state(self, state: RunState) -> None:
         """Say why there is no result and no verdict."""
         for place, empty in (("check", _NOT_CHECKED), ("iso9283", _NOT_TESTED), ("certificate", _NO_CERTIFICATE)):
@@ -201,15 +174,12 @@ The check and the tests ask first, and real arms ask again with the first path. 
         """Draw the content of the run, and judge it in a thread."""
         if workspace is self._drawn:
             return
-        if self._drawn is None or self._drawn.folder != workspace.folder:
-            self._checked = None
         self._drawn = workspace
         marks = () if workspace.overview is None else workspace.overview.complaints
         outdated = self.query_one("#outdated", Static)
         outdated.update("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
         outdated.display = bool(marks)
         self._draw_measured(workspace.results)
-        self._draw_certificate()
         if workspace.folder is None:
             self._draw_verdict(None, self.state.no_run)
         else:
@@ -249,16 +219,12 @@ The check and the tests ask first, and real arms ask again with the first path. 
         decision.set_classes(state.replace(" ", "-"))
 
     def _draw_measured(self, results: RunResults | None) -> None:
-        check, tests = (None, None) if results is None else (results.check, results.iso9283)
+        check, tests, certificate = (
+            (None, None, None) if results is None else (results.check, results.iso9283, results.certificate)
+        )
         self._draw_stage(CHECK, "check", () if check is None else CHECK_VERB.view(check).parts)
         self._draw_stage(ISO9283, "measure", () if tests is None else ISO9283_VERB.view(tests).parts)
-
-    def _draw_certificate(self) -> None:
-        result = None if self.workspace.results is None else self.workspace.results.certificate
-        parts = [] if result is None else [*CERTIFICATE_VERB.view(result).parts]
-        if self._checked is not None:
-            parts = [*CHECK_CERTIFICATE.view(self._checked).parts, *(parts or [_NO_CERTIFICATE])]
-        self._draw_stage(CERTIFICATE, "export", parts)
+        self._draw_stage(CERTIFICATE, "export", () if certificate is None else CERTIFICATE_VERB.view(certificate).parts)
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
         """Draw a result, below a mark if it is out of date."""

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
-from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
 from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Request
 from cellapp.commands.report.request import VERB as REPORT
-from cellapp.commands.sign_key.request import VERB as SIGN_KEY
-from cellapp.commands.sign_key.request import SignKeyRequest
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
@@ -30,9 +26,6 @@ _PAGES = (
 
 class ScreenOfResults(DayScreen):
     """Interface of the screen Accept for these jobs: it has a tab for each result."""
-
-    key_file = ""
-    """Private key file that signed last; its passphrase is not kept."""
 
     def show_tab(self, stage: StageName) -> None:
         """Show the tab of a result."""
@@ -85,49 +78,20 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
     screen.app.push_screen(dialog, begin)
 
 
-def ask_certificate(screen: ScreenOfResults, key: str) -> None:
-    """Ask for number, data and key, then write the certificate. ``key`` is the last used key file."""
+def ask_certificate(screen: ScreenOfResults) -> None:
+    """Ask for number and data, then write the certificate."""
     folder = screen.open_folder()
     if folder is None:
         return
 
     def begin(request: Request | None) -> None:
-        if isinstance(request, CertificateRequest):
+        if request is not None:
             screen.show_tab(CERTIFICATE)
-            screen.key_file = "" if request.key is None else str(request.key)
             screen.start(work.verb_job(CERTIFICATE_VERB, request))
 
     text = f"{_certificate_words(screen.workspace)} Nothing moves."
-    dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder}, proposed={"key": key})
+    dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder})
     screen.app.push_screen(dialog, begin)
-
-
-def ask_check_file(screen: ScreenOfResults) -> None:
-    """Ask for a certificate and a public key, then check signature and data."""
-    from cellapp.commands.out_of_date import CERTIFICATE_FILE
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.show_tab(CERTIFICATE)
-            screen.start(work.verb_job(CHECK_CERTIFICATE, request))
-
-    folder = screen.workspace.folder
-    written = None if folder is None else folder / CERTIFICATE_FILE
-    proposed = {"file": written if written is not None and written.is_file() else None, "run": folder}
-    text = "Is the signature valid, and are the data those that were signed? Nothing moves."
-    screen.app.push_screen(VerbQuestion(CHECK_CERTIFICATE, text, _sent("Check", "c"), {}, proposed=proposed), begin)
-
-
-def ask_sign_key(screen: ScreenOfResults) -> None:
-    """Ask where a new key goes, then make it."""
-
-    def begin(request: Request | None) -> None:
-        if isinstance(request, SignKeyRequest):
-            screen.key_file = str(request.path)
-            screen.start(work.verb_job(SIGN_KEY, request))
-
-    text = "Keep the private key safe; give the public one (.pub) to those who check certificates. Nothing moves."
-    screen.app.push_screen(VerbQuestion(SIGN_KEY, text, _sent("Make", "m"), {}), begin)
 
 
 def ask_report(screen: ScreenOfResults) -> None:

@@ -1,4 +1,4 @@
-"""The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume, replay.
+"""The screen Runs: every run in the folder of runs; open, compare, report, resume, replay.
 
 Runs are read and compared in threads, which also load the packages for it.
 """
@@ -22,16 +22,12 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.compare.request import VERB as COMPARE
 from cellapp.commands.compare.request import CompareRequest
-from cellapp.commands.fleet.request import VERB as FLEET
-from cellapp.commands.fleet.request import FleetRequest
+from cellapp.commands.compare.result import RunComparison
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs.columns import contains, run_cells, run_columns
-from cellapp.commands.runs.result import RunComparison, RunsResult
+from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
-from cellapp.commands.view.charts import enumerated
-from cellapp.estimation.monitoring.fleet.records import FleetResult
-from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs
@@ -50,7 +46,7 @@ _MARK, _OPEN = "●", "▸"
 _MARKS = "marks"
 """Key of the column that shows which runs are open and marked; the keys of the others are their indices."""
 _PAIR = 2
-"""Number of runs that are compared in every value; for more, the history of each arm is shown."""
+"""Number of runs that are compared."""
 _BEGAN = 1
 """Column by which the list is sorted initially."""
 HELP = """\
@@ -59,8 +55,7 @@ HELP = """\
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
 - **Enter** opens the run under the cursor (▸); **{next}** then goes to the step that comes next.
-- Two marked runs (●) are compared in profile, parameters, errors, effects, verification; more of them by the history
-  of each arm. The fleet is the history of each arm over all runs of the list, changes with their evidence, trends.
+- Two marked runs (●) are compared in profile, parameters, errors, effects, verification.
 - **{go}** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
 - **{look}** plays the run back through the screen Collect. Nothing moves.
 
@@ -77,7 +72,7 @@ class RunsListed(Message):
 
 
 class RunsCompared(Message):
-    """Two or more runs were compared; else a sentence why not."""
+    """Two runs were compared; else a sentence why not."""
 
     def __init__(self, found: Result | str) -> None:
         super().__init__()
@@ -100,8 +95,7 @@ class RunsScreen(DayScreen):
     AUTO_FOCUS = "#runs"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("mark", "mark", "Mark", "mark a run to compare it"),
-        bind("compare", "compare", "Compare", "compare the marked runs"),
-        bind("fleet", "fleet", "Fleet", "the history of each arm over the runs of the list"),
+        bind("compare", "compare", "Compare", "compare the two marked runs"),
         bind("open", "report", "Report", "open the report in a browser"),
         bind("go", "resume_run", "Resume run", "go on with a run that was interrupted"),
         bind("look", "replay", "Replay", "play the run back; nothing moves"),
@@ -281,8 +275,8 @@ class RunsScreen(DayScreen):
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Enable comparing only if enough runs are marked."""
-        return action != "compare" or len(self._marked) >= _PAIR
+        """Enable comparing only if two runs are marked."""
+        return action != "compare" or len(self._marked) == _PAIR
 
     @on(DataTable.RowSelected)
     def open_run(self) -> None:
@@ -299,36 +293,25 @@ class RunsScreen(DayScreen):
                 self._marked.append(run.run)
             self._draw()
             self.refresh_bindings()
-            if len(self._marked) >= _PAIR:
-                self.say(
-                    f"{counted(len(self._marked), 'run is', 'runs are')} marked; {SHOWN['compare']} compares them."
-                )
+            if len(self._marked) == _PAIR:
+                self.say(f"Two runs are marked; {SHOWN['compare']} compares them.")
 
         self._with_run(mark)
 
     def action_compare(self) -> None:
-        """Compare the marked runs."""
-        self.say(f"Comparing {enumerated(self._marked)} ...")
-        self._compare(tuple(Path(name) for name in self._marked))
-
-    def action_fleet(self) -> None:
-        """Show the history of each arm over the listed runs."""
-        listed = tuple(Path(name) for name, run in self._shown.items() if not run.problem)
-        if not listed:
-            self.say("The list has no run that can be read.", "warning")
-            return
-        self.say(f"Reading {len(listed)} runs ...")
-        self._compare(listed, fleet=True)
+        """Compare the two marked runs."""
+        first, second = self._marked
+        self.say(f"Comparing {first} and {second} ...")
+        self._compare(Path(first), Path(second))
 
     @work(thread=True, exclusive=True, group="comparison of runs")
-    def _compare(self, folders: tuple[Path, ...], *, fleet: bool = False) -> None:
+    def _compare(self, first: Path, second: Path) -> None:
         try:
-            request = FleetRequest(folders=folders) if fleet else CompareRequest(folders=folders)
-            found = RunsCompared(jobs_of_verbs.looked(FLEET if fleet else COMPARE, request))
+            found = RunsCompared(jobs_of_verbs.looked(COMPARE, CompareRequest(first=first, second=second)))
         except CellappError as error:
             found = RunsCompared(str(error))
         except (OSError, ValueError, TypeError) as error:  # values that no version of this program stores
-            found = RunsCompared(f"{enumerated(map(str, folders))}: one holds values that cannot be read ({error})")
+            found = RunsCompared(f"{first} or {second} holds values that cannot be read ({error})")
         if not get_current_worker().is_cancelled:  # else other runs are being compared
             self.post_message(found)
 
@@ -339,11 +322,8 @@ class RunsScreen(DayScreen):
             self.say(event.found, "error")
         elif self.app.screen is self:
             from cellapp.interfaces.tui.dialogs.comparison import Comparison
-            from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 
-            if isinstance(event.found, FleetResult):
-                self.app.push_screen(FleetHistory(event.found, self.cell_app.logs))
-            elif isinstance(event.found, RunComparison):
+            if isinstance(event.found, RunComparison):
                 self.app.push_screen(Comparison(event.found))
 
     def action_report(self) -> None:

@@ -94,7 +94,7 @@ used as it is shown, saved or not.
   measuring it. **{push}** drives without measuring. Each asks first; real arms ask again, with the first path.
 - **{locate}** locates the tracker after it was moved: a few measured points, and the calibration holds again.
 - **{export}** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true
-  poses. Paths of lines and arcs are in the palette (**{palette}**).
+  poses. `cellapp compensate DIR PATHS` computes joint paths of lines and arcs.
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
   keeps with that probability.

@@ -33,9 +33,7 @@ class Box(Checkbox):
         return super().render()
 
 
-def text_field(
-    label: str, name: str, text: str = "", hint: str = "", *, choices: Sequence[str] = (), hidden: bool = False
-) -> Labelled:
+def text_field(label: str, name: str, text: str = "", hint: str = "", *, choices: Sequence[str] = ()) -> Labelled:
     """Return a text field with its label.
 
     Parameters
@@ -46,8 +44,6 @@ def text_field(
         Initial text; text that is shown while the field is empty.
     choices : sequence of str
         Texts that the right arrow completes.
-    hidden : bool
-        Whether the letters are shown as dots.
     """
     suggester = SuggestFromList(choices) if choices else None
-    return Labelled(label, Input(text, id=name, compact=True, placeholder=hint, suggester=suggester, password=hidden))
+    return Labelled(label, Input(text, id=name, compact=True, placeholder=hint, suggester=suggester))

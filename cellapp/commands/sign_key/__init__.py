@@ -1,1 +1,0 @@
-"""The verb ``sign-key``, and its keys."""
