@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+MOST_S = 240.0
+"""The calls together; each wait within them has its own, shorter bound."""
+
 
 def in_parallel(action: Callable[..., object], arguments: Iterable[tuple[Any, ...]]) -> None:
     """Call ``action`` with each tuple of arguments at the same time; raise the first error, with its arguments."""
@@ -13,7 +16,7 @@ def in_parallel(action: Callable[..., object], arguments: Iterable[tuple[Any, ..
     with ThreadPoolExecutor(max(1, len(calls))) as pool:
         for values, future in [(values, pool.submit(action, *values)) for values in calls]:
             try:
-                future.result()
+                future.result(MOST_S)
             except BaseException as error:
                 error.add_note(f"in {getattr(action, '__name__', action)}{values}")
                 raise

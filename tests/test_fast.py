@@ -19,7 +19,7 @@ TESTED_ELSEWHERE = {
     "cell/targets": ("compensate", "push"),
     "cell/run": ("import_",),
     "cell/programs": ("correct",),
-    "cell/driving": ("locate", "replay"),
+    "cell/driving": ("locate",),
     "handbook": ("docs",),
 }
 """Folder of tests -> verbs that are tested there, with what they call or with what shows them."""

@@ -53,7 +53,6 @@ LOADED_LATER = {
     "cellapp.commands.record": "a verb's run and view are loaded when it runs; words of errors on an error",
     "cellapp.commands.init.request": "starters are read where one has to be named",
     "cellapp.commands.calibrate.run": "the fit of recordings is loaded where some were made",
-    "cellapp.cell.profile.draft_file": "ruamel.yaml is loaded by who changes a profile",
     "cellapp.commands.compensate.details": "scipy is loaded where a target has a work frame",
     "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
     **{

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
@@ -295,20 +294,9 @@ class Verb:
             raise InputError(": ".join(filter(None, (self.name, name, value_message(first))))) from None
 
     def run(self, request: Request, work: Work) -> Result:
-        """Run the verb; notify the user's command of its events if it moves arms or stores results."""
-        do: Callable[[Work], Result] = partial(self._part("run").run, request)
-        if not (self.moves_arms or self.stored):
-            return do(work)
-        from cellapp.commands.notifying import run_notified  # late: it reads profiles and runs
-
-        return run_notified(
-            request.job_name() or self.name,
-            getattr(request, "profile", None),
-            getattr(request, "folder", None),
-            work.listener,
-            lambda listener: do(replace(work, listener=listener)),
-            lambda result: self.view(result, request).failed,
-        )
+        """Run the verb."""
+        result: Result = self._part("run").run(request, work)
+        return result
 
     def view(self, result: Result, request: Request | None = None) -> View:
         """Show a result; ``request`` is what was asked for, None for a stored result."""

@@ -18,16 +18,14 @@ from cellapp.ground.errors import HardwareError, InputError
 Verb = Literal["pause", "resume", "stop", "abort"]
 VERBS: tuple[Verb, ...] = get_args(Verb)
 LOOK: Literal["look"] = "look"
-"""Asks nothing of the job, but whether it is there."""
-WATCH: Literal["watch"] = "watch"
-"""Asks for a stream of what the job does, see ``cellapp.cell.driving.requests.watching``."""
+"""Asks nothing of the job, but its state: a ``JobSeen`` as JSON."""
 DONE = "done"
 """First word of the answer to a request that was carried out; a sentence follows."""
 RUNS_NOW = "a job that runs now"
 """How a job of this computer is called in lists."""
 JOB_FILE = "running-job.json"
-LONGEST_LINE = 500
-"""Bytes of a request or its answer; far more than a token and a verb have."""
+LONGEST_LINE = 2000
+"""Bytes of a request or its answer; far more than a token and a verb, or a state, have."""
 PATIENCE_S = 2.0
 """A job answers in milliseconds: its brakes are commanded without waiting for rest."""
 
@@ -55,6 +53,26 @@ class JobAddress(NamedTuple):
     def is_own(self) -> bool:
         """Whether the job runs in this very process."""
         return self.is_here and self.process == os.getpid()
+
+
+class JobSeen(NamedTuple):
+    """State of a job, as it tells other processes.
+
+    ``name`` is what it does, as one word; ``request`` the request of a person that stands; ``holds`` whether it waits
+    after a halt; ``has_brakes`` whether arms are open; ``state`` and ``reason`` are of its last ``StateChange``;
+    ``part``, ``done``, ``total`` and ``note`` of its last event.
+    """
+
+    name: str
+    request: Literal["none", "pause", "stop", "abort"]
+    holds: bool
+    has_brakes: bool
+    state: Literal["running", "pausing", "paused", "suspended", "stopped", "aborted"] = "running"
+    reason: str = ""
+    part: str = ""
+    done: int = 0
+    total: int = 0
+    note: str = ""
 
 
 class NoJob(InputError):
@@ -92,6 +110,29 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
     return text
 
 
+def look_at_job(folder: Path) -> JobSeen | None:
+    """Return the state of the job that runs in ``folder`` on this computer; None if none does.
+
+    Raises
+    ------
+    HardwareError
+        If a job listens but does not answer.
+    InputError
+        If it is of a version that tells its state otherwise.
+    """
+    address = address_of_job(folder)
+    answer = None if address is None or not address.is_here else exchange(folder, address, LOOK, PATIENCE_S)
+    if answer is None:
+        return None
+    try:
+        return JobSeen(**json.loads(answer.partition(" ")[2]))
+    except (ValueError, TypeError):
+        raise InputError(
+            f"the job in {folder} is of another version of cellapp; look at it with that one. 'cellapp stop {folder}'"
+            " stops it all the same"
+        ) from None
+
+
 def who_uses(folder: Path) -> str:
     """Which job uses a run's folder, as a phrase; empty if none does. The job itself is not asked for anything."""
     address = address_of_job(folder)
@@ -126,15 +167,10 @@ def exchange(folder: Path, address: JobAddress, request: str, patience_s: float)
             with connection.makefile("rb") as reader:
                 answer = reader.readline(LONGEST_LINE)
     except TimeoutError:
-        raise silent_job(folder, patience_s) from None
+        raise HardwareError(
+            f"the job in {folder} did not answer within {patience_s:g} s; if an arm moves, press its emergency"
+            f" stop. If no job runs there, delete {folder / JOB_FILE}"
+        ) from None
     except (OSError, OverflowError):
         return None
     return answer.decode("utf-8", "replace").strip() or None
-
-
-def silent_job(folder: Path, patience_s: float) -> HardwareError:
-    """The error of a job that listens and does not answer."""
-    return HardwareError(
-        f"the job in {folder} did not answer within {patience_s:g} s; if an arm moves, press its emergency"
-        f" stop. If no job runs there, delete {folder / JOB_FILE}"
-    )

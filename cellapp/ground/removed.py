@@ -9,14 +9,6 @@ VERSION = "0.1.0"
 """The version in which everything below was removed."""
 _EVIDENCE = "the source's 'python -m tests.evidence' has what made the project's figures"
 COMMANDS: Mapping[str, str] = {
-    "power": "use 'cellapp trials power DIR'",
-    **{
-        f"trials {name}": _EVIDENCE
-        for name in (
-            *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),
-            *("targets", "plans", "check", "signature"),
-        )
-    },
     "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
     "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
@@ -25,11 +17,23 @@ COMMANDS: Mapping[str, str] = {
     "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate' writes",
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
     "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
+    "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
+    "power": "use 'cellapp trials power DIR'",
+    **{
+        f"trials {name}": _EVIDENCE
+        for name in (
+            *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),
+            *("targets", "plans", "check", "signature"),
+        )
+    },
 }
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {
-    f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
-    for key in ("name", "nests", "distances")
+    "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
+    **{
+        f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
+        for key in ("name", "nests", "distances")
+    },
 }
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 READINGS: Mapping[str, tuple[str, str]] = {

@@ -19,8 +19,9 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests import latency
+from tests.waiting import WAIT_S
 
-PATIENT_S = 60.0
+PATIENT_S = WAIT_S
 _STALLED = (
     "this program was silent",
     "this computer was",
@@ -104,5 +105,5 @@ def emulated(
         process.join(PATIENT_S)
         if process.is_alive():
             process.kill()
-            process.join()
+            process.join(PATIENT_S)
     assert process.exitcode == 0

@@ -36,10 +36,10 @@ from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin, with_arm
+from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits
 
-PATIENT_S = 60.0
 PACE = 200.0
 STOPS = 12
 SETTLE_S = 0.05
@@ -142,7 +142,7 @@ def wire_profile(folder: Path) -> Path:
 
 
 def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(shells: Future[None]) -> None:
-    shells.result()
+    shells.result(240.0)
 
 
 def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> Non
     ) as emulator:
         try:
             assert emulator.stdout is not None
-            said = [emulator.stdout.readline() for _ in range(4)]
+            said = [within(emulator.stdout.readline, "the addresses") for _ in range(4)]
             assert [line.partition(":")[0] for line in said[:3]] == ["arm left", "arm right", "tracker"], said
             looked = call("doctor")
             assert looked.returncode == 0, looked.stdout + looked.stderr
@@ -183,7 +183,7 @@ def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> Non
             assert done.returncode == 0, done.stderr
             moved = json.loads(done.stdout)
             emulator.send_signal(signal.SIGINT)
-            assert emulator.wait(PATIENT_S) == 0
+            assert emulator.wait(WAIT_S) == 0
         finally:
             emulator.kill()
     for name in CLI_HOSTS:

@@ -34,10 +34,11 @@ from tests.commands.emulated_cell import behind_bridge
 from tests.commands.free_ports import on_free_ports
 from tests.evidence.wire.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits
 
-PATIENT_S = 30.0
+PATIENT_S = WAIT_S
 TOKEN = "correct horse battery staple"
 behind = partial(behind_bridge, timeout=2.0)
 

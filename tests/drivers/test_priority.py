@@ -10,6 +10,7 @@ import threading
 import pytest
 
 from drivers import priority
+from tests.waiting import within
 
 pytestmark = pytest.mark.fast
 
@@ -37,7 +38,7 @@ def test_only_the_thread_that_measures_runs_in_real_time_and_only_meanwhile() ->
         assert os.sched_getscheduler(0) & os.SCHED_RR
         other = threading.Thread(target=lambda: policies.append(os.sched_getscheduler(0)))
         other.start()
-        other.join()
+        within(other.join, "the end of the other thread")
         text = "import os; print(os.sched_getscheduler(0))"
         policies.append(int(subprocess.check_output([sys.executable, "-c", text])))
     assert policies == [before, before]

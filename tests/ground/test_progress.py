@@ -8,6 +8,7 @@ import pytest
 
 from cellapp.ground.pace import eta_words, in_lines, with_eta
 from cellapp.ground.progress import Progress, SharedProgress, StateChange
+from tests.waiting import within
 
 pytestmark = pytest.mark.fast
 
@@ -71,7 +72,7 @@ def test_parts_at_the_same_time_are_added_and_never_go_back() -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        within(thread.join, "the end of a part")
     done = [event.done for event in events]
     assert done == sorted(done)
     assert (done[-1], events[-1].total) == (22, 22)

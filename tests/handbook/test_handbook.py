@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import get_args
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,9 +16,10 @@ import cellapp.docs
 from cellapp.cell.profile import load_profile
 from cellapp.commands.docs.handbook import CHAPTERS, chapter_text, effect_sections, topic_text, topics
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.obstacles import SHAPES
+from cellapp.ground.profile.obstacles import Obstacle
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
+from tests.evidence import more_readings
 from tests.handbook import frame_figures, planning_figures
 from tests.handbook.chart import Chart, Series, chart_svg, shown
 from tests.handbook.declarations import with_declarations
@@ -31,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 TWIN = ROOT / "profiles" / "twin.yaml"
 DOCS = Path(cellapp.docs.__file__).parent
 MOST_BYTES = 45_000
-DRAWN = {*EFFECTS, planning_figures.FIGURE, *frame_figures.FIGURES}
+DRAWN = {*EFFECTS, planning_figures.FIGURE, more_readings.FIGURE, *frame_figures.FIGURES}
 """Stems of the figures that one command draws."""
 
 
@@ -97,7 +99,9 @@ def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> N
     kept = (DOCS / "figures" / f"{planning_figures.FIGURE}.svg").read_text("utf-8")
     twin = load_profile(TWIN)
     assert shown(planning_figures.figure_svg(twin)) == shown(kept), "draw it again: python -m tests.handbook"
-    assert {one.shape for one in planning_figures.example_obstacles().values()} == set(SHAPES) - {"mesh"}
+    assert {one.shape for one in planning_figures.example_obstacles().values()} == {
+        get_args(kind.model_fields["shape"].annotation)[0] for kind in Obstacle.__subclasses__()
+    } - {"mesh"}
     outlines, shadows, stands = planning_figures.obstacles_chart(twin).series
     assert np.isnan(outlines.x).sum() == len(planning_figures.example_obstacles())
     assert np.isnan(shadows.x).sum() == 4, "two edges of the shadows of pillar and lamp"

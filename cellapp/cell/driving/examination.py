@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import platform
-import shutil
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -47,7 +46,7 @@ def examine(profile: Profile, reference_nests: Path | None = None) -> list[Findi
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile, reference_nests)
-        findings = [_python(profile), *_notify(profile), *_found(profile, probes)]
+        findings = [_python(profile), *_found(profile, probes)]
     return findings + placement
 
 
@@ -105,16 +104,6 @@ def _python(profile: Profile) -> Finding:
         else:
             texts.append(f"{package.name} is not installed, and this profile does not need it")
     return Finding("python", "failed" if failed else "ok", ", ".join(texts))
-
-
-def _notify(profile: Profile) -> list[Finding]:
-    """Check that the command of section ``notify`` exists; a job runs without it, too."""
-    if profile.notify is None:
-        return []
-    program = profile.notify.command[0]
-    if shutil.which(program) is None:
-        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a halt")]
-    return [Finding("notify", "ok", f"{program} is run on: {', '.join(profile.notify.events)}")]
 
 
 def _shared_address(profile: Profile, name: str) -> list[Finding]:

@@ -196,20 +196,6 @@ class CollectionResult(Result, schema="cellapp-collection"):
         return next((one for one in reversed(self.sessions) if not one.again), None)
 
 
-class ReplayResult(Result, schema="cellapp-replay"):
-    """``replay``: stops that were visited, readings of each arm, recorded duration, how many times faster it played.
-
-    ``timed`` is False where the readings have no times; the duration is then that of a fixed pace.
-    """
-
-    run: str
-    stops: int
-    readings: Mapping[str, int]
-    duration_s: float
-    speed: float
-    timed: bool
-
-
 class RequestResult(Result, schema="cellapp-request"):
     """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
 

@@ -68,7 +68,7 @@ def load_profile(path: Path) -> Profile:
         One sentence for each of the first few errors, with file, line and key.
     """
     path = Path(path)
-    return _checked(load_text(path), path.parent)
+    return checked_profile(load_text(path), (path.parent,))
 
 
 def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Profile:
@@ -84,7 +84,7 @@ def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Prof
     document = Document(plain_data(content))
     _enter_places(document, (), document.data)
     _check_version(document)
-    return _checked(document, folder)
+    return checked_profile(document, (folder,))
 
 
 def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
@@ -95,10 +95,16 @@ def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
         _enter_places(document, (*at, key), part)
 
 
-def _checked(document: Document, folder: Path) -> Profile:
-    """Validate a document as a profile; files that it names are in ``folder``."""
-    read_arm_types(document, (folder,))
-    locate_meshes(document, (folder,))
+def checked_profile(document: Document, folders: Sequence[Path]) -> Profile:
+    """Validate a document as a profile; files that it names are in the first of ``folders`` that has them.
+
+    Raises
+    ------
+    InputError
+        As ``load_profile``.
+    """
+    _read_arm_types(document, folders)
+    _locate_meshes(document, folders)
     try:
         return Profile.model_validate(document.data)
     except ValidationError as error:
@@ -148,7 +154,7 @@ def read_document(text: str, path: Path) -> Document:
     return document
 
 
-def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
+def _read_arm_types(document: Document, folders: Sequence[Path]) -> None:
     """Replace the paths of arm types by the contents of the files: from the first of ``folders``, else from a plug-in.
 
     The paths of the controllers' own calibrations are replaced, too.
@@ -178,7 +184,7 @@ def arm_type_of_text(text: str, path: Path) -> ArmType:
         raise InputError(validation_message(error, document)) from None
 
 
-def locate_meshes(document: Document, folders: Sequence[Path]) -> None:
+def _locate_meshes(document: Document, folders: Sequence[Path]) -> None:
     """Replace the paths of mesh files by absolute ones, in the first of ``folders`` that has the file.
 
     Raises
@@ -263,21 +269,6 @@ def _first_file(folders: Sequence[Path], name: str) -> Path | None:
 
 
 # -- YAML with its lines ----------------------------------------------------------------------------------------------
-
-
-def is_number(text: str) -> bool:
-    """Return whether YAML reads a text without quotes as a number."""
-    return _tag(text) in ("int", "float")
-
-
-def is_word(text: str) -> bool:
-    """Return whether YAML reads a text without quotes as that text."""
-    return re.fullmatch(r"[./+-]*\w[\w./+-]*", text, re.ASCII) is not None and _tag(text) == "str"
-
-
-def _tag(text: str) -> str:
-    tag = _Loader("").resolve(yaml.ScalarNode, text, (True, False))  # type: ignore[no-untyped-call]
-    return str(tag).removeprefix("tag:yaml.org,2002:")
 
 
 def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:

@@ -70,7 +70,6 @@ class PlacedError(InputError):
 
     def __init__(self, place: Place, words: str) -> None:
         super().__init__(f"{place}: {words}")
-        self.place, self.words = place, words
 
 
 @dataclass
@@ -121,18 +120,6 @@ def validation_message(error: ValidationError, document: Document) -> str:
     lines = [_sentence(place, texts) for place, texts in ordered]
     more = [f"and {len(lines) - _MOST_SHOWN} more"] if len(lines) > _MOST_SHOWN else []
     return "\n".join(lines[:_MOST_SHOWN] + more)
-
-
-def problems(error: ValidationError, document: Document) -> list[tuple[KeyPath, str]]:
-    """Return the key of each error and what is wrong there; a missing key is appended to the path where it belongs."""
-    listed: list[tuple[KeyPath, str]] = []
-    for at, texts in _found(error, document):
-        words = _joined(texts)
-        match = re.match(r"\.([\w.\[\]]+): ", words)
-        keys = re.findall(r"\w+", match.group(1)) if match else []
-        rest = words[match.end() :] if match else words
-        listed.append(((*at, *(int(key) if key.isdigit() else key for key in keys)), rest))
-    return listed
 
 
 def value_message(details: ErrorDetails) -> str:

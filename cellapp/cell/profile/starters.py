@@ -45,8 +45,8 @@ def write_starter(name: str, folder: Path) -> Path:
     return copy_starter(name, folder / FOLDER)
 
 
-def copy_starter(name: str, profiles: Path) -> Path:
-    """Copy a starter profile and the arm types that it names into a folder; return its path.
+def copy_starter(name: str, profiles: Path, file: str = "") -> Path:
+    """Copy a starter profile, as ``file`` if given, and the arm types that it names into a folder; return its path.
 
     If it names targets, all example lists of targets and paths are copied, too. A measured series brings its readings
     and their licence, in ``readings`` beside the folder of profiles.
@@ -59,7 +59,7 @@ def copy_starter(name: str, profiles: Path) -> Path:
     known = [starter.name for starter in starter_profiles()]
     if name not in known:
         raise InputError(f"'{name}' is no profile that comes with cellapp; there are {', '.join(known)}")
-    source, target = starters_folder() / f"{name}.yaml", profiles / f"{name}.yaml"
+    source, target = starters_folder() / f"{name}.yaml", profiles / (file or f"{name}.yaml")
     if path_exists(target):
         raise InputError(f"{target} exists already; nothing was written. Give another folder, or move it away")
     text = source.read_text("utf-8")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import yaml
 from pydantic import ValidationError
 
-from cellapp.cell.profile.draft_fields import FormField, yaml_value
 from cellapp.cell.profile.messages import KeyPath, dotted, value_message
 from cellapp.cell.targets.target_source import location
 from cellapp.cell.targets.targets import Partner, Target, WorkFrame, WorkingConditions, frame_names, set_problem
@@ -23,30 +24,45 @@ _HEADER = """\
 schema: cellapp-targets
 version: 1
 """
+_WHOLE = re.compile(r"[-+]?(0|[1-9][0-9]*)")
+_NUMBER = re.compile(rf"({_WHOLE.pattern}(\.[0-9]*)?|[-+]?\.[0-9]+)([eE][-+]?[0-9]+)?")
+"""Not 010, which YAML reads as eight, nor 1_0."""
+
+
+@dataclass(frozen=True)
+class FormField:
+    """One field of a target that a person types: its key, how its text is read, its label, and what belongs there.
+
+    ``shape`` is a word (text), a number with a unit or without (value), or such values with commas (vector).
+    """
+
+    name: str
+    shape: Literal["text", "value", "vector"]
+    label: str
+    help: str
+
+
 FIELDS = (
-    FormField("name", ("name",), "text", "Name", "of its own; tables and charts use it"),
-    FormField("arm", ("arm",), "text", "Arm", "the arm that goes there; the right arrow completes it"),
-    FormField("frame", ("frame",), "text", "Frame", "base, tracker, an arm or a work frame; empty: the arm's own base"),
-    FormField("position", ("position",), "vector", "Position", "x, y, z of the SMR in the frame: 250 mm, 0, 1"),
-    FormField("rpy", ("rpy",), "vector", "Rotation", "roll, pitch, yaw of the flange: 90 deg, 0, 0; empty: any"),
-    FormField("tolerance", ("tolerance",), "value", "Tolerance", "how far the SMR may be off: 0.1 mm; may be empty"),
+    FormField("name", "text", "Name", "of its own; tables and charts use it"),
+    FormField("arm", "text", "Arm", "the arm that goes there; the right arrow completes it"),
+    FormField("frame", "text", "Frame", "base, tracker, an arm or a work frame; empty: the arm's own base"),
+    FormField("position", "vector", "Position", "x, y, z of the SMR in the frame: 250 mm, 0, 1"),
+    FormField("rpy", "vector", "Rotation", "roll, pitch, yaw of the flange: 90 deg, 0, 0; empty: any"),
+    FormField("tolerance", "value", "Tolerance", "how far the SMR may be off: 0.1 mm; may be empty"),
     FormField(
         "orientation_tolerance",
-        ("orientation_tolerance",),
         "value",
         "Tolerance of rotation",
         "by what angle the flange may be off: 0.5 mrad; may be empty",
     ),
     FormField(
         "approach",
-        ("approach",),
         "vector",
         "Approach",
         "sign of each joint's last motion, 0 for any: 1, 0, -1, 0, 0, 0; may be empty",
     ),
     FormField(
         "partner",
-        ("partner",),
         "text",
         "Partner",
         "the other arm of a cooperative target, its SMR seen from this one: right: 0, 0, 100 mm; 180 deg, 0, 0",
@@ -151,8 +167,18 @@ def typed_target(
 
 
 def _read(field: FormField, text: str) -> object:
-    value: object = yaml.load(yaml_value(field.shape, text), Loader=yaml.CSafeLoader)
-    return value
+    return text.strip() if field.shape == "text" else _scalar(text) if field.shape == "value" else _vector(text)
+
+
+def _vector(text: str) -> object:
+    items = [_scalar(item) for item in text.split(",")]
+    return items[0] if len(items) == 1 and isinstance(items[0], str) else items
+
+
+def _scalar(text: str) -> object:
+    """Return a plain number as one; a number with a unit, and what is none, stays a text for the rules to judge."""
+    text = text.strip()
+    return (int(text) if _WHOLE.fullmatch(text) else float(text)) if _NUMBER.fullmatch(text) else text
 
 
 def _partner_keys(field: FormField, text: str) -> object:
@@ -162,8 +188,7 @@ def _partner_keys(field: FormField, text: str) -> object:
     if not found:
         return text
     vectors = {"position": position, "rpy": rpy}
-    typed = {key: yaml_value("vector", vector) for key, vector in vectors.items() if vector.strip()}
-    return {"arm": arm.strip()} | {key: yaml.load(vector, Loader=yaml.CSafeLoader) for key, vector in typed.items()}
+    return {"arm": arm.strip()} | {key: _vector(vector) for key, vector in vectors.items() if vector.strip()}
 
 
 def _add_conditions(values: dict[str, object], before: Target | None, listed: Sequence[Target]) -> None:

@@ -18,7 +18,7 @@ from cellapp.cell.driving.examination import LONGEST_PROBE_S
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import rehearsals_path
-from cellapp.commands.doctor.redaction import REDACTED, redacted
+from cellapp.commands.doctor.redaction import redacted
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
@@ -40,8 +40,6 @@ _PACKAGES = (
 _MOST_EVENTS = 1000
 _MOST_OF_A_FILE = 1024 * 1024
 """Most bytes of a text file that are packed, taken from its end."""
-_LEAST_ARGUMENT = 8
-"""Shorter arguments of the command are not treated as secrets: such words occur everywhere."""
 _ERROR_LOG = Path("cellapp-error.log")
 
 
@@ -52,10 +50,9 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, log: Mapping[str,
     parts = {
         "versions.json": json.dumps(_versions(), indent=1),
         "doctor.json": result.to_json(indent=1),
-        "profile.json": _without_commands(profile),
+        "profile.json": json.dumps(json.loads(profile_to_json(profile)), indent=1),
+        "profile.yaml": _end_of(path),
     }
-    if profile.notify is None:  # its command may contain secrets
-        parts["profile.yaml"] = _end_of(path)
     for name, arm in profile.arms.items():
         began_s = time.monotonic()
         states = arm.driver.excerpt(LONGEST_PROBE_S)
@@ -98,17 +95,7 @@ def _secrets(profile: Profile) -> set[str]:
     for name, value in os.environ.items():
         if any(word in name.upper() for word in ("TOKEN", "PASSWORD", "PASSPHRASE", "SECRET", "API_KEY")):
             found.add(value)
-    if profile.notify is not None:
-        found |= {word for word in profile.notify.command[1:] if len(word) >= _LEAST_ARGUMENT}
     return found - {""}
-
-
-def _without_commands(profile: Profile) -> str:
-    """Return the whole profile as JSON, without the arguments of the command in its section ``notify``."""
-    content = json.loads(profile_to_json(profile))
-    if profile.notify is not None:
-        content["notify"]["command"] = [profile.notify.command[0], *([REDACTED] * (len(profile.notify.command) - 1))]
-    return json.dumps(content, indent=1)
 
 
 def _end_of(path: Path) -> str:

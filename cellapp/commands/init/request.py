@@ -11,7 +11,7 @@ from cellapp.commands.record import Asked, Request, Verb
 
 
 class InitRequest(Request):
-    """Write a new profile as commented YAML; nothing is overwritten."""
+    """Write a new profile as YAML; nothing is overwritten."""
 
     folder: Annotated[Path, Asked("The profile goes into FOLDER/profiles.", "FOLDER", argument=True)] = Path()
     twin: Annotated[bool, Asked("The simulated cell, to try the program without hardware.")] = False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -73,14 +72,6 @@ class MeshObstacle(Obstacle):
     scale: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
 
 
-SHAPES: Mapping[str, type[Obstacle]] = {
-    "box": BoxObstacle,
-    "cylinder": CylinderObstacle,
-    "capsule": CapsuleObstacle,
-    "sphere": SphereObstacle,
-    "mesh": MeshObstacle,
-}
-"""Shape -> what the profile says of it."""
 AnyObstacle = Annotated[
     BoxObstacle | CylinderObstacle | CapsuleObstacle | SphereObstacle | MeshObstacle, Field(discriminator="shape")
 ]

@@ -17,7 +17,6 @@ from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
 from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.grown import GrownSection
-from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
 from cellapp.ground.profile.plan import Plan
 from cellapp.ground.profile.smr import ArmPoint, Smr
@@ -344,8 +343,7 @@ class Profile(GrownSection, defer_build=True):
     """Path of a target list, relative to the profile; used by ``run``."""
     tolerances: Tolerances = Tolerances()
     traceability: Traceability = Traceability()
-    notify: Notify | None = None
-    later_keys = frozenset({"tolerances", "traceability", "notify"})
+    later_keys = frozenset({"tolerances", "traceability"})
 
     @property
     def moves_hardware(self) -> bool:

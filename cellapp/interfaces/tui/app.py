@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
@@ -24,11 +24,9 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.widgets import Static
 
-from cellapp.cell.driving.requests.attaching import Detached
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal_signals
 from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.jump import Jump
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -37,6 +35,7 @@ from cellapp.interfaces.tui.job_keys import JobKeys
 from cellapp.interfaces.tui.jobs import JobEnded
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
+from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
@@ -50,6 +49,7 @@ from cellapp.interfaces.tui.slow_collections import SlowCollections
 from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
@@ -138,6 +138,12 @@ class CellApp(JobKeys):
         """Leave because the terminal is gone; from any thread."""
         self.leaving.close_terminal()
 
+    @contextlib.contextmanager
+    def lend_terminal(self) -> Iterator[None]:
+        """Let another program have the terminal."""
+        with self.suspend(), self.leaving.lent():
+            yield
+
     def get_driver_class(self) -> type[Driver]:
         """Return the driver that stops before the event loop gets a key, if this system has one."""
         return driver_that_stops(super().get_driver_class())
@@ -209,7 +215,7 @@ class CellApp(JobKeys):
         self._leaving = True
         self.jobs.control.leave(LEFT)
         self._refuse_motion()
-        if not self.jobs.attached:
+        if not self.jobs.watched:
             self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
         self.set_timer(self._patience_s, self._quit_without_job)
 
@@ -424,11 +430,18 @@ class CellApp(JobKeys):
             line.set_classes(f"message {self._severity}")
 
     def _draw_events(self) -> None:
-        """Process the oldest events of the job, and draw if anything changed."""
+        """Process the oldest events of the job, and draw if anything changed.
+
+        One timer for whichever screen is shown: with one for each screen that was ever shown there was no 0.02 s left
+        in which nothing was due.
+        """
         state = self.record.state
         for event in self.jobs.events(_MOST_TAKEN):
             self.record.add(event)
         self.record.look(self.live())
+        with contextlib.suppress(NoMatches, StopIteration):
+            if (screen := self._made_screen) is not None:
+                screen.query_one(LiveStrip).look()
         if self.record.changes == self._drawn:
             return
         self._drawn = self.record.changes
@@ -459,15 +472,13 @@ class CellApp(JobKeys):
         self.tell(terminal_signals.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
-        """Show a new state of the job in the message line; a replay's state is not a state of these arms."""
+        """Show a new state of the job in the message line."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
             since = "" if state == "running" else f" {terminal_signals.since_words(self.record)}"
-            self.message = (
-                f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}{since or f': {reason}'}"
-            )
+            self.message = f"{state.upper()}{since or f': {reason}'}"
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()
-        if state in _WAITING and not self.record.is_replay:
+        if state in _WAITING:
             self._tell_event(str(state), f"{self.record.name} {terminal_signals.since_words(self.record)}")

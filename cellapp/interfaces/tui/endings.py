@@ -7,7 +7,6 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-from cellapp.cell.driving.requests.attaching import Detached
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import Aborted
 from cellapp.ground.errors import CellappError, CheckFailed, HardwareError, InputError
@@ -15,6 +14,7 @@ from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled, Progress
 from cellapp.interfaces.tui.jobs import JobEnded
 from cellapp.interfaces.tui.keys import way_to
+from cellapp.interfaces.tui.live_run import Detached
 from cellapp.interfaces.tui.messages import Severity
 
 ERROR_LOG = "error.log"
@@ -46,7 +46,7 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
         return _done(ended)
     if isinstance(ending, Detached):
         goes_on = f"'{ended.job.name}' goes on in process {ended.job.process}"
-        return Ending(f"Detached; {goes_on}. Open {folder} again to stop it.", "information", 0)
+        return Ending(f"{goes_on}. Open {folder} again to stop it.", "information", 0)
     resume = how_to_resume(last, folder)
     if isinstance(ending, Cancelled):
         word = "Aborted" if isinstance(ending, Aborted) else "Stopped"
@@ -61,6 +61,8 @@ def _done(ended: JobEnded) -> Ending:
     """Return the end of a completed job; if a check did not hold, with the exit code of the command."""
     job, view = ended.job, ended.view
     where = "" if job.folder is None else f"; the run is in {job.folder}"
+    if job.process is not None:
+        return Ending(f"{job.name}: process {job.process} has ended it{where}.", "information", 0)
     if job.folder is not None and job.name == RUN.name:
         where = f"; the report is {job.folder / REPORT_FILE}"
     if view.refused:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -91,6 +92,10 @@ class Host(App[None]):
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""
+        raise NotImplementedError
+
+    def lend_terminal(self) -> AbstractContextManager[None]:
+        """Return a context in which another program has the terminal; ``SuspendNotSupported`` where that cannot be."""
         raise NotImplementedError
 
     def action_show(self, step: Step) -> None:

@@ -136,7 +136,7 @@ class JobRecord:
     ----------
     name : str
         What was started, in a word or two; empty before the first job.
-    attached : bool
+    watched : bool
         Whether another process runs it.
     part : str
         Name in its events for what people call ``name``: a push that measures is a verification.
@@ -178,7 +178,7 @@ class JobRecord:
     name: str = ""
     state: JobState | None = None
     reason: str = ""
-    attached: bool = False
+    watched: bool = False
     part: str = ""
     since: datetime = field(default_factory=datetime.now)
     paces: dict[str, Pace] = field(default_factory=dict)
@@ -201,19 +201,14 @@ class JobRecord:
         """The newest event; None before the first."""
         return next(reversed(self.progress.values()), None)
 
-    @property
-    def is_replay(self) -> bool:
-        """Whether a stored run is played back: nothing moves."""
-        return self.name.split(" ")[0] == "replay"
-
     def newest_lines(self, written: int) -> list[LogRow]:
         """Return the kept lines written since ``log_written`` had the value ``written``; oldest first."""
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str, *, attached: bool = False, part: str = "") -> None:
+    def begin(self, name: str, *, watched: bool = False, part: str = "") -> None:
         """Reset for a new job, but keep the log. Events of ``part`` are stored under the job's own name."""
-        self.attached, self.part = attached, part
+        self.watched, self.part = watched, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         self.since = datetime.now()
         for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):

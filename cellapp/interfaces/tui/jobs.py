@@ -50,7 +50,7 @@ class Job:
     folder : Path or None
         The run that it reads or adds to; its error log is written there.
     moves : bool
-        Whether it may move arms; a replay and a calculation do not.
+        Whether it may move arms; a calculation does not.
     process : int or None
         Id of the other process that runs it and is only watched and commanded from here; None: this process.
     verb : Verb or None
@@ -116,7 +116,7 @@ class JobRunner:
         return job is not None and (job.moves or job.process is not None or self.control.has_brakes)
 
     @property
-    def attached(self) -> bool:
+    def watched(self) -> bool:
         """Whether the current job belongs to another process: leaving it does not stop it."""
         return self.job is not None and self.job.process is not None
 

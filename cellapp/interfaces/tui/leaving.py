@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
+from collections.abc import Iterator
 
 from cellapp.ground.signals import HANGUP, INTERRUPTS, TERMINAL_CLOSED, available, ended_by, watch_signals
 from cellapp.interfaces.tui.endings import STOPPED, forget_terminal
@@ -45,6 +47,19 @@ class Leaving:
         """Stop handling signals."""
         self._signals.close()
 
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[None]:
+        """Leave Ctrl-C and Ctrl-Z to another program that has the terminal meanwhile. Call it in the main thread."""
+        self.close()
+        own = {number: signal.signal(number, signal.SIG_IGN) for number in available("SIGINT")}
+        own |= {number: signal.signal(number, signal.SIG_DFL) for number in _PAUSING}
+        try:
+            yield
+        finally:
+            for number, handler in own.items():
+                signal.signal(number, handler)
+            self.watch()
+
     def _react(self, number: int) -> None:
         """React to a signal, in the thread that watches the signals."""
         control = self._app.jobs.control
@@ -71,7 +86,7 @@ class Leaving:
 
     def _end_process(self, after_s: float) -> None:
         """End the process if Textual cannot: it waits for ever after a failed write to a closed terminal."""
-        running = self._app.jobs.running and not self._app.jobs.attached
+        running = self._app.jobs.running and not self._app.jobs.watched
         self._app.wait_for_job()
         time.sleep(after_s)
         os._exit(STOPPED if running else self._app.code)

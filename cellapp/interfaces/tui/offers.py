@@ -10,7 +10,6 @@ from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
-from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
@@ -31,8 +30,6 @@ USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all t
 """Answers if the model is out of date; the first one has the focus."""
 _READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
-_SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
-"""Speeds of a replay and their keys."""
 
 
 def arms_words(workspace: Workspace) -> str:
@@ -152,7 +149,7 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[st
         text = f"{lost}Key {SHOWN['save']} saves on the screen that has them."
         app.push_screen(Choice("Quit?", text, lose), lambda answer: leave(answer == "leave"))
         return
-    if app.jobs.attached:
+    if app.jobs.watched:
         text = f"{lost}'{app.record.name}' runs in another process and goes on; its arms are not stopped."
         stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
         app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
@@ -168,7 +165,7 @@ def offer_to_resume(app: Host, run: RunSummary) -> None:
     folder, title = Path(run.run), "Go on with the last run?"
     text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
     if run.in_use:
-        title = "Watch the job that runs now?"
+        title = "Open the run of the job that runs now?"
         text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
 
     def open_it(answer: str | None) -> None:
@@ -193,15 +190,3 @@ def offer_at_rest(app: Host, arm: str) -> None:
     answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
     text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."
     app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)
-
-
-def offer_replay(app: Host, folder: Path) -> None:
-    """Play back a run on the screen Collect."""
-
-    def play(answer: str | None) -> None:
-        if answer is not None and app.start_job(work.job_of(REPLAY, folder=folder, speed=float(answer[1:]))):
-            app.action_show("collect")
-
-    answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]
-    text = f"Play back {folder} through the screen Collect. Nothing moves."
-    app.push_screen(Choice("How fast?", text, answers), play)

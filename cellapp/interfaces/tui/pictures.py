@@ -16,20 +16,13 @@ from cellapp.ground.outputs import NEW_ONLY, Outputs
 if TYPE_CHECKING:
     from textual.pilot import Pilot
 
-    from cellapp.interfaces.tui.app import CellApp
 
 SIZE = (120, 40)
 """Columns and lines of a typical terminal."""
-REPLAY_SPEED = 100.0
-"""Speed of the replay: the largest possible."""
 _WAIT_S = 300.0
-_LOOK_S = 0.05
-"""Interval of checking whether a replay is far enough."""
 FIRST_RUN = "first-run"
 """Name of the picture of the question in a folder without profiles; drawn beside the screens."""
 _FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
-_PLOTS_S = 1.0
-"""Time for the plots of the screen Collect, which draws them one by one so that keys are handled in between."""
 _PLAN_TAB = "tab-design"
 """The most informative tab of the screen Plan."""
 _SETTLED = 3
@@ -93,18 +86,15 @@ async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> d
                 app.open_profile(profile)
             else:
                 app.open_run(run, profile)
-            for entry in sorted(SCREENS, key=lambda entry: entry.step == "collect"):  # its replay leaves a message
+            for entry in SCREENS:
                 app.action_show(entry.step)
                 await settle(pilot)
-                if run is not None and entry.step == "collect":
-                    await _replay_half(app, pilot, run)
                 if run is not None and entry.step == "plan":
                     app.screen.query_one(TabbedContent).active = _PLAN_TAB
                     await settle(pilot)
                 svg = app.export_screenshot(title=f"cellapp: {entry.title}")
                 pictures[screen_file(entry.step)] = _without_fonts(svg)
-                await _end_job(app, pilot)
-    return {screen_file(step): pictures[screen_file(step)] for step in (FIRST_RUN, *(entry.step for entry in SCREENS))}
+    return pictures
 
 
 async def _first_run(size: tuple[int, int]) -> str:
@@ -116,30 +106,6 @@ async def _first_run(size: tuple[int, int]) -> str:
         async with app.run_test(size=size) as pilot:
             await settle(pilot)
             return _without_fonts(app.export_screenshot(title="cellapp"))
-
-
-async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
-    """Play back the first half of the stops and pause, to show the screen as it is while arms move."""
-    from cellapp.commands.replay.request import VERB as REPLAY
-    from cellapp.interfaces.tui import work
-
-    stops = app.workspace.stops
-    half = 0 if stops is None else sum(stop.measured for stop in stops.stops) // 2
-    app.start_job(work.job_of(REPLAY, folder=run, speed=REPLAY_SPEED))
-    async with asyncio.timeout(_WAIT_S):
-        while app.jobs.running and min(map(len, app.record.stops.values()), default=0) < half:
-            await asyncio.sleep(_LOOK_S)
-    app.action_pause()
-    await asyncio.sleep(_PLOTS_S)
-    await settle(pilot)
-
-
-async def _end_job(app: CellApp, pilot: Pilot[None]) -> None:
-    async with asyncio.timeout(_WAIT_S):
-        app.action_abort()
-        while app.jobs.running:
-            await asyncio.sleep(_LOOK_S)
-    await settle(pilot)
 
 
 @contextmanager

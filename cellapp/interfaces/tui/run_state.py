@@ -42,8 +42,7 @@ class JobNow:
     state: JobState
     folder: Path | None
     step: Step | None
-    attached: bool = False
-    replays: bool = False
+    watched: bool = False
     stops: int | None = None
     moves: bool = True
 
@@ -117,7 +116,7 @@ class RunState:
     @property
     def collecting(self) -> bool:
         """Whether the current job measures stops of this run."""
-        return self.job is not None and self.job.step == "collect" and not self.job.replays
+        return self.job is not None and self.job.step == "collect"
 
     @property
     def measured_words(self) -> str:
@@ -212,7 +211,7 @@ def run_state(
     ``waits`` is a run that was found at the start; ``reading`` says what is not read yet.
     """
     job = _job_now(record, running)
-    here = job is not None and not job.replays and (job.folder is None or job.folder == workspace.folder)
+    here = job is not None and (job.folder is None or job.folder == workspace.folder)
     stops = () if workspace.stops is None or workspace.profile is None else workspace.stops.stops
     reserves = frozenset() if workspace.profile is None else frozenset(workspace.profile.plan.reserves(len(stops)))
     measured = sum(stop.measured for stop in stops)
@@ -290,8 +289,7 @@ def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
         record.state,
         None if running is None else running.folder,
         _DRIVES.get(part),
-        record.attached,
-        record.is_replay,
-        None if collected is None or record.is_replay else collected.done,
+        record.watched,
+        None if collected is None else collected.done,
         running is None or running.moves or running.process is not None,
     )

@@ -11,7 +11,7 @@ from cellapp.commands.record import Request, Verb, Work
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.progress import Listener
 from cellapp.interfaces.page import draw_certificate, write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
@@ -147,8 +147,3 @@ def interrupted_run(logs: Path) -> RunSummary | None:
         return to_go_on_with(logs) if logs.is_dir() else None
     except CellappError:
         return None  # an unreadable folder offers nothing; the screen Runs says why
-
-
-def looked(verb: Verb, request: Request) -> Result:
-    """Run a verb that only reads, and return its result. Call it in a separate thread."""
-    return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))

@@ -14,9 +14,10 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.fast
-WITHIN_S = 30.0
+WITHIN_S = WAIT_S
 
 
 class Braking:

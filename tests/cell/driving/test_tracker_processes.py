@@ -16,6 +16,7 @@ import pytest
 from cellapp.cell.driving.tracker_watch import monitored, watched
 from drivers.trackers.bridge import BridgeTracker
 from tests.latency import attempts
+from tests.waiting import within
 
 pytestmark = pytest.mark.waits
 
@@ -65,7 +66,7 @@ def process(program: str, argument: str) -> Iterator[subprocess.Popen[str]]:
 
 def first_line(running: subprocess.Popen[str]) -> str:
     assert running.stdout is not None
-    return running.stdout.readline().strip()
+    return within(running.stdout.readline, "the first line of the process").strip()
 
 
 @pytest.mark.parametrize(
@@ -105,4 +106,4 @@ def test_a_program_that_was_suspended_does_not_take_the_tracker_for_dead() -> No
         assert watcher.stdout is not None
         watcher.stdin.write("\n")
         watcher.stdin.close()
-        assert watcher.stdout.read() == ""
+        assert within(watcher.stdout.read, "the end of the process") == ""

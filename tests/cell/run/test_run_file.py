@@ -28,6 +28,7 @@ from cellapp.ground.profile import Profile
 from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.spoiled import SPOILED
 from tests.cell.run.two_arm_cell import assert_same, two_arms
+from tests.waiting import WAIT_S, within
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 ALL_FLOATS = st.floats(allow_infinity=False)
@@ -292,7 +293,7 @@ def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(timeout=60)
+            within(thread.join, "the end of a writer")
         assert run.stops_done() == set(range(30))
         assert len(run.events()) == 30
 
@@ -446,15 +447,15 @@ def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, fol
             cwd=Path(__file__).parents[3],
         )
         assert writer.stdout is not None
-        timer = threading.Timer(60.0, writer.kill)
+        timer = threading.Timer(3 * WAIT_S, writer.kill)
         timer.start()
         # some stops for sure, then a moment that falls anywhere within the transactions that follow
         for _ in range(rng.randint(1, 30)):
-            promised.add(int(writer.stdout.readline()))
+            promised.add(int(within(writer.stdout.readline, "the next stop")))
         threading.Event().wait(rng.uniform(0.0, 0.02))
         writer.send_signal(signal.SIGKILL)
         promised.update(int(line) for line in writer.stdout.read().split("\n")[:-1])
-        assert writer.wait(timeout=60) == -signal.SIGKILL
+        assert writer.wait(WAIT_S) == -signal.SIGKILL
         timer.cancel()
         writer.stdout.close()
 

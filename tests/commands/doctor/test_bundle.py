@@ -19,7 +19,6 @@ from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.doctor.run import run as doctor
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.notify import Notify
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, UrControllerServer, personality
 from drivers.trackers.bridge_settings import BridgeSettings
@@ -44,10 +43,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Profile:
     monkeypatch.setenv("KEY_PASSPHRASE", PASSWORD)
     driver = BridgeSettings(url="socket://127.0.0.1:50960", token_file=str(file))
     twin = small_twin()
-    notify = Notify(command=("curl", "-u", "night:another-password", "{text}"))
-    return twin.model_copy(
-        update={"tracker": twin.tracker.model_copy(update={"driver": driver}), "notify": notify, "name": "bundled"}
-    )
+    return twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"driver": driver}), "name": "bundled"})
 
 
 def unpacked(data: bytes) -> dict[str, str]:
@@ -60,20 +56,19 @@ def test_no_secret_is_packed_and_the_newest_run_is(cell: Profile, tmp_path: Path
     (tmp_path / "logs").mkdir()
     with RunFile.create(tmp_path / "logs" / "first", cell) as run:
         run.log("warning", f"the bridge refused {TOKEN}, passphrase {PASSWORD}")
-        run.log("error", "curl night:another-password failed\n-----BEGIN PRIVATE KEY-----\nMC4CAQAw\n")
+        run.log("error", "-----BEGIN PRIVATE KEY-----\nMC4CAQAw\n")
     (tmp_path / "cellapp-error.log").write_text(f"Traceback\n  password='{PASSWORD}' url=http://me:{PASSWORD}@host/\n")
     folder = newest_run(cell)
     assert folder == Path("logs/first")
     parts = unpacked(bundle(tmp_path / "cell.yaml", cell, FOUND, run_log(folder), 1.5))
     assert set(parts) == {
-        *("versions.json", "doctor.json", "profile.json", "timings.json"),
+        *("versions.json", "doctor.json", "profile.json", "profile.yaml", "timings.json"),
         *("run-log.txt", "run-left-out.txt", "cellapp-error.log"),
     }
     for name, text in parts.items():
-        for secret in (TOKEN, PASSWORD, "another-password", "MC4CAQAw"):
+        for secret in (TOKEN, PASSWORD, "MC4CAQAw"):
             assert secret not in text, name
     assert f"the bridge refused {REDACTED}" in parts["run-log.txt"]
-    assert json.loads(parts["profile.json"])["notify"]["command"] == ["curl", *[REDACTED] * 3]
     assert json.loads(parts["profile.json"])["arms"]["left"]["type"]["model"] == cell.arms["left"].type.model
     assert {"cellapp", "python", "numpy"} <= set(json.loads(parts["versions.json"]))
     assert json.loads(parts["timings.json"])["doctor_s"] == 1.5

@@ -22,7 +22,6 @@ from cellapp.commands.emulate.result import EmulatedArm
 from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.notify import Notify
 from cellapp.ground.progress import CancelToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
@@ -105,12 +104,6 @@ def test_the_simulated_cell_is_sound(twin: Profile) -> None:
     found = findings(twin)
     assert {finding.status for finding in found.values()} == {"ok"}
     assert {"arm left", "arm right", "home", "plant", "arm left: SMR", "arm right: SMR", "tracker"} <= set(found)
-
-
-def test_the_command_that_tells_of_a_stop_is_looked_for(twin: Profile) -> None:
-    for command, status in ((sys.executable, "ok"), ("no-such-program-of-cellapp", "warning")):
-        told = twin.model_copy(update={"notify": Notify(command=(command, "{text}"))})
-        assert findings(told)["notify"].status == status
 
 
 def test_readings_from_a_file_need_no_device() -> None:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.survey_points import SurveyPoint, points_of_text
+from cellapp.cell.profile.survey_points import SurveyPoint
 from cellapp.commands.docs.handbook import chapter_text
-from cellapp.commands.doctor.survey import surveyed_base
-from cellapp.commands.init.answers import write_answers
+from cellapp.commands.init.answers import surveyed_base, write_answers
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
 from cellapp.robot.kinematics.chain import smr_positions
@@ -70,18 +69,19 @@ def test_answers_make_a_profile_with_the_surveyed_base(joints: bool, tmp_path: P
     assert base is not None
     assert np.allclose(pose_matrix(base), pose_matrix(TRUE_BASE), atol=1e-4)
     assert result.notes[0].startswith("arm left: 4 points fit to 0.00 mm rms")
-    assert "    # From tracker points: 4 points fit to" in result.path.read_text("utf-8")
+    assert "# Base from tracker points, arm left: 4 points fit to" in result.path.read_text("utf-8")
+    assert (tmp_path / "profiles" / "arms" / "ur10.yaml").is_file()
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("name: hall-3\n", "", "name: expected a text, got an empty one"),
+        ("name: hall-3\n", "", "name: missing; it must be given"),
         ("type: ur10", "type: ur11", r"arms\.left\.type: .*file not found"),
         (", host: 192.168.0.10", "", r"arms\.left\.driver\.host: missing; it must be given"),
         ("stops: 200", "stops: many", r"plan\.stops: expected a whole number, got 'many'"),
-        ("stops: 200", "stop: 200", r"yaml:\d+: plan\.stop: the form has no such key; known here are plan\.cl"),
-        ("plan:", "splits: {identify: 3}\nplan:", r"splits\.identify: the form has no such key"),
+        ("stops: 200", "stop: 200", r"yaml:\d+: plan\.stop: unknown key; did you mean 'stops'"),
+        ("plan:", "splits: {identfy: 3}\nplan:", r"splits\.identfy: unknown key; did you mean 'identify'"),
         (POSE, "", r"base\.points: tracker\.pose: missing"),
         ("offset: [0.045, 0.020, 0.060]", "offset: unknown", r"points: point 1: joint positions need the SMR offset"),
         ("POINTS", "        - {tracker: [1, 2, 3]}", r"points\[0\]: give 'base' .* or 'joints'"),
@@ -124,22 +124,9 @@ def test_the_handbook_s_answers_make_a_profile(tmp_path: Path) -> None:
     assert result.notes[0].endswith("; good")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("1, 2, 3", "line 1: expected two lists with a semicolon between them"),
-        ("\n1, 2, 3 ; 4, 5", "line 2: tracker"),
-        ("1, 2, x ; 4, 5, 6", r"line 1: base\[2\]: expected a length"),
-        ("0, 0, 0, 0, 0, 900 ; 4, 5, 6", r"line 1: joints\[5\]: 900 rad is more than two turns"),
-    ],
-)
-def test_a_wrong_line_of_points_is_named(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        points_of_text(text)
-
-
-def test_points_are_read_from_lines() -> None:
-    at_base, by_joints = points_of_text("100 mm, 0, -0.2 ; 1, 2, 3\n\n0, -90 deg, 0, 0, 0, 0 ; 4, 5, 6000 mm\n")
-    assert (at_base.base, at_base.joints, at_base.tracker) == ((0.1, 0.0, -0.2), None, (1.0, 2.0, 3.0))
-    assert by_joints.joints == pytest.approx((0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0))
-    assert by_joints.tracker == (4.0, 5.0, 6.0)
+def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: Path) -> None:
+    text = ANSWERS.replace("POINTS", lines(joints=False)) + "splits: {identify: 3}\nseed: 7\n"
+    path = write_answers(written(tmp_path, text), tmp_path).path
+    profile = load_profile(path)
+    assert (profile.seed, profile.splits.identify, profile.calibration.robust) == (7, 3, "huber")
+    assert "clearance: 80 mm" in path.read_text("utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -19,8 +18,9 @@ from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, S
 from tests.at_once import in_parallel
 from tests.latency import patiently
 from tests.loopback import own_address, own_arms
+from tests.waiting import WAIT_S, until
 
-PATIENT_S = 20.0
+PATIENT_S = WAIT_S
 SERIALS = {"left": "20153012345", "right": "20205501234", "left2": "20153012346", "right2": "20205501235"}
 HOSTS = own_arms(41)
 FOUR_HOSTS = {**HOSTS, "left2": own_address(63), "right2": own_address(64)}
@@ -115,14 +115,6 @@ def of_each_arm(
 def is_stall(error: ArmError) -> bool:
     """Return whether this computer kept a worker from its arm or from its heartbeats; no test ends with these."""
     return isinstance(error, HostStalled) or "its driver process was silent for" in str(error)
-
-
-def until(condition: Callable[[], bool], what: str, within_s: float = PATIENT_S) -> None:
-    """Wait until a condition holds."""
-    deadline = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < deadline, f"not within {within_s:g} s: {what}"
-        pause(0.005)
 
 
 def pause(seconds: float) -> None:

@@ -38,9 +38,9 @@ from tests.drivers.arms.emulated_ur_cell import (
     emulated_cell,
     of_each_arm,
     repair,
-    until,
 )
 from tests.latency import attempts
+from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
@@ -190,7 +190,7 @@ with driven(sys.argv[1]) as arm:
     arm.connect()
     arm.start_move(FAR, UNHURRIED, ACCELERATION)
     print(arm.worker_pid, flush=True)
-    threading.Event().wait()
+    threading.Event().wait(60.0)
 """
 
 
@@ -202,7 +202,7 @@ def kill_the_application(emulator: EmulatorProcess, arm: UrArm, *, with_worker: 
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
         assert application.stdout is not None
-        worker = int(application.stdout.readline())
+        worker = int(within(application.stdout.readline, "the worker of the application"))
         until(lambda: abs(emulator.control(name, "status")["q"][0] - HOME[0]) > 0.1, "the arm moves")
         application.kill()
         if with_worker:

@@ -58,7 +58,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     emulated_cell,
     expectation,
     repair,
-    until,
     warnings_about,
 )
 from tests.evidence.wire.link_bench import travel_s
@@ -66,6 +65,7 @@ from tests.evidence.wire.link_results import LinksResult
 from tests.evidence.wire.links import link_trials
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
+from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
@@ -302,7 +302,7 @@ def other_clients_program(host: str) -> Iterator[None]:
     command = [sys.executable, "-c", code, host]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
-        while other.stdout.readline().strip() != "up":
+        while within(other.stdout.readline, "the program of the other client").strip() != "up":
             assert other.poll() is None
         try:
             yield

@@ -33,9 +33,9 @@ from tests.drivers.arms.emulated_ur_cell import (
     of_each_arm,
     pause,
     repair,
-    until,
 )
 from tests.latency import attempts
+from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 

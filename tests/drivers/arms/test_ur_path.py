@@ -39,8 +39,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     expectation,
     of_each_arm,
     repair,
-    until,
 )
+from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 

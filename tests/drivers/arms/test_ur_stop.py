@@ -51,9 +51,9 @@ from tests.drivers.arms.emulated_ur_cell import (
     of_each_arm,
     received_stop_s,
     repair,
-    until,
 )
 from tests.latency import attempts
+from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
@@ -154,7 +154,7 @@ def brake_during_a_wait(emulator: EmulatorProcess, arm: UrArm) -> dict[str, floa
     with pytest.raises(MotionStopped, match=f"arm {arm.name}: "):
         arm.wait_settled(PATIENT_S)
     woken_s = time.monotonic()
-    stopper.join()
+    within(stopper.join, "the end of the brake")
     assert_braked(emulator, arm.name, asked[0])
     received_s = received_stop_s(emulator, arm.name, asked[0])
     return {"woken": woken_s - asked[0], "returned": asked[1] - asked[0], "received": received_s - asked[0]}
@@ -195,7 +195,7 @@ def brake_while_it_starts(emulator: EmulatorProcess, arm: UrArm, after_s: float)
     stopper.start()
     with pytest.raises(ArmError) as ended:
         move()
-    stopper.join()
+    within(stopper.join, "the end of the brake")
     assert_stays_at_rest(emulator, arm.name, for_s=0.3)
     assert np.abs(np.array(emulator.control(arm.name, "status")["q"]) - goal).max() > 0.3, "it went all the way"
     with pytest.raises(ArmError):
@@ -392,13 +392,13 @@ def suspended_application_does_not_leave_its_arm_moving(emulator: EmulatorProces
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as application:
         assert application.stdout is not None
-        assert application.stdout.readline() == "moving\n"
+        assert within(application.stdout.readline, "the motion") == "moving\n"
         until(lambda: not at_rest(emulator, name), "the arm moves")
         suspended_s = time.monotonic()
         application.send_signal(signal.SIGSTOP)
         assert_braked(emulator, name, suspended_s)
         application.send_signal(signal.SIGCONT)
-        assert application.stdout.readline() == "HostStalled\n"
+        assert within(application.stdout.readline, "what it notices") == "HostStalled\n"
         application.wait(PATIENT_S)
 
 

@@ -13,7 +13,8 @@ import pytest
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_stop_line import StopLine
 from drivers.patience import Patience
-from tests.drivers.arms.emulated_ur_cell import PATIENT_S, pause, until
+from tests.drivers.arms.emulated_ur_cell import PATIENT_S, pause
+from tests.waiting import until
 
 pytestmark = pytest.mark.fast
 

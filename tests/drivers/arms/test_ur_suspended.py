@@ -19,8 +19,8 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     emulated_cell,
     pause,
-    until,
 )
+from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
@@ -77,7 +77,7 @@ def suspended_again_and_again(emulator: EmulatorProcess, name: str) -> None:
         assert application.stdout is not None
         try:
             for _ in range(TIMES):
-                assert application.stdout.readline() == "moving\n"
+                assert within(application.stdout.readline, "the motion") == "moving\n"
                 until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
                 pause(moments.uniform(0.0, 0.5))
                 application.send_signal(signal.SIGSTOP)
@@ -85,7 +85,7 @@ def suspended_again_and_again(emulator: EmulatorProcess, name: str) -> None:
                 assert_stays_at_rest(emulator, name)  # it was stopped meanwhile
                 application.send_signal(signal.SIGCONT)
                 for _ in ("the listener", "the call that waited"):
-                    assert_says_so(application.stdout.readline(), name)
+                    assert_says_so(within(application.stdout.readline, "what it notices"), name)
         finally:
             application.send_signal(signal.SIGCONT)
             application.terminate()

@@ -7,7 +7,6 @@ import importlib.util
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -19,9 +18,12 @@ import pytest
 from drivers.emulators.ur_controller import ControllerConfig, EmulatorProcess, personality, start_in_process
 from tests.latency import attempts
 from tests.loopback import own_arms
+from tests.waiting import until
 
 ROOT = Path(__file__).parents[3]
 LONGEST_S = 40.0
+MEANWHILE_S = 4 * LONGEST_S
+"""All scenarios that run meanwhile, one after the other."""
 HOSTS, MEANWHILE_HOSTS = own_arms(61), own_arms(65)
 MEANWHILE = ("late_start", "watchdog", "emergency_stop")
 """Scenarios that run meanwhile, because they wait longest."""
@@ -53,9 +55,11 @@ def reset(process: EmulatorProcess) -> None:
     control("*", "protective", "off")
     for command in ("release", "estop-release", "brake-release"):
         control("*", command)
-    end = time.monotonic() + LONGEST_S
-    while not all(s["robot_mode"] == "RUNNING" and s["safety_mode"] == "NORMAL" for s in control("*", "status")):
-        assert time.monotonic() < end
+
+    def ready() -> bool:
+        return all(s["robot_mode"] == "RUNNING" and s["safety_mode"] == "NORMAL" for s in control("*", "status"))
+
+    until(ready, "controllers that can move")
 
 
 Found = dict[str, Any]
@@ -151,18 +155,18 @@ def test_a_late_start_local_control_and_a_second_client_fail_as_on_a_real_contro
     second = client(emulator, "second_client")
     assert "already in use" in second["error"]
     assert second["first"] is True
-    assert "Failed to start control script" in meanwhile["late_start"].result()["error"]
+    assert "Failed to start control script" in meanwhile["late_start"].result(MEANWHILE_S)["error"]
 
 
 def test_the_watchdog_brings_the_arm_of_a_silent_client_to_rest(meanwhile: Mapping[str, Future[Found]]) -> None:
-    found = meanwhile["watchdog"].result()
+    found = meanwhile["watchdog"].result(MEANWHILE_S)
     assert found["fed"] is True
     assert found["moving"] is False
     assert found["gone"] < 2.4, "it went all the way"
 
 
 def test_an_emergency_stop_and_its_release(meanwhile: Mapping[str, Future[Found]]) -> None:
-    assert meanwhile["emergency_stop"].result() == {"refused": False, "still": True, "next": True}
+    assert meanwhile["emergency_stop"].result(MEANWHILE_S) == {"refused": False, "still": True, "next": True}
 
 
 @pytest.mark.skipif(

@@ -210,9 +210,13 @@ def test_no_joint_goes_faster_than_it_can() -> None:
     bench.write(MOVE, (*goal(bench, j1=1.0, j2=0.1), 3.0, 9.0))
     fastest = 0.0
     bench.until(lambda: bench.controller.moving)
-    while bench.controller.moving:
-        bench.cycles(1)
+
+    def at_rest() -> bool:
+        nonlocal fastest
         fastest = max(fastest, abs(bench.controller.values["actual_qd"][0]))
+        return not bench.controller.moving
+
+    bench.until(at_rest)
     assert fastest == pytest.approx(0.5)
 
 

@@ -32,6 +32,7 @@ from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.plant import Plant
 from drivers.plant.motion import travel
 from tests.drivers.emulators.test_ur_controller_state import Bench, control_text
+from tests.waiting import WAIT_S, until
 
 pytestmark = pytest.mark.waits
 
@@ -133,13 +134,6 @@ def at(server: UrControllerServer, arm: str, port: PortName) -> tuple[str, int]:
     return server.addresses.arms[arm][port]
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    """Poll the control channel, which answers once a millisecond or so."""
-    end = time.monotonic() + PATIENT_S
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-
-
 def talk(address: tuple[str, int], *lines: str) -> list[str]:
     """Greeting and answers of the dashboard; the connection is closed by ``quit``."""
     with socket.create_connection(address, PATIENT_S) as link:
@@ -187,8 +181,8 @@ def test_an_input_belongs_to_one_connection_until_it_ends(emulator: UrController
             first.send("U", b"\x01" + struct.pack(">i", 42))
             first.ask("v")
             first.link.close()
-            wait_for(lambda: control("old", "status")["connections"]["rtde"] < 3)
-            wait_for(lambda: second.inputs(["input_int_register_5"])[0] > 0)
+            until(lambda: control("old", "status")["connections"]["rtde"] < 3, "the end of a link")
+            until(lambda: second.inputs(["input_int_register_5"])[0] > 0, "registers that are free again")
             second.outputs(["input_int_register_5"])
             second.start()
             assert second.state() == (42,), "the last value stays"
@@ -371,7 +365,9 @@ def test_two_arms_move_the_plant_together(make_arm, make_plant) -> None:
         for thread in threads:
             thread.start()
         both = False
+        end_s = time.monotonic() + WAIT_S
         while any(thread.is_alive() for thread in threads):
+            assert time.monotonic() < end_s, "the motions did not end"
             with server.cell.lock:
                 both = both or (plant.moving("left") and plant.moving("right"))
         assert both, "they moved at the same time"
@@ -427,7 +423,7 @@ def test_an_arm_moves_on_when_its_client_has_gone() -> None:
             send_move(client, goal, 0.4, 4.0)
             client.until(lambda s: s[3] > E_SERIES.home[0] + 0.05)
         assert control("new", "status")["moving"]
-        wait_for(lambda: not control("new", "status")["moving"])
+        until(lambda: not control("new", "status")["moving"], "rest")
         assert control("new", "status")["q"] == pytest.approx(goal, abs=1e-12)
 
 
@@ -454,7 +450,7 @@ def test_links_are_dropped_and_new_ones_refused_for_a_while(ending: str) -> None
                 return False
             return True
 
-        wait_for(back)
+        until(back, "the way back")
 
 
 def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
@@ -479,13 +475,13 @@ def test_operators_actions_over_the_control_channel() -> None:
         control("new", "estop-release")
         control("new", "power-on")
         control("new", "brake-release")
-        wait_for(lambda: control("new", "status")["robot_mode"] == "RUNNING")
+        until(lambda: control("new", "status")["robot_mode"] == "RUNNING", "the brakes are released")
         control("new", "remote", "off")
         control("new", "protective", "now")
         status = control("new", "status")
         assert (status["safety_mode"], status["remote_control"]) == ("PROTECTIVE_STOP", False)
         control("new", "release")
-        wait_for(lambda: control("new", "status")["safety_mode"] == "NORMAL")
+        until(lambda: control("new", "status")["safety_mode"] == "NORMAL", "the safety stop is over")
         assert control("new", "log")[-1] == "protective stop released"
         control("new", "power-off")
         assert control("*", "status")[0]["robot_mode"] == "POWER_OFF"
@@ -494,7 +490,7 @@ def test_operators_actions_over_the_control_channel() -> None:
 def test_the_slider_and_the_stops_over_the_control_channel() -> None:
     with alone(CB3) as (server, control):
         control("old", "slider", 0.25)
-        wait_for(lambda: control("old", "status")["speed_scaling"] == 0.25)
+        until(lambda: control("old", "status")["speed_scaling"] == 0.25, "the slider")
         assert control("old", "status")["speed_fraction"] == 0.25
         for wrong in ("nan", "inf", "-1", "2", "x"):
             with pytest.raises(Refused):
@@ -516,14 +512,14 @@ def test_a_foreign_program_is_loaded_paused_and_ended_on_command() -> None:
         control("old", "foreign", "playing")
         assert talk(address, "programState", "running")[1:3] == ["PLAYING palletizing.urp", "Program running: true"]
         control("old", "foreign", "paused")
-        wait_for(lambda: control("old", "status")["runtime_state"] == "PAUSED")
+        until(lambda: control("old", "status")["runtime_state"] == "PAUSED", "the pause")
         control("old", "foreign", "playing")
-        wait_for(lambda: control("old", "status")["runtime_state"] == "PLAYING")
+        until(lambda: control("old", "status")["runtime_state"] == "PLAYING", "the program")
         control("old", "foreign", "off")
-        wait_for(lambda: control("old", "status")["runtime_state"] == "STOPPED")
+        until(lambda: control("old", "status")["runtime_state"] == "STOPPED", "the program's end")
         control("old", "foreign", "off")
         control("old", "foreign", "paused")
-        wait_for(lambda: control("old", "status")["runtime_state"] == "PAUSED")
+        until(lambda: control("old", "status")["runtime_state"] == "PAUSED", "the pause")
 
 
 def test_a_dashboard_connection_opened_in_local_control_stays_refused() -> None:

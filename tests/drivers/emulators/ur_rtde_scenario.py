@@ -60,7 +60,10 @@ def both_arms(control: Control, hosts: list[str]) -> dict[str, Any]:
     threads = [threading.Thread(target=move, args=(number,)) for number in range(2)]
     for thread in threads:
         thread.start()
+    end_s = time.monotonic() + PATIENT_S
     while any(thread.is_alive() for thread in threads):
+        if time.monotonic() > end_s:
+            raise TimeoutError("the end of both motions")
         moving.append({name for name in ("left", "right") if control(name, "status")["moving"]})
     until(lambda: [receive.getActualQ() for receive in receives] == goals, "the last states")
     command, receive = commands[1], receives[1]
@@ -100,7 +103,10 @@ def rates(control: Control, hosts: list[str]) -> dict[str, Any]:
         receive = RTDEReceiveInterface(host)
         stamps: set[float] = set()
         pause = threading.Event()
+        end_s = time.monotonic() + PATIENT_S
         while len(stamps) < 60:
+            if time.monotonic() > end_s:
+                raise TimeoutError("60 states")
             stamps.add(receive.getTimestamp())
             pause.wait(0.0003)
         gaps = sorted(b - a for a, b in pairwise(sorted(stamps)))

@@ -7,7 +7,6 @@ import os
 import select
 import socket
 import threading
-import time
 import tty
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -24,6 +23,7 @@ from drivers.sensors import serial_station
 from drivers.sensors.protocol import SensorLinkLost, StaleReading
 from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
 from drivers.sensors.simulated import SimulatedAirSensor
+from tests.waiting import until
 
 pytestmark = pytest.mark.fast
 
@@ -86,14 +86,6 @@ def listen() -> Iterator[Callable[..., SerialStation]]:
     yield make
     for station in stations:
         station.disconnect()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait, bounded, for what another thread does."""
-    end = time.monotonic() + LONG_S
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        threading.Event().wait(0.01)
 
 
 # -- lines ------------------------------------------------------------------------------------------------------------
@@ -188,7 +180,7 @@ def test_readings_come_with_their_age(line: Line, listen: Callable[..., SerialSt
     clock.time_s += 59.0
     assert station.read().age_s == 59.0
     line.say(LINE.replace(b"21.4", b"21.9"))
-    until(lambda: station.read().age_s == 0.0)
+    until(lambda: station.read().age_s == 0.0, "a fresh line")
     assert station.read().temperature_c == 21.9
 
 
@@ -196,7 +188,7 @@ def test_a_stale_reading_is_refused_and_silence_named(line: Line, listen: Callab
     clock = Clock()
     station = listen(line.path, now=clock, timeout_s=SHORT_S)
     line.say(b"\r\n" + LINE)
-    until(lambda: station._newest is not None)
+    until(lambda: station._newest is not None, "the first line")
     assert station.read().age_s == 0.0
     clock.time_s += 61.0
     with pytest.raises(StaleReading, match=r"is 61 s old, more than 60 s: it is silent; check its power"):
@@ -223,12 +215,12 @@ def test_garbage_is_named_and_the_next_line_counts(line: Line, listen: Callable[
     station = listen(line.path, timeout_s=SHORT_S)
     line.say(b"\r\n" + bytes(range(128, 250)) + b"\r\nP= 1.0 bar\r\n" + b"x" * 5 * LONGEST_LINE + b"\r\n")
     line.say(b"P= 1.0132 hPa T= 20.0 'C\r\n")
-    until(lambda: "another unit" in station._last_bad_line)
+    until(lambda: "another unit" in station._last_bad_line, "the line that is refused")
     with pytest.raises(SensorLinkLost, match=r"lines without a reading: .*1\.0132 hPa.*check format, units"):
         station.read()
     assert len(station._last_bad_line) < 300
     line.say(LINE)
-    until(lambda: station._newest is not None)
+    until(lambda: station._newest is not None, "the first line")
     assert station.read().temperature_c == 21.4
 
 
@@ -237,7 +229,7 @@ def test_a_line_without_end_is_not_kept(line: Line, listen: Callable[..., Serial
     line.say(b"\r\n")
     for _ in range(3):
         line.say(b"x" * LONGEST_LINE)
-    until(lambda: "a line without end" in station._last_bad_line)
+    until(lambda: "a line without end" in station._last_bad_line, "the line that is refused")
     line.say(b"P= 1000.0 hPa T= 1.4 'C\r\n" + LINE)  # the rest of it is no reading either
     assert station.read().temperature_c == 21.4
 
@@ -247,9 +239,9 @@ def test_a_polled_station(line: Line, listen: Callable[..., SerialStation]) -> N
     assert line.hear() == b"send\r\n"
     line.say(b"send\r\n" + LINE.replace(b"21.4", b"1.4"))  # the first line end is only where lines begin
     assert line.hear() == b"send\r\n"
-    until(lambda: station._newest is not None)
+    until(lambda: station._newest is not None, "the first line")
     line.say(LINE)
-    until(lambda: station.read().temperature_c == 21.4)
+    until(lambda: station.read().temperature_c == 21.4, "the next value")
 
 
 def test_unplugged_and_plugged_in_again(
@@ -262,19 +254,22 @@ def test_unplugged_and_plugged_in_again(
     link.symlink_to(first.path)
     station = listen(str(link), now=clock, timeout_s=SHORT_S)
     first.say(b"\r\n" + LINE)
-    until(lambda: station._newest is not None)
+    until(lambda: station._newest is not None, "the first line")
     first.unplug()
     link.unlink()
-    until(lambda: bool(station._link_error))
+    until(lambda: bool(station._link_error), "the lost link")
     assert station.read().temperature_c == 21.4  # still fresh
     clock.time_s += 61.0
     with pytest.raises(StaleReading, match=r"61 s old.*(link is lost|cannot be opened)"):
         station.read()
     second = Line()
     link.symlink_to(second.path)
-    until(lambda: not station._link_error)
+    until(lambda: not station._link_error, "the link")
     second.say(b"\r\n" + LINE.replace(b"21.4", b"22.5"))
-    until(lambda: station._newest is not None and station._newest.values["temperature"] == 22.5)
+    until(
+        lambda: station._newest is not None and station._newest.values["temperature"] == 22.5,
+        "the new value",
+    )
     assert station.read().age_s == 0.0
     station.disconnect()
     second.unplug()
@@ -290,7 +285,7 @@ def test_a_station_behind_a_socket_that_hangs_up(
         for figure in (b"21.4", b"22.5"):
             connection, _ = server.accept()
             with connection:
-                until(partial(reads, station, connection, figure))
+                until(partial(reads, station, connection, figure), "the figure")
 
 
 def reads(station: SerialStation, connection: socket.socket, figure: bytes) -> bool:

@@ -15,6 +15,7 @@ from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.plant import Plant, PlantConfig, TrackerConfig
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Halted, Point, Preparation, TargetLost, TrackerLinkLost, TrackerRefused
+from tests.waiting import within
 
 SILENCE_S = 0.1
 NESTS = {"a": np.array([1.5, 2.0, -0.3]), "b": np.array([2.0, 1.0, 0.2])}
@@ -82,7 +83,7 @@ class BridgeMachine(RuleBasedStateMachine):
         except Halted:
             self.undelivered += 1
         finally:
-            halting.join()
+            within(halting.join, "the end of the halt")
         self.waiting = list(self.bridge._faults)
 
     @rule()

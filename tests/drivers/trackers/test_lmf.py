@@ -32,6 +32,7 @@ from drivers.trackers.protocol import (
     WrongTarget,
 )
 from tests.drivers.trackers.fake_lmf import E, LmfException, Scene
+from tests.waiting import until
 
 pytestmark = pytest.mark.fast
 
@@ -594,7 +595,7 @@ def test_an_lmf_that_hangs_does_not_answer(tracker: Callable[..., LmfTracker], s
     assert driver.data_age_s() > SHORT_S
     scene.hanging = set()
     scene.release.set()
-    wait_for(lambda: driver.data_age_s() < SHORT_S)
+    until(lambda: driver.data_age_s() < SHORT_S, "the next data")
     driver.confirm(LONG_S)
 
 
@@ -618,13 +619,6 @@ def test_a_measurement_that_was_given_up_is_still_at_work(tracker: Callable[...,
     assert time.monotonic() - began_s < 0.5 * LONG_S, "it waits for nothing"
     scene.hanging = set()
     scene.release.set()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    until_s = time.monotonic() + LONG_S
-    while not condition():
-        assert time.monotonic() < until_s
-        threading.Event().wait(0.001)
 
 
 def test_a_connect_that_comes_too_late_lets_go_again(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,13 +20,13 @@ from tests.evidence.wire.person_faults import (
     LEAVES,
     Leave,
     Left,
-    attached_escapes,
     dead_cell,
     dead_tracker,
     interrupted_connecting,
     left,
     lost_dashboard,
     stop_command,
+    watched_escapes,
 )
 from tests.evidence.wire.person_results import PersonResult, PersonRow
 from tests.evidence.wire.terminal_presses import KEYS, PLACES, Press, PressBench, press_bench
@@ -39,8 +39,8 @@ DEAD_MS, CONNECTING_MS = 1500.0, 1000.0
 """Bars until the screen shows a dead cell, and until a process ends that was stopped while it connected."""
 COMMAND_MS, COMMAND_BUSY_MS, PROCESSOR_MS = 300.0, 1000.0, 100.0
 """Bars of ``cellapp stop`` until the last controller has its command, and of its processor time."""
-ATTACHED_MS = 50.0
-"""What Escape may take longer in an attached application."""
+WATCHED_MS = 50.0
+"""What Escape may take longer in an application that watches the job."""
 T = TypeVar("T")
 BEFORE: Mapping[str, str] = {
     "Escape": "655",
@@ -54,7 +54,7 @@ BEFORE: Mapping[str, str] = {
     "recorded": "all",
     "command": "13000",
     "processor": "600",
-    "attached": "never",
+    "watched": "never",
     "connecting": "9000",
     "uploaded": "one",
 }
@@ -170,10 +170,10 @@ class _Trial:
             return dead_cell(bench)
 
     def from_elsewhere(self) -> list[PersonRow]:
-        """``cellapp stop``, and Escape in an application that is attached."""
+        """``cellapp stop``, and Escape in an application that watches the job."""
         with _collecting(self._profile_path) as bench:
             commands = self._each("cellapp stop", self._repeats, lambda: stop_command(bench))
-            attached = attached_escapes(bench, self._repeats)
+            watched = watched_escapes(bench, self._repeats)
         return [
             PersonRow.of(
                 "cellapp stop", BEFORE["command"], [one.stopped_ms for one in commands],
@@ -184,7 +184,7 @@ class _Trial:
                 PROCESSOR_MS,
             ),
             PersonRow.of(
-                "Escape, attached", BEFORE["attached"], attached, self._worst_ms + ATTACHED_MS,
+                "Escape, watched", BEFORE["watched"], watched, self._worst_ms + WATCHED_MS,
             ),
         ]  # fmt: skip
 

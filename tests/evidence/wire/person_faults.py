@@ -102,22 +102,22 @@ def stop_command(bench: PressBench) -> StopCommand:
     return StopCommand(stopped_ms, (used.ru_utime + used.ru_stime) * 1e3)
 
 
-def attached_escapes(bench: PressBench, n: int) -> list[float]:
-    """Times from Escape in an application that is attached to the stop at all controllers [ms], ``n`` times."""
+def watched_escapes(bench: PressBench, n: int) -> list[float]:
+    """Times from Escape in an application that watches the job to the stop at all controllers [ms], ``n`` times."""
     other = PseudoTerminal([sys.executable, "-m", "cellapp"], bench.folder, COLUMNS, ROWS)
     found = []
     try:
-        other.until(lambda text: "Watch the job that runs now?" in text, "the offer to attach", _WITHIN_S)
+        other.until(lambda text: "Open the run of the job that runs now?" in text, "the offer to open it", _WITHIN_S)
         other.quiet(0.3)
         other.send("o")
-        other.until(lambda text: "ATTACHED" in text, "the badge", _WITHIN_S)
+        other.until(lambda text: "WATCHED" in text, "the badge", _WITHIN_S)
         other.quiet(0.3)
         for _ in range(n):
-            bench.go_while_moving(_CALM, "attached")
+            bench.go_while_moving(_CALM, "watched")
             sent_s = other.send(b"\x1b")
             found.append(max(bench.stop_ms(name, sent_s) for name in bench.cell.arms))
             bench.cell.wait_at_rest(_STOPS_WITHIN_S)
-            bench.resume(_CALM, "attached")
+            bench.resume(_CALM, "watched")
     finally:
         other.close()
     return found

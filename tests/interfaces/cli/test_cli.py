@@ -25,14 +25,15 @@ from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.cell.planning.stored_stops import write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.ground.control import JobControl, Request
 from cellapp.interfaces import cli
 from drivers.findings import Finding
 from tests.loopback import own_address
 from tests.twin import PROFILES, write_profile
+from tests.waiting import WAIT_S, until, within
 
 ROOT = Path(__file__).parents[3]
-WAIT_S = 120.0
+RUN_S = 120.0
+"""What a whole command may compute."""
 DRAWN = "  stops: 30\n  method: random"
 """To design stops takes seconds; what loads for it and what it prints is tested with a few."""
 FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
@@ -100,7 +101,7 @@ def shell(*arguments: object, cwd: Path) -> Ended:
         env={**environment(), "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=WAIT_S,
+        timeout=RUN_S,
         check=False,
     )
     assert "Traceback" not in done.stdout + done.stderr
@@ -457,31 +458,6 @@ def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
     assert "6114 approach signs" in call("show", "ordered").out
 
 
-def test_a_replay_reads_only_and_ends_on_request(work: Path, call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits_s: list[float] = []
-    stops_at: list[int] = []
-
-    def at_once(control: JobControl, *requests: Request, timeout_s: float) -> Request:
-        waits_s.append(timeout_s)
-        if len(waits_s) in stops_at:
-            control.stop()
-        return control.request
-
-    monkeypatch.setattr(JobControl, "wait_while", at_once)
-    monkeypatch.setattr("cellapp.cell.driving.replay._DUE_S", np.inf)
-    before = bytes_below(work / "collected")
-    ended = call("replay", "collected", "--speed", "100", "--json", "-")
-    jsonschema.validate(ended.json, json.loads(call("schema", "cellapp-replay").out))
-    assert (ended.json["stops"], ended.json["readings"]) == (30, {"left": 30, "right": 30})
-    assert waits_s[-1] <= ended.json["duration_s"] / 100.0
-    assert "played 100 times as fast" in ended.err
-    stops_at.append(len(waits_s) + 20)
-    ended = call("replay", "collected", "--speed", "1")
-    assert (ended.code, ended.out) == (4, "")
-    assert "stopped on request" in ended.err
-    assert bytes_below(work / "collected") == before
-
-
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 
@@ -581,11 +557,6 @@ BAD = [
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
     (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
     (None, "export planned --csv out.csv", ["holds no readings yet"]),
-    (None, "replay planned", ["there are no readings to play back"]),
-    (None, "replay nothing", ["nothing: run folder not found"]),
-    (None, "replay collected --speed 0.5", ["the speed 0.5 is not possible; give one from 1 to 100 times"]),
-    (None, "replay collected --speed nan", ["the speed nan is not possible"]),
-    (truncated, "replay collected", ["run.sqlite is cut off"]),
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
     (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
@@ -772,7 +743,7 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
         env={**environment(), "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=WAIT_S,
+        timeout=RUN_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -781,7 +752,7 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
 def test_help_names_every_command(tmp_path: Path) -> None:
     ended = shell("--help", cwd=tmp_path)
     assert ended.code == 0
-    for command in ("run", "doctor", "plan", "collect", "replay", "import", "export", "calibrate", "discover",
+    for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover",
                     "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
                     "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
         assert f" {command} " in ended.out
@@ -803,15 +774,14 @@ def long_run(work: Path) -> Path:
 
 def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
     """Wait until a collecting process has stored some stops."""
-    for _ in range(600):
+
+    def some() -> bool:
+        if process.poll() is not None:
+            pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
         with RunFile.open(run) as seen:
-            if len(seen.stops_done()) >= 5:
-                return
-        try:
-            process.wait(0.05)
-        except subprocess.TimeoutExpired:
-            continue
-        pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+            return len(seen.stops_done()) >= 5
+
+    until(some, "the first stops")
 
 
 def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
@@ -831,7 +801,7 @@ def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
@@ -873,7 +843,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
         wait_for_stops(long_run, process)
         paused = shell("pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
-        assert "collect: paused" in process.stderr.readline()
+        assert "collect: paused" in within(process.stderr.readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
         one_sentence(call("pause", long_run.name), "paused already")
         stopped = call("stop", long_run.name, "--json", "-")
@@ -883,7 +853,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
@@ -947,13 +917,13 @@ def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: li
     )
     try:
         assert process.stdout is not None
-        first = process.stdout.readline()
+        first = within(process.stdout.readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=WAIT_S)
     if process.returncode == 3 and "in use" in err:
         pytest.skip("another emulator listens here")
     assert process.returncode == 0, err

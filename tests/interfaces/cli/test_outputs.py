@@ -159,6 +159,7 @@ def test_every_command_has_its_outputs() -> None:
         "--plan",
         "--out",
         "--geometry",
+        "--page",
         "--results",
         "--joints",
         "--points",

@@ -19,9 +19,9 @@ from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.latency import attempts
+from tests.waiting import WAIT_S
 
 ROOT = Path(__file__).parents[3]
-WAIT_S = 60.0
 BAR_CPU_S = 0.1
 BAR_IDLE_S = 0.3
 BAR_BUSY_S = 1.0
@@ -141,7 +141,7 @@ def busy(count: int) -> Iterator[None]:
     finally:
         for process in spinning:
             process.kill()
-            process.wait()
+            process.wait(WAIT_S)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no times of children")

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from tests.latency import attempts
+from tests.waiting import WAIT_S, within
 
 ROOT = Path(__file__).parents[3]
-WAIT_S = 60.0
 BAR_S = 0.1
 LOADS = ("spin", "multiply", "query", "receive")
 
@@ -42,12 +42,12 @@ def busy(load: str) -> Iterator[subprocess.Popen[str]]:
     finally:
         if process.poll() is None:
             process.kill()
-        process.communicate()
+        process.communicate(timeout=WAIT_S)
 
 
 def next_line(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
-    return process.stdout.readline().strip()
+    return within(process.stdout.readline, "the next line of the job").strip()
 
 
 def brake_after(process: subprocess.Popen[str], number: int) -> tuple[str, float]:

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +19,6 @@ from cellapp.cell.driving.cell import arm_context, open_cell
 from cellapp.cell.driving.motion import MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.draft import arm_kinds
-from cellapp.cell.profile.draft_file import new_text, open_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.ground.profile import Profile
@@ -31,7 +28,7 @@ from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from tests.interfaces.plugins.installed import EXAMPLE, REPOSITORY, add_example, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
-from tests.twin import PROFILES, write_profile
+from tests.twin import PROFILES
 
 HOME = np.array([0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0])
 SPEED, ACCELERATION = np.full(6, 0.5), np.full(6, 1.0)
@@ -94,21 +91,6 @@ def test_who_took_part_is_in_the_provenance(profile: Profile) -> None:
     assert provenance_of(profile).program == took_part
     twin = load_profile(PROFILES / "twin.yaml")
     assert program_of(twin) == f"cellapp {__version__} with cellapp-example 1.0 (effect hose_pull)"
-
-
-@pytest.mark.fast
-def test_the_form_keeps_what_it_does_not_know_of_a_kind(tmp_path: Path) -> None:
-    path = write_profile(tmp_path / "profiles")
-    text = path.read_text("utf-8").replace("{kind: simulated}", "{kind: line, host: 127.0.0.1, port: 7000}", 1)
-    path.write_text(text.replace("arms/ur5.yaml", "ur3.yaml"), "utf-8")
-    with installed(add_example(tmp_path / "plugin")):
-        opened = open_profile(path)
-        new = new_text(opened, replace(opened.draft, name="renamed"))
-        assert arm_kinds() == ("simulated", "ur", "none", "line")
-    assert new.checked.problems == ()
-    assert new.text is not None
-    assert "{kind: line, host: 127.0.0.1, port: 7000}" in new.text
-    assert "type: ur3.yaml" in new.text
 
 
 @pytest.mark.fast

@@ -3,17 +3,20 @@ at."""
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from textual._animator import Animator
 from textual._compositor import Compositor
 from textual.css.model import RuleSet
 from textual.css.stylesheet import Stylesheet
 from textual.screen import Screen
 
 from tests.interfaces.tui.idle import wait_for_idle, wait_for_screen
+from tests.waiting import WAIT_S
 
 _painted = Compositor.render_update
 _parsed = Stylesheet._parse_rules
@@ -31,6 +34,7 @@ def _surroundings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("textual.pilot.wait_for_idle", wait_for_idle)
     monkeypatch.setattr("textual.app.wait_for_idle", wait_for_idle)
     monkeypatch.setattr("textual.constants.TEXTUAL_ANIMATIONS", "none")
+    monkeypatch.setattr(Animator, "wait_until_complete", _animations_end)  # a key waits for them, without a bound
     monkeypatch.setattr(Stylesheet, "_parse_rules", _rules)
     # sets aside for good what is there: right for one application a process, of hundreds it keeps gigabytes
     monkeypatch.setattr("cellapp.interfaces.tui.app.gc", SimpleNamespace(collect=int, freeze=int))
@@ -39,6 +43,14 @@ def _surroundings(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: p
     if "painted" not in request.fixturenames and request.node.get_closest_marker("waits") is None:
         monkeypatch.setattr("textual.pilot.Pilot._wait_for_screen", wait_for_screen)
         monkeypatch.setattr(Compositor, "render_update", _update)
+
+
+async def _animations_end(animator: Animator) -> None:
+    try:
+        async with asyncio.timeout(WAIT_S):
+            await animator._complete_event.wait()
+    except TimeoutError:
+        pytest.fail(f"not within {WAIT_S:g} s: the end of {[*animator._animations, *animator._scheduled]}")
 
 
 def _rules(sheet: Stylesheet, css: str, *where: Any, **origin: Any) -> list[RuleSet]:

@@ -12,9 +12,8 @@ import time
 from pathlib import Path
 
 from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.cell.driving.step_reports import sweep_sentence
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Cancelled, MotionBegun, Progress, StateChange, SweepLive
+from cellapp.ground.progress import Cancelled, MotionBegun, Progress, StateChange
 
 Q = {"left": (0.1, 0.2), "right": (0.0, 0.0, 0.0)}
 
@@ -40,8 +39,6 @@ def main() -> int:
             control.brakes(lambda verb: say(f"brake {verb} {time.monotonic()}")),
         ):
             listener(Progress("collect", 2, 30, detail=MotionBegun(2, Q, Q, 4.0)))
-            live = SweepLive(2, "left", "sweep-3", 16.0, done_s=8.0, points=2000, distance_m=3.4, point_age_s=0.1)
-            listener(Progress("collect", 2, 30, sweep_sentence(live), detail=live))
             say("ready")
             told = "none"
             while not over.wait(0.005):

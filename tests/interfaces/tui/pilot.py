@@ -22,13 +22,15 @@ from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
 from tests.interfaces.tui.idle import wait_for_idle
+from tests.waiting import WAIT_S
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
-WAIT_S = 60.0
 _LOOK_S = 0.5
 """A condition is looked at again at least so often, while threads compute."""
 _DRAWN_S = 0.2
 """What follows from a condition is drawn within this time, or while nothing else is done."""
+_MOST_VIEWS = 10
+"""More than any screen has."""
 SMALL = (80, 24)
 SIZES = (SMALL, (120, 40), (200, 60))
 """Terminals: the smallest that is supported, a usual one, a large one."""
@@ -58,7 +60,7 @@ async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s:
                     break
     except TimeoutError:
         assert isinstance(app, CellApp)
-        pytest.fail(f"never came: {what}; the message is: {app.message}; the screen:\n{shown_text(app)}")
+        pytest.fail(f"not within {wait_s:g} s: {what}; the message is: {app.message}; the screen:\n{shown_text(app)}")
 
 
 async def _rest(pilot: Pilot[None], at_most_s: float) -> None:
@@ -86,6 +88,15 @@ async def tells(pilot: Pilot[None], words: str) -> None:
     app = pilot.app
     assert isinstance(app, CellApp)
     await until(pilot, lambda: words in app.message, f"the message {words!r}")
+
+
+async def turned_to(pilot: Pilot[None], view: str) -> None:
+    """Press ``t`` until the screen shows a view of it, by its class."""
+    for _ in range(_MOST_VIEWS):
+        if pilot.app.screen.has_class(view):
+            return
+        await pilot.press("t")
+    assert pilot.app.screen.has_class(view), f"t never came to the view {view}"
 
 
 async def opened(pilot: Pilot[None], app: CellApp) -> None:

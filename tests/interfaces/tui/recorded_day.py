@@ -30,9 +30,10 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
-from tests.interfaces.tui.pilot import PROFILES, SIZES, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, shown_text, turned_to, until
 
-JOB_S = 600.0
+JOB_S = 120.0
+"""What a whole job may compute; each step of it is soon."""
 PROFILE = "twin-small"
 FEW, ALL = 24, 10_000
 """Stops that are let pass: twelve of each arm; more than the day has."""
@@ -185,8 +186,7 @@ async def calibrated(day: Recorder) -> None:
     await day.ended()
     await day.keep_screens("discovered")
     await day.press("3")
-    while not app.screen.has_class("stops"):
-        await day.press("t")
+    await turned_to(day.pilot, "stops")
     await day.press("s", "s", "space")
     day.keep("marked")
     await day.begin("3", "r")

@@ -26,11 +26,11 @@ _CONCLUDED: Mapping[Step, str] = {"calibrate": "was calibrated", "discover": "wa
 
 @dataclass(frozen=True)
 class Made:
-    """How a state is made: the files of its run, and the job that works on it; ``attached``: of another process."""
+    """How a state is made: the files of its run, and the job that works on it; ``watched``: of another process."""
 
     make: Callable[[], object]
     job: JobState | None = None
-    attached: bool = False
+    watched: bool = False
 
 
 def nothing() -> None:
@@ -65,7 +65,7 @@ STATES: Mapping[str, Made] = {
     "out of date": Made(complete),
     "broken": Made(broken),
     "read-only": Made(part),
-    "attached": Made(part, "running", attached=True),
+    "watched": Made(part, "running", watched=True),
 }
 """Two arms, four stops. What a calibration adds is put in by hand: it takes seconds, and changes only marks."""
 
@@ -85,11 +85,11 @@ def state_and_record(name: str) -> tuple[RunState, JobRecord]:
     workspace = replace(workspace, profile=workspace.profile or without.profile)
     record, running = JobRecord(), None
     if made.job is not None:
-        record.begin("collect", attached=made.attached)
+        record.begin("collect", watched=made.watched)
         for event in events(made.job):
             record.add(event)
         record.since = _NIGHT
-        process = 1 if made.attached else None
+        process = 1 if made.watched else None
         running = Job("collect", lambda listener, control, ask: None, RUN, moves=True, process=process)
     if name == "read-only":
         workspace = replace(workspace, read_only=True)

@@ -21,6 +21,7 @@ from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.fast
 
@@ -116,7 +117,7 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
 
     def probe(profile: Profile, names: Collection[str]) -> DoctorResult:
         asked.append(tuple(names))
-        assert go_on.wait(60.0)
+        assert go_on.wait(WAIT_S)
         link = Finding(subject="arm left: link", status="ok", text="CB3", device=UR)
         return DoctorResult(findings=(link,))
 
@@ -168,7 +169,7 @@ async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None
     app = CellApp(tmp_path)
     async with app.run_test(size=SMALL) as pilot:
         await until(pilot, lambda: bool(app.workspace.problem), "the problem")
-        await until(pilot, lambda: "sede" in line(app, "cell-verdict"), "its sentence")
+        await until(pilot, lambda: "bad.yaml:4  sede: unknown key" in shown_text(app), "its line")
         assert "bad.yaml" in line(app, "cell-verdict")
         assert device_rows(app) == []
 

@@ -66,6 +66,7 @@ from tests.interfaces.tui.pilot import (
     opened,
     shown_text,
     shows,
+    turned_to,
     until,
 )
 from tests.twin import small_twin
@@ -166,18 +167,6 @@ def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -
     assert headline(run_state(Workspace(), running), running, "none").word == "NO DATA"
 
 
-@pytest.mark.parametrize("state", ["running", "stopped"])
-def test_a_replay_says_that_nothing_moves_whatever_was_recorded(state: JobState) -> None:
-    record = JobRecord()
-    record.begin("replay x10")
-    record.add(Progress("replay", 1, 9, detail=StateChange(state, "a fault of arm left")))
-    found = headline(run_state(Workspace(), record), record, "none")
-    assert found.word == "REPLAY x10, nothing moves"
-    assert "clear" not in found.sentence
-    assert ("Recorded: STOPPED, a fault of arm left." in found.sentence) == (state == "stopped")
-    assert headline(run_state(Workspace(), record), record, "pause").word.endswith("PAUSED")
-
-
 # -- a job -------------------------------------------------------------------------------------------------------------
 
 
@@ -211,8 +200,7 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
         assert app.screen.query_one(LogView).size.height >= 5
         assert ("residuals left " in text) == (size == SMALL), "where no plot is shown"
         await see_plots(pilot, app)
-        while not app.screen.has_class("log"):
-            await pilot.press("t")
+        await turned_to(pilot, "log")
         await until(pilot, lambda: app.focused is app.screen.query_one(LogView), "the focus")
         await finished(pilot, app, held)
 
@@ -332,17 +320,6 @@ async def test_a_flood_of_events_keeps_the_keys_answered(monkeypatch: pytest.Mon
         await until(pilot, lambda: [verb for verb, _ in job.brakes] == ["stop"], "the stop")
         await pilot.press("x")
         await ended(pilot, app)
-
-
-async def test_a_replay_is_shown_as_one() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held, "replay x10")
-        await shows(pilot, "REPLAY x10, nothing moves")
-        assert "RUNNING" not in shown_text(app)
-        await finished(pilot, app, held)
 
 
 # -- a run -------------------------------------------------------------------------------------------------------------
@@ -521,8 +498,7 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
         await pilot.press("o")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log again")
-        while not app.screen.has_class("collected"):
-            await pilot.press("t")
+        await turned_to(pilot, "collected")
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held)
         await shows(pilot, "Log of this session")
@@ -577,8 +553,7 @@ def stops_of(app: CellApp) -> list[tuple[str, ...]]:
 
 async def show_stops(pilot: Pilot[None], app: CellApp, run: Path) -> None:
     await show_collect(pilot, app, run)
-    while not app.screen.has_class("stops"):
-        await pilot.press("t")
+    await turned_to(pilot, "stops")
     await until(pilot, lambda: bool(stops_of(app)), "the stops")
     table = app.screen.query_one(CollectedStops).table
     await until(pilot, lambda: app.focused is table, "the table that takes the keys")
@@ -680,8 +655,7 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await ended(pilot, app)
         stops = app.day_screen.query_one(CollectedStops)
         await until(pilot, lambda: not stops.table.row_count, "the stops as they are now, none suspicious")
-        while not app.screen.has_class("stops"):  # the job's log was shown
-            await pilot.press("t")
+        await turned_to(pilot, "stops")  # the job's log was shown
         await pilot.press("f")
         rows = [row for row in stops_of(app) if row[0] == "12"]
         assert [row[5] for row in rows] == ["again", "again"]

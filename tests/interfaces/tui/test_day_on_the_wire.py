@@ -21,6 +21,7 @@ from tests.interfaces.tui.patient_program import be_patient
 from tests.interfaces.tui.pilot import shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import PATIENT, Terminal, cellapp
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits
 
@@ -153,7 +154,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
         terminal.send("b")
         shows(terminal, f"collect 2/{STOPS}")
         terminal.hang_up()
-        assert terminal.process.wait(60.0) == 4
+        assert terminal.process.wait(WAIT_S) == 4
     assert cell.wait_at_rest(0.0), "the program waits for the arms"
     with RunFile.open(day / "logs" / "day") as run:
         done = len(run.stops_done())
@@ -168,7 +169,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
         terminal.send("b")
         complete(terminal)
         terminal.send("q")
-        assert terminal.process.wait(60.0) == 0
+        assert terminal.process.wait(WAIT_S) == 0
 
 
 def complete(terminal: Terminal) -> None:

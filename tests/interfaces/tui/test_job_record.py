@@ -109,13 +109,11 @@ def test_the_note_of_a_step_stands_until_the_next_one() -> None:
 def test_a_new_job_forgets_all_but_the_log() -> None:
     record = record_of(Suspicion("drift", "look", "left"), ReferenceReport({"arm left": 0.1}, 0.2), AirReport(20.0))
     lines = list(record.log)
-    record.begin("replay x10")
+    record.begin("push")
     assert record == JobRecord(
-        "replay x10", "running", log=record.log, log_written=2, changes=record.changes, since=record.since
+        "push", "running", log=record.log, log_written=2, changes=record.changes, since=record.since
     )
     assert list(record.log) == lines
-    assert record.is_replay
-    assert not record_of().is_replay
 
 
 def test_lines_have_the_level_of_what_happened_and_steps_of_a_stop_have_none() -> None:

@@ -16,6 +16,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
+from tests.waiting import WAIT_S
 
 FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0.05, 0.1)
 
@@ -31,7 +32,7 @@ class HungJob:
         def work(listener: Listener, control: JobControl, ask: Ask) -> None:
             with control.watching(lambda: self.live), control.brakes(lambda verb: None):
                 listener(Progress("collect", 3, 30, detail=MeasurementBegun(3, "left")))
-                self.over.wait()
+                assert self.over.wait(WAIT_S)
 
         return Job("collect", work, moves=True)
 

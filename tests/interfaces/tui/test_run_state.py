@@ -63,7 +63,7 @@ class Case:
     says: tuple[str, ...]
     never: tuple[str, ...]
     job: JobState | None = None
-    attached: bool = False
+    watched: bool = False
 
 
 def calibrated_out_of_date() -> None:
@@ -89,7 +89,7 @@ CASES = {
     "out of date": Case(calibrated_out_of_date, ("OUT OF DATE", "4 Calibrate!"), (*OPEN, *RUNS, *UNCALIBRATED)),
     "broken": Case(broken, ("not a run file",), (*RUNS, *NOTHING, *COMPLETE)),
     "read-only": Case(part, ("READ-ONLY", "This folder cannot be written"), (*OPEN, *RUNS, " b Begin", *BEGINS)),
-    "attached": Case(part, ("ATTACHED", "3 of 4 stops are measured"), (*OPEN, *COMPLETE), "running", attached=True),
+    "watched": Case(part, ("WATCHED", "3 of 4 stops are measured"), (*OPEN, *COMPLETE), "running", watched=True),
 }
 FINISHED = ("calibrated", "out of date")
 
@@ -148,8 +148,8 @@ async def test_no_sentence_contradicts_the_state(
             app.open_run(RUN)
             await until(pilot, lambda: app.workspace.folder == RUN or app.workspace.problem != "", "the run")
         if case.job is not None:
-            job = replace(held.job(folder=RUN), process=99 if case.attached else None)
-            app.record.begin(job.name, attached=case.attached)
+            job = replace(held.job(folder=RUN), process=99 if case.watched else None)
+            app.record.begin(job.name, watched=case.watched)
             app.jobs.start(job)
             await until(pilot, lambda: app.record.state == case.job and bool(app.record.progress), "the job")
         texts = await texts_of(pilot, app)

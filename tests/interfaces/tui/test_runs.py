@@ -1,4 +1,4 @@
-"""The screen Runs: listed in a thread, sorted, filtered, opened, compared, resumed, replayed; broken ones are rows."""
+"""The screen Runs: listed in a thread, sorted, filtered, opened, resumed; broken ones are rows."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ from cellapp.commands.runs import history
 from cellapp.commands.runs.result import RunsResult
 from cellapp.interfaces.tui import browser
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.comparison import Comparison
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
@@ -35,6 +33,7 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
+from tests.waiting import WAIT_S
 
 LOGS = Path("logs")
 
@@ -156,35 +155,12 @@ async def test_enter_opens_a_run(logs: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert "first" in shown_text(app).splitlines()[0]
 
 
-async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await pilot.press("=")
-        for name in ("broken", "second", "third"):
-            await go_to(pilot, app, name)
-            await pilot.press("space")
-        await until(pilot, lambda: shown_text(app).count("●") == 2, "the marks")
-        await pilot.press("=")
-        await until(pilot, lambda: isinstance(app.screen, Comparison), "the comparison")
-        await until(pilot, lambda: f"a: {LOGS / 'second'}" in shown_text(app), "its sentences")
-        assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
-        assert f"b: {LOGS / 'third'}" in shown_text(app)
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.day_screen, "the list")
-        (LOGS / "third" / "run.sqlite").write_text("spoiled meanwhile")
-        await pilot.press("=")
-        await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
-        await pilot.press("space")
-        await until(pilot, lambda: shown_text(app).count("●") == 1, "one mark is gone")
-
-
 async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     moving = MovingJob()
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
-        await pilot.press("space", "down", "space")
+        await pilot.press("down")
         app.start_job(moving.job())
         await until(pilot, moving.began.is_set, "the job")
         requests = []
@@ -227,24 +203,6 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
         await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
         assert app.day_screen.STEP == "collect"
         assert not app.jobs.running
-
-
-async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[tuple[Path | None, str]] = []
-
-    def start_job(job: Job) -> bool:
-        started.append((job.folder, job.name))
-        return False
-
-    app = app_without_offer(monkeypatch)
-    monkeypatch.setattr(app, "start_job", start_job)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("v")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await pilot.press("3")
-        await until(pilot, lambda: started == [(LOGS / "first", "replay x100")], "the replay")
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,7 +269,7 @@ async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypat
     read = history.list_runs
 
     def slow(folder: Path | None = None) -> RunsResult:
-        assert go_on.wait(60.0)
+        assert go_on.wait(WAIT_S)
         return read(folder)
 
     monkeypatch.setattr(history, "list_runs", slow)

@@ -16,10 +16,10 @@ from cellapp.interfaces.tui.leaving import LEFT
 from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.interfaces.tui.terminal import ROOT, Terminal
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits
 
-WAIT_S = 30.0
 QUIET_S = 0.3
 """Three drawings of a running job; a lone Escape is known after a twentieth."""
 ENCODINGS = {

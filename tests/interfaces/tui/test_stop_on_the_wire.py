@@ -26,10 +26,10 @@ from tests.commands.emulated_cell import stalled
 from tests.latency import attempts
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
+from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits
 
-WAIT_S = 60.0
 BAR_S = 0.1
 """From the key to the stop command at every controller."""
 UNDISTURBED_PACE = 10.0
@@ -56,7 +56,7 @@ def object_on(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
     lines = [""]
     while lines[-1] != "}\n":
-        lines.append(process.stdout.readline())
+        lines.append(within(process.stdout.readline, "the addresses of the emulators"))
         assert lines[-1], "the emulators did not come up"
     return "".join(lines)
 

@@ -16,12 +16,12 @@ from tests.evidence.wire.pseudo_terminal import PseudoTerminal
 from tests.evidence.wire.terminal_presses import KEYS, PLACES, press_bench
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits
 
 HOSTS = {"127.0.0.2": own_address(67), "127.0.0.3": own_address(68)}
 TRACKER_HOST = own_address(67)
-WAIT_S = 60.0
 FEW = {"stops": "30\n  method: random", **dict.fromkeys(("identify", "train", "validate"), 10)}
 """Of the profile: stops that last for the presses and are soon planned."""
 

@@ -18,13 +18,12 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
-from cellapp.interfaces.tui.dialogs.target_form import TargetForm
+from cellapp.interfaces.tui.dialogs.target_form import FieldRow, TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.screens import targets_jobs
 from cellapp.interfaces.tui.screens.targets import TargetsScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, new_name
-from cellapp.interfaces.tui.widgets.form_fields import FieldRow
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
 from tests.twin import small_twin

@@ -20,6 +20,7 @@ from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.messages import WorkspaceLoaded
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.fast
 
@@ -84,7 +85,7 @@ async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         app.start_job(moving.job())
-        await asyncio.to_thread(moving.began.wait, 60.0)
+        await asyncio.to_thread(moving.began.wait, WAIT_S)
         await pilot.press("escape")
         app.ask_before_motion(MotionAsked("the first motion", answers.append))
         assert not isinstance(app.screen, MotionQuestion)

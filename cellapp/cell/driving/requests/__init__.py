@@ -1,1 +1,1 @@
-"""Requests to a running job from other processes, and watching it."""
+"""Requests to a running job from other processes."""

@@ -1,7 +1,6 @@
 """Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
 
-The job listens on a loopback port, which ``ground.asking`` publishes. ``watching`` in this folder serves those who also
-watch the job.
+The job listens on a loopback port, which ``ground.asking`` publishes.
 """
 
 from __future__ import annotations
@@ -15,10 +14,8 @@ import socketserver
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
+from typing import NamedTuple
 
-from cellapp.cell.driving.requests.job_stream import Answer, ending_of
-from cellapp.cell.driving.requests.watching import Watchers
 from cellapp.ground.asking import (
     DONE,
     JOB_FILE,
@@ -26,8 +23,8 @@ from cellapp.ground.asking import (
     LOOK,
     PATIENCE_S,
     VERBS,
-    WATCH,
     JobAddress,
+    JobSeen,
     Verb,
     address_of_job,
     exchange,
@@ -35,10 +32,19 @@ from cellapp.ground.asking import (
 )
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.ground.progress import Listener, Progress, StateChange, ignore
 
 _POLL_S = 0.05
 """Period [s] in which the server checks whether the job has ended."""
+_MOST_WORDS = 300
+"""Characters of a reason or a note that are told; both fit a line."""
+
+
+class Answer(NamedTuple):
+    """Answer to a request: whether it was carried out, and a sentence."""
+
+    carried_out: bool
+    text: str
 
 
 @contextlib.contextmanager
@@ -47,8 +53,8 @@ def taking_requests(
 ) -> Iterator[Listener]:
     """Let other processes send requests to this job, which runs in ``folder``, while the context is open.
 
-    ``name`` is what the job does, as one word. Yield the listener to report to: it passes events to ``listener``, then
-    to those who watch the job.
+    ``name`` is what the job does, as one word. Yield the listener to report to: it passes events to ``listener``, and
+    keeps of them what other processes may ask for.
 
     Raises
     ------
@@ -57,21 +63,16 @@ def taking_requests(
     """
     _refuse_second(folder)
     token = secrets.token_urlsafe(32)
-    watchers = Watchers(name, control)
+    with _Server(control, token, name) as server, contextlib.ExitStack() as stack:
 
-    def listen(event: Progress) -> None:
-        listener(event)
-        watchers.publish(event)
+        def listen(event: Progress) -> None:
+            listener(event)
+            server.note(event)
 
-    def tell_end(kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        watchers.end(ending_of(error))
-
-    with _Server(control, token, watchers) as server, contextlib.ExitStack() as stack:
         thread = threading.Thread(target=server.serve_forever, args=(_POLL_S,), name="requests", daemon=True)
         thread.start()
         stack.callback(thread.join)
         stack.callback(server.shutdown)
-        stack.push(tell_end)
         stack.callback(_withdraw, folder, token)
         _publish(folder, JobAddress(this_computer(), os.getpid(), server.server_address[1], token))
         yield listen
@@ -98,13 +99,30 @@ class _Server(socketserver.ThreadingTCPServer):
     block_on_close = False
     request_queue_size = 32
 
-    def __init__(self, control: JobControl, token: str, watchers: Watchers) -> None:
+    def __init__(self, control: JobControl, token: str, name: str) -> None:
         super().__init__(("127.0.0.1", 0), _Request)
-        self.control, self.token, self.watchers = control, token, watchers
+        self.control, self.token, self._name = control, token, name
+        self._newest = Progress(name, 0, 0)
+        self._state = StateChange("running", "")
+
+    def note(self, event: Progress) -> None:
+        """Keep an event for those who ask how far the job is."""
+        if isinstance(event.detail, StateChange):
+            self._state = event.detail
+        else:
+            self._newest = event
+
+    def seen(self) -> JobSeen:
+        """Return the state of the job."""
+        control, newest, state = self.control, self._newest, self._state
+        return JobSeen(
+            self._name, control.request, control.holds, control.has_brakes, state.state, state.reason[:_MOST_WORDS],
+            newest.job, newest.done, newest.total, newest.note[:_MOST_WORDS],
+        )  # fmt: skip
 
 
 class _Request(socketserver.StreamRequestHandler):
-    """One line with token and verb, answered by one line; or a stream for those who watch."""
+    """One line with token and verb, answered by one line."""
 
     timeout = PATIENCE_S
     server: _Server
@@ -115,21 +133,19 @@ class _Request(socketserver.StreamRequestHandler):
             if not hmac.compare_digest(given, self.server.token.encode()):
                 return
             verb = asked.decode("utf-8", "replace")
-            if verb == WATCH:
-                self.server.watchers.serve(self.connection, lambda verb: answer_to(self.server.control, verb))
-                return
-            answer = answer_to(self.server.control, verb)
+            if verb == LOOK:
+                answer = Answer(True, json.dumps(self.server.seen()._asdict(), default=int))  # numpy's integers, too
+            else:
+                answer = answer_to(self.server.control, verb)
             self.wfile.write(f"{DONE if answer.carried_out else 'refused'} {answer.text}\n".encode())
 
 
 def answer_to(control: JobControl, verb: str) -> Answer:
     """Carry out a request and return the answer, or refuse it with a reason."""
-    if verb == LOOK:
-        return Answer(LOOK, True, "a job runs here")
     if verb not in VERBS:
-        return Answer("unknown", False, f"'{verb}' is no request; requests are {', '.join(VERBS)}")
+        return Answer(False, f"'{verb}' is no request; requests are {', '.join(VERBS)}")
     if refusal := _refusal(control, verb):
-        return Answer(verb, False, refusal)
+        return Answer(False, refusal)
     brake = "all arms brake" if control.has_brakes else "no arm is open"
     control.ask(verb)
     match verb:
@@ -142,7 +158,7 @@ def answer_to(control: JobControl, verb: str) -> Answer:
             text = f"stopped: {brake}; {then}"
         case "abort":
             text = f"aborted: {brake}; the job ends"
-    return Answer(verb, True, text)
+    return Answer(True, text)
 
 
 def _refusal(control: JobControl, verb: Verb) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+import shlex
+import subprocess
+from pathlib import Path
 
-from cellapp.cell.profile.draft_file import OpenProfile, blank_draft
+from textual.app import SuspendNotSupported
+
 from cellapp.cell.profile.starters import copy_starter
 from cellapp.ground.errors import InputError
 from cellapp.ground.starters import TWIN
@@ -12,12 +16,10 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.host import Host
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-
 NEW_PROFILE = "my-cell.yaml"
-"""File of a new profile before it has a name."""
+"""File of a new profile."""
+_PATTERN = "ur10-ur5"
+"""The profile that explains every key, which a new one begins with."""
 
 
 class Welcome(Choice):
@@ -64,8 +66,15 @@ def begin_with(app: Host, answer: str | None) -> None:
 
 
 def write_profile(app: Host) -> None:
-    """Open the form for a new profile, and afterwards the saved profile."""
-    _show_form(app, OpenProfile(app.profiles / NEW_PROFILE, None, blank_draft()))
+    """Write a new profile in which every key is explained, and let a person edit it."""
+    path = app.profiles / NEW_PROFILE
+    try:
+        if not path.exists():
+            copy_starter(_PATTERN, app.profiles, NEW_PROFILE)
+    except InputError as error:
+        app.say(str(error), "error")
+        return
+    edit_profile(app, path)
 
 
 def take_own_readings(app: Host) -> None:
@@ -83,18 +92,23 @@ def take_own_readings(app: Host) -> None:
 
 
 def edit_profile(app: Host, path: Path) -> None:
-    """Open the form for an existing profile, and afterwards the saved profile. If that fails, say why."""
-    from cellapp.cell.profile.draft_file import open_profile
-
-    try:
-        opened = open_profile(path)
-    except InputError as error:
-        app.say(str(error), "error")
+    """Let a person edit a profile in ``$EDITOR``, then read and check it again; say where it is if that cannot be."""
+    if app.jobs.running:
+        app.say("A job runs: edit the profile when it has ended, STOP must stay at hand.", "warning")
         return
-    _show_form(app, opened)
-
-
-def _show_form(app: Host, opened: OpenProfile) -> None:
-    from cellapp.interfaces.tui.screens.profile_form import ProfileForm
-
-    app.push_screen(ProfileForm(opened), lambda path: None if path is None else app.open_profile(path))
+    editor = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
+    why = "" if editor else "EDITOR names no editor"
+    try:
+        if editor:
+            with app.lend_terminal():
+                subprocess.run([*shlex.split(editor, posix=os.name == "posix"), str(path)], check=False)
+    except SuspendNotSupported:
+        why = "this terminal cannot be lent to an editor"
+    except (OSError, ValueError) as error:
+        why = f"'{editor}' cannot be started ({error})"
+    if app.workspace.folder is not None and path == app.workspace.profile_path:
+        app.open_run(app.workspace.folder, path)
+    else:
+        app.open_profile(path)
+    if why:
+        app.say(f"Edit {path.resolve()} in another window ({why}); Enter on its name checks it again.", "warning")

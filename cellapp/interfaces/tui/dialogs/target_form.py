@@ -10,13 +10,58 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
 from textual.events import DescendantFocus
-from textual.widgets import Button, Input, Static
+from textual.suggester import SuggestFromList
+from textual.widgets import Button, Input, Label, Static
 
-from cellapp.cell.targets.target_text import FIELDS, TypedTarget, frame_choices, typed_target
+from cellapp.cell.targets.target_text import FIELDS, FormField, TypedTarget, frame_choices, typed_target
 from cellapp.cell.targets.targets import Target
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
-from cellapp.interfaces.tui.widgets.form_fields import FieldRow
+
+
+class FieldRow(Horizontal):
+    """One field.
+
+    Parameters
+    ----------
+    field_id : str
+        The field's name.
+    form : FormField
+    text : str
+        Initial text.
+    choices : sequence of str
+        Texts that the right arrow completes.
+    """
+
+    DEFAULT_CSS = """
+    FieldRow { height: 1; }
+    FieldRow Label { width: 15; color: $text-muted; }
+    FieldRow Input { width: 1fr; min-width: 24; }
+    FieldRow .problem { width: auto; max-width: 45%; padding-left: 1; color: $text-error; text-wrap: nowrap; }
+    FieldRow .problem { text-overflow: ellipsis; }
+    FieldRow.wrong Label { color: $text-error; text-style: bold; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("up", "app.focus_previous", show=False),
+        Binding("down,enter", "app.focus_next", show=False),
+    ]
+
+    def __init__(self, field_id: str, form: FormField, text: str, choices: Sequence[str] = ()) -> None:
+        super().__init__()
+        self.field_id, self.form = field_id, form
+        suggester = SuggestFromList(choices) if choices else None
+        self.input = Input(text, placeholder=", ".join(choices), suggester=suggester, compact=True)
+        self._problem = Static("", classes="problem", markup=False)
+
+    def compose(self) -> ComposeResult:
+        yield Label(self.form.label, markup=False)
+        yield self.input
+        yield self._problem
+
+    def show_problem(self, words: str) -> None:
+        """Show what is wrong; empty if nothing is."""
+        self.set_class(bool(words), "wrong")
+        self._problem.update(f"◂ {words}" if words else "")
 
 
 class TargetForm(FieldsQuestion[Target]):

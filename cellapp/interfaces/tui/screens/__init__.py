@@ -35,6 +35,6 @@ SCREENS: tuple[ScreenEntry, ...] = (
     ScreenEntry("discover", "5", "Discover", "DiscoverScreen", "name the missing effect"),
     ScreenEntry("targets", "6", "Targets", "TargetsScreen", "compensate, push, verify"),
     ScreenEntry("accept", "7", "Accept", "AcceptScreen", "verdict, check, ISO 9283, certificate, report"),
-    ScreenEntry("runs", "8", "Runs", "RunsScreen", "history, compare, replay"),
+    ScreenEntry("runs", "8", "Runs", "RunsScreen", "every run; open, go on, report"),
 )
 assert tuple(entry.step for entry in SCREENS) == STEPS

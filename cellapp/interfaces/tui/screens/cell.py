@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
@@ -54,6 +55,9 @@ _NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
 
+_PLACED = re.compile(r"(.+?):(\d+): (.*)")
+"""A problem of a profile: file, line, and what is wrong there."""
+
 HELP = """\
 # Cell
 
@@ -64,7 +68,8 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
   checks come first, and the sentence below the table is that of the selected row, in full.
 - *Today* is what waits: open runs, and for each arm how old its calibration and its check are, and what is due.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs.
-- *Profile* is the profile in words, *Map* shows where bases and tracker stand.
+- *Profile* is the profile in words, or what is wrong with it, line by line; your editor opens it, and it is checked
+  again when you come back. *Map* shows where bases and tracker stand.
 """
 
 
@@ -93,11 +98,11 @@ class CellScreen(DayScreen):
         bind("go", "doctor", "Doctor", "check devices and placement; nothing moves"),
         bind("again", "refresh_devices", "Ask devices", "ask every device for its state; nothing moves"),
         bind("open", "open", "Open profile", "open a profile by its path"),
-        bind("edit", "edit", "Edit profile", "change the profile in a form"),
+        bind("edit", "edit", "Edit profile", "change the profile in $EDITOR, then check it again"),
         bind("import", "own_readings", "Own readings", "calibrate readings that were recorded elsewhere", show=False),
         bind("plots", "map", "Map", "where bases, tracker and stops are"),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
-        bind("add", "write", "New profile", "write a profile in a form"),
+        bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
     DEFAULT_CSS = """
     #profiles { width: 22; height: 1fr; }
@@ -122,7 +127,8 @@ class CellScreen(DayScreen):
         self._doctor_path: Path | None = None
         self._asked_path: Path | None = None
         self._doctor_at = datetime.now()
-        self._written_ns = 0
+        self._written_ns = self._read_ns = 0
+        self._problem = ""
         self._states: dict[str, DeviceState] = {}
         self._probing = self._today = False
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
@@ -205,11 +211,13 @@ class CellScreen(DayScreen):
         profiles.highlighted = self._found.index(path)
 
     def _open(self, path: Path) -> None:
-        if path != self.workspace.profile_path or self.workspace.folder is not None:
+        """Open a profile, unless it is open as it is written."""
+        workspace = self.workspace
+        if path != workspace.profile_path or workspace.folder is not None or _written_ns(path) != self._read_ns:
             self.cell_app.open_profile(path)
 
     def action_edit(self) -> None:
-        """Edit the profile in a form."""
+        """Edit the profile in the person's editor."""
         path = self.workspace.profile_path
         if path is None:
             self.say(f"No profile is open: {SHOWN['add']} writes a new one.", "warning")
@@ -219,7 +227,7 @@ class CellScreen(DayScreen):
             edit_profile(self.cell_app, path)
 
     def action_write(self) -> None:
-        """Write a new profile in a form."""
+        """Write a new profile, and edit it."""
         from cellapp.interfaces.tui.dialogs.first_run import write_profile
 
         write_profile(self.cell_app)
@@ -351,8 +359,8 @@ class CellScreen(DayScreen):
         """Draw the profile."""
         if workspace.profile_path is not None:
             self._list(workspace.profile_path)
-        if workspace.profile is not self._profile:
-            self._show_profile(workspace.profile)
+        if workspace.profile is not self._profile or workspace.problem != self._problem:
+            self._show_profile(workspace.profile, workspace.problem)
         drawn = (workspace.profile, workspace.stops)
         if drawn != self._drawn:
             if self._today:
@@ -369,11 +377,15 @@ class CellScreen(DayScreen):
         for drawn in self.query(CellMap):
             drawn.follow(record if self.state.collecting else None)
 
-    def _show_profile(self, profile: Profile | None) -> None:
+    def _show_profile(self, profile: Profile | None, problem: str) -> None:
         changed = profile is None or self._profile is None or profile != self._profile
-        self._profile = profile
+        self._profile, self._problem, self._read_ns = profile, problem, _written_ns(self.workspace.profile_path)
         words = self.query_one("#cell-words", DataTable)
         words.clear()
+        if profile is None and problem:
+            for row in problem_rows(problem):
+                words.add_row(*map(Text, row))
+            self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
         if profile is not None:
             from cellapp.commands.doctor.profile_view import cell_words, constraint_words
 
@@ -397,8 +409,10 @@ class CellScreen(DayScreen):
         if self.workspace.profile is None:
             if self.state.reading:
                 return self.state.reading, "old"
-            choose = f"No profile is open: choose one in the list, or press {SHOWN['open']}."
-            return self.workspace.problem or choose, "failed"
+            if problem := self.workspace.problem:
+                first, *more = problem.splitlines()
+                return f"{first}{' ...' if more else ''} ({SHOWN['edit']} edits it)", "failed"
+            return f"No profile is open: choose one in the list, or press {SHOWN['open']}.", "failed"
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
         from cellapp.commands.doctor.profile_view import doctor_verdict
@@ -427,6 +441,12 @@ class CellScreen(DayScreen):
         elif active == "tab-profile" and words.row_count:
             text = ": ".join(str(cell) for cell in words.get_row_at(words.cursor_row))
         self.query_one("#cell-detail", Static).update(text)
+
+
+def problem_rows(problem: str) -> list[tuple[str, str]]:
+    """Return where and what is wrong with a profile, a row for each line of its problem."""
+    found = [(_PLACED.match(line), line) for line in problem.splitlines()]
+    return [("", line) if at is None else (f"{Path(at[1]).name}:{at[2]}", at[3]) for at, line in found]
 
 
 def _tipped(widget: OptionList | DataTable[Text], tooltip: str) -> OptionList | DataTable[Text]:

@@ -114,7 +114,6 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen #state.running { background: $success-muted; color: $foreground; }
     CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
     CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #state.replay { background: $accent-muted; color: $foreground; }
     CollectScreen #arms { height: auto; }
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }

@@ -13,7 +13,7 @@ from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.terminal_signals import since_words
 
-Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
+Look = Literal["idle", "running", "waiting", "halted", "done"]
 
 _STOP, _PAUSE = SHOWN["stop"], SHOWN["pause"]
 _RESUMES, _ENDS = f"{_PAUSE} or {SHOWN['resume']} resumes", f"{SHOWN['abort']} ends it."
@@ -40,8 +40,6 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     """Return the state of the job, else of the run; ``request`` is the last request of a person to the job."""
     if record.state is None:
         return _of_run(run)
-    if record.is_replay:
-        return _of_replay(record, record.state, request)
     if run.job is not None and not run.job.moves:
         return Headline("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
     state = record.state
@@ -58,15 +56,6 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
         possible += f" {SHOWN['resume']} does; {_ENDS}"
     waits = record.reason and state == record.state != "running"
     return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
-
-
-def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline:
-    """Return the headline of a replay; the replayed states are those of the recorded job."""
-    word = f"REPLAY{record.name.removeprefix('replay')}, nothing moves"
-    if request == "pause":
-        return Headline(f"{word}, PAUSED", f"{_RESUMES}; {_STOP} or {_ENDS}", "replay")
-    recorded = f"Recorded: {state.upper()}, {record.reason}. " if state != "running" and record.reason else ""
-    return Headline(word, f"{recorded}{_PAUSE} pauses and resumes; {_STOP} or {_ENDS}", "replay")
 
 
 def _of_run(state: RunState) -> Headline:

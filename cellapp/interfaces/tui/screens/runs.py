@@ -1,6 +1,6 @@
-"""The screen Runs: every run in the folder of runs; open, compare, report, resume, replay.
+"""The screen Runs: every run in the folder of runs; open, report, resume.
 
-Runs are read and compared in threads, which also load the packages for it.
+Runs are read in threads, which also load the packages for it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
-from cellapp.commands.compare.request import VERB as COMPARE
-from cellapp.commands.compare.request import CompareRequest
-from cellapp.commands.compare.result import RunComparison
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs.columns import contains, run_cells, run_columns
@@ -34,7 +31,7 @@ from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
-from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
+from cellapp.interfaces.tui.offers import offer_to_resume
 from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -42,11 +39,9 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
 
-_MARK, _OPEN = "●", "▸"
+_OPEN = "▸"
 _MARKS = "marks"
-"""Key of the column that shows which runs are open and marked; the keys of the others are their indices."""
-_PAIR = 2
-"""Number of runs that are compared."""
+"""Key of the column that shows which run is open; the keys of the others are their indices."""
 _BEGAN = 1
 """Column by which the list is sorted initially."""
 HELP = """\
@@ -55,9 +50,8 @@ HELP = """\
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
 - **Enter** opens the run under the cursor (▸); **{next}** then goes to the step that comes next.
-- Two marked runs (●) are compared in profile, parameters, errors, effects, verification.
+- `cellapp compare DIR DIR` compares two runs in profile, parameters, errors, effects, verification.
 - **{go}** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
-- **{look}** plays the run back through the screen Collect. Nothing moves.
 
 Whether a result still holds is judged by the number of readings here; opening the run compares the readings themselves.
 """
@@ -67,14 +61,6 @@ class RunsListed(Message):
     """The folder was read; else a sentence why not."""
 
     def __init__(self, found: RunsResult | str) -> None:
-        super().__init__()
-        self.found = found
-
-
-class RunsCompared(Message):
-    """Two runs were compared; else a sentence why not."""
-
-    def __init__(self, found: Result | str) -> None:
         super().__init__()
         self.found = found
 
@@ -94,11 +80,8 @@ class RunsScreen(DayScreen):
     HELP = HELP
     AUTO_FOCUS = "#runs"
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("mark", "mark", "Mark", "mark a run to compare it"),
-        bind("compare", "compare", "Compare", "compare the two marked runs"),
         bind("open", "report", "Report", "open the report in a browser"),
         bind("go", "resume_run", "Resume run", "go on with a run that was interrupted"),
-        bind("look", "replay", "Replay", "play the run back; nothing moves"),
         bind("search", "filter", "Filter", "filter the list while you type"),
         Binding("escape", "clear_filter", show=False),
         bind("sort", "sort", "Sort", "sort by the next column"),
@@ -116,7 +99,6 @@ class RunsScreen(DayScreen):
         self._found = RunsResult(folder="", runs=())
         self._columns = run_columns("")
         self._shown: dict[str, RunSummary] = {}
-        self._marked: list[str] = []
         self._sorted, self._reverse = _BEGAN, True
         self._workspace: Workspace | None = None
 
@@ -129,7 +111,7 @@ class RunsScreen(DayScreen):
     def on_mount(self) -> None:
         """Create the columns."""
         table = self._table
-        table.add_column("  ", key=_MARKS)
+        table.add_column(" ", key=_MARKS)
         for place in range(len(self._columns)):
             table.add_column(self._heading(place), key=str(place))
 
@@ -182,12 +164,11 @@ class RunsScreen(DayScreen):
 
     @on(RunsListed)
     def show_list(self, event: RunsListed) -> None:
-        """Draw the list; marks are kept."""
+        """Draw the list."""
         if isinstance(event.found, str):
             self.say(event.found, "error")
             return
         self._found, self._columns = event.found, run_columns(event.found.folder)
-        self._marked = [name for name in self._marked if any(run.run == name for run in self._found.runs)]
         self._draw()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -201,7 +182,7 @@ class RunsScreen(DayScreen):
         table.clear()
         for run in chosen:
             style = "dim" if run.problem else ""
-            mark = Text((_OPEN if self._is_open(run) else " ") + (_MARK if run.run in self._marked else " "))
+            mark = Text(_OPEN if self._is_open(run) else " ")
             table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
         if present is not None and present.run in self._shown:
             table.move_cursor(row=table.get_row_index(present.run))
@@ -274,57 +255,10 @@ class RunsScreen(DayScreen):
 
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Enable comparing only if two runs are marked."""
-        return action != "compare" or len(self._marked) == _PAIR
-
     @on(DataTable.RowSelected)
     def open_run(self) -> None:
         """Open the run under the cursor."""
         self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
-
-    def action_mark(self) -> None:
-        """Mark or unmark the run under the cursor."""
-
-        def mark(run: RunSummary) -> None:
-            if run.run in self._marked:
-                self._marked.remove(run.run)
-            else:
-                self._marked.append(run.run)
-            self._draw()
-            self.refresh_bindings()
-            if len(self._marked) == _PAIR:
-                self.say(f"Two runs are marked; {SHOWN['compare']} compares them.")
-
-        self._with_run(mark)
-
-    def action_compare(self) -> None:
-        """Compare the two marked runs."""
-        first, second = self._marked
-        self.say(f"Comparing {first} and {second} ...")
-        self._compare(Path(first), Path(second))
-
-    @work(thread=True, exclusive=True, group="comparison of runs")
-    def _compare(self, first: Path, second: Path) -> None:
-        try:
-            found = RunsCompared(jobs_of_verbs.looked(COMPARE, CompareRequest(first=first, second=second)))
-        except CellappError as error:
-            found = RunsCompared(str(error))
-        except (OSError, ValueError, TypeError) as error:  # values that no version of this program stores
-            found = RunsCompared(f"{first} or {second} holds values that cannot be read ({error})")
-        if not get_current_worker().is_cancelled:  # else other runs are being compared
-            self.post_message(found)
-
-    @on(RunsCompared)
-    def show_comparison(self, event: RunsCompared) -> None:
-        """Show the comparison, unless another screen or dialog is shown meanwhile."""
-        if isinstance(event.found, str):
-            self.say(event.found, "error")
-        elif self.app.screen is self:
-            from cellapp.interfaces.tui.dialogs.comparison import Comparison
-
-            if isinstance(event.found, RunComparison):
-                self.app.push_screen(Comparison(event.found))
 
     def action_report(self) -> None:
         """Open the report; write it first if there is none."""
@@ -364,21 +298,10 @@ class RunsScreen(DayScreen):
             else:
                 why = "was not interrupted while collecting; there is nothing to resume"
                 if run.in_use:
-                    why = f"is in use by {run.in_use}; Enter opens it, and watches a job of this computer"
+                    why = f"is in use by {run.in_use}; Enter opens it, and shows the state of a job of this computer"
                 self.say(f"{run.run} {why}.", "warning")
 
         self._with_run(resume)
-
-    def action_replay(self) -> None:
-        """Offer to play back the run under the cursor."""
-
-        def replay(run: RunSummary) -> None:
-            if run.stops_measured:
-                offer_replay(self.cell_app, Path(run.run))
-            else:
-                self.say(f"{run.run} has no readings to play back.", "warning")
-
-        self._with_run(replay)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""

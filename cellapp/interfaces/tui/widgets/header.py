@@ -26,7 +26,6 @@ _BADGES: Mapping[str, str] = {
     "simulated": " SIMULATED ",
     "emulated": " EMULATED ",
     "real": " REAL ARMS ",
-    "replay": " REPLAY ",
 }
 
 
@@ -46,14 +45,13 @@ class DayHeader(Horizontal):
     def show(self, state: RunState, kind: str, record: JobRecord) -> None:
         """Draw the open run and the running job; ``kind`` is that of the cell's arms."""
         job = state.job
-        kind = "replay" if job is not None and job.replays else kind
-        attached = job is not None and job.attached
+        watched = job is not None and job.watched
         words = job_words(record)
-        drawn = (kind, attached, state.where, words, record.state)
+        drawn = (kind, watched, state.where, words, record.state)
         if drawn == self._drawn:
             return
         badge = self.query_one(".badge", Static)
-        badge.update(f" ATTACHED ·{_BADGES[kind]}" if attached else _BADGES[kind])
+        badge.update(f" WATCHED ·{_BADGES[kind]}" if watched else _BADGES[kind])
         badge.set_classes(f"badge {kind}")
         self.query_one(".where", Static).update(state.where)
         line = self.query_one(".job", Static)

@@ -14,14 +14,14 @@ from cellapp.ground.progress import CellLive
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.live_words import Banner, Look, Part, banner_of, strip_of
 
-DRAWN_EVERY_S = 0.1
 _STYLES: Mapping[Look, str] = {"fresh": "$text-success", "late": "bold $text-warning", "lost": "bold white on $error"}
 
 
 class LiveStrip(Vertical):
     """Ages in one line while a cell is open; above them, in red, a stop or an arm that counts as moving.
 
-    It queries the state itself, so that neither a job that hangs nor a missing event leaves it out of date.
+    The application asks it to look ten times a second, so that neither a job that hangs nor a missing event leaves it
+    out of date.
     """
 
     DEFAULT_CSS = """
@@ -41,15 +41,10 @@ class LiveStrip(Vertical):
         yield Static("", classes="banner", markup=False)
         yield Static("", classes="ages", markup=False)
 
-    def on_mount(self) -> None:
-        """Start the periodic update."""
-        self.set_interval(DRAWN_EVERY_S, self.look)
-
     def look(self) -> None:
         """Query the current state, and draw what has changed."""
         app = cast(Host, self.app)
-        if self.screen in app.screen_stack:
-            self.show(app.live(), app.workspace.unseen)
+        self.show(app.live(), app.workspace.unseen)
 
     def show(self, live: CellLive | None, unseen: Mapping[str, str]) -> None:
         """Draw the state, and the arms that the run counts as moving, arm -> why."""

@@ -1,0 +1,45 @@
+"""Waits of all tests: none is longer than ``WAIT_S``, and each says what it waited for."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, TypeVar
+
+import pytest
+
+WAIT_S = 20.0
+_LOOK_S = 0.005
+
+T = TypeVar("T")
+
+
+def until(holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> float:
+    """Ask again and again until a condition holds; return how long that took [s]."""
+    began_s, pause = time.monotonic(), threading.Event()
+    while not holds():
+        if time.monotonic() - began_s > wait_s:
+            pytest.fail(f"not within {wait_s:g} s: {what}")
+        pause.wait(_LOOK_S)
+    return time.monotonic() - began_s
+
+
+def within(call: Callable[[], T], what: str, wait_s: float = WAIT_S) -> T:
+    """Return what a call returns that may block for ever: a line of a process, the end of a thread."""
+    future: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(call())
+        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+            future.set_exception(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        return future.result(wait_s)
+    except TimeoutError:
+        if future.done():  # the call's own
+            raise
+        pytest.fail(f"not within {wait_s:g} s: {what}")
