@@ -34,7 +34,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
     result = PersonResult.from_json(results[0]["result"], "person")
     rows = [
-        [row.what, str(row.n), _value(row, row.median), _value(row, row.worst), f"{row.worst_bar:g} {row.unit}"]
+        [row.what, str(row.n), _value(row, row.median), _value(row, row.worst), f"{row.worst_bar:g} {row.unit}".strip()]
         for row in result.rows
     ]
     pressed = result.rows[:5]
