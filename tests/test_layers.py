@@ -55,7 +55,6 @@ LOADED_LATER = {
     "cellapp.commands.calibrate.run": "the fit of recordings is loaded where some were made",
     "cellapp.commands.compensate.details": "scipy is loaded where a target has a work frame",
     "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
-    "cellapp.ground.scale.gather": "dask is loaded by who uses a cluster",
     **{
         f"drivers.{module}": "a profile is read without any driver"
         for module in (
@@ -350,7 +349,7 @@ def _is_safe(path: Path, loader: str) -> bool:
 
 def test_nothing_waits_by_sleeping_in_tests() -> None:
     """But trials do: a person who presses keys and strikes faults at moments of the clock."""
-    for path in set((ROOT / "tests").rglob("*.py")) - set((ROOT / "tests" / "trials").rglob("*.py")):
+    for path in set((ROOT / "tests").rglob("*.py")) - set((ROOT / "tests" / "evidence").rglob("*.py")):
         text = path.read_text("utf-8")
         if "sleep" not in text:  # parsing five hundred files takes seconds
             continue

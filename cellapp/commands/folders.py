@@ -18,7 +18,7 @@ STORING = (
 """Verbs that store results in a run, in the order in which ``show`` names them."""
 
 FOLDERS = (
-    *("run", "demo", "doctor", "init", "plan", "power", "rehearse", "collect", "import_"),
+    *("run", "demo", "doctor", "init", "plan", "rehearse", "collect", "import_"),
     *STORING,
     *("report", "show", "export", "correct", "at_rest", "runs", "compare"),
     *("schema", "docs", "emulate", "tracker_bridge"),

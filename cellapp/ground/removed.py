@@ -7,6 +7,7 @@ from typing import Any
 
 VERSION = "0.1.0"
 """The version in which everything below was removed."""
+_EVIDENCE = "the source's 'python -m tests.evidence' has what made the project's figures"
 COMMANDS: Mapping[str, str] = {
     "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
@@ -17,6 +18,14 @@ COMMANDS: Mapping[str, str] = {
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
     "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
+    "power": "use 'cellapp trials power DIR'",
+    **{
+        f"trials {name}": _EVIDENCE
+        for name in (
+            *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),
+            *("targets", "plans", "check", "signature"),
+        )
+    },
 }
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {

@@ -33,6 +33,3 @@ class TimeLimit:
     def words(self) -> str:
         """For a progress bar."""
         return "no time limit" if self.minutes is None else f"at most {self.minutes:g} min"
-
-
-UNLIMITED = TimeLimit()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +14,19 @@ from cellapp.cell.planning.method import make_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import plan_new_run
-from cellapp.commands.power.request import VERB, PowerRequest
-from cellapp.commands.power.run import run as run_power
-from cellapp.commands.power.run import stored_power
 from cellapp.commands.report.sections import power_section
-from cellapp.commands.trials.power.result import NamingTrial, PowerResult
-from cellapp.commands.trials.power.rounds import power_of
+from cellapp.commands.trials.power.result import NamingTrial, PowerResult, stored_power
+from cellapp.commands.trials.power.rounds import power_at, power_of
 from cellapp.commands.trials.power.tables import power_chart, power_sentence, power_table
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
-from cellapp.commands.trials.skeleton import Work
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
+from cellapp.ground.executors import Gathered, Work
 from cellapp.ground.profile import Profile
-from cellapp.ground.scale.gather import Gathered
 from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
-from tests.commands.quiet_work import quiet_work
 from tests.twin import PROFILES, whole_twin
 
 
@@ -136,19 +132,31 @@ def _imitated(asked: NamingTrial) -> NamingTrial:
     return asked.model_copy(update={"visible": 0.9, "accepted": (asked.effect,), "named": value})
 
 
-class Imitation(Work):
+def imitation(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
     """Answers of a search that is known."""
+    return Gathered(tuple(_imitated(one) for one in asked), {})
 
-    def gather(
-        self, kind: Any, job: str, common: Any, parameters: Any, name: str = "", *, all_may_fail: bool = False
-    ) -> Gathered[Any]:
-        return Gathered(tuple(_imitated(one) for one in parameters), {}, 1)
+
+def power_by(
+    planned: PlannedCell,
+    trials: int,
+    limit: TimeLimit,
+    search: Callable[[Sequence[NamingTrial], bool], Gathered[NamingTrial]] = imitation,
+) -> PowerResult:
+    """What trials by another search give."""
+
+    def gather(function: Any, prepare: Any, given: Any, found: Any, job: Any, work: Any, *, all_may_fail: bool) -> Any:
+        return search([*given.values()], all_may_fail)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("cellapp.commands.trials.power.rounds.gather", gather)
+        return power_of(planned, trials, 3, Work(), limit)
 
 
 @pytest.fixture(scope="module")
 def result(planned: PlannedCell) -> PowerResult:
     """What such a search gives."""
-    return power_of(planned, 16, 3, Imitation(), TimeLimit.from_now(None))
+    return power_by(planned, 16, TimeLimit.from_now(None))
 
 
 def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> None:
@@ -178,14 +186,11 @@ def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> Non
 def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
     clock = [0.0]
 
-    class Slow(Imitation):
-        """Two seconds a trial."""
+    def slow(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
+        clock[0] += 2.0 * len(asked)
+        return imitation(asked, all_may_fail)
 
-        def gather(self, *args: Any, **settings: Any) -> Gathered[Any]:
-            clock[0] += 2.0 * len(args[3])
-            return super().gather(*args, **settings)
-
-    found = power_of(planned, 16, 3, Slow(), TimeLimit(5.0, 0.0, lambda: clock[0]))
+    found = power_by(planned, 16, TimeLimit(5.0, 0.0, lambda: clock[0]), slow)
     assert clock[0] <= 300.0
     assert found.ended_by_time
     assert "the time ended them" in power_sentence(found)
@@ -197,21 +202,19 @@ def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
 def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned: PlannedCell) -> None:
     asked = list[NamingTrial]()
 
-    class Failing(Imitation):
+    def failing(given: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
         """No trial of an effect in one arm can be computed, and only the first of another."""
+        asked.extend(given)
+        assert all_may_fail == (len(asked) > len(given))
+        lost = [
+            (one.arm, one.effect) == ("left", "backlash") or (one.effect == "target_slip" and one.size_mm < 0.03)
+            for one in given
+        ]
+        found = imitation(given, all_may_fail).results
+        failures = {f"{one.arm}, {one.effect}, {one.seed}": "refused" for one, no in zip(given, lost) if no}
+        return Gathered(tuple(None if no else one for one, no in zip(found, lost)), failures)
 
-        def gather(self, *args: Any, **settings: Any) -> Gathered[Any]:
-            asked.extend(args[3])
-            assert settings["all_may_fail"] == (len(asked) > len(args[3]))
-            lost = [
-                (one.arm, one.effect) == ("left", "backlash") or (one.effect == "target_slip" and one.size_mm < 0.03)
-                for one in args[3]
-            ]
-            found = super().gather(*args, **settings).results
-            failures = {f"{one.arm}, {one.effect}, {one.seed}": "refused" for one, no in zip(args[3], lost) if no}
-            return Gathered(tuple(None if no else one for one, no in zip(found, lost)), failures, 1)
-
-    found = power_of(planned, 8, 3, Failing(), TimeLimit.from_now(None))
+    found = power_by(planned, 8, TimeLimit.from_now(None), failing)
     assert len(set(asked)) == len(asked)
     effects = {name: {one.effect: one for one in arm.effects} for name, arm in found.arms.items()}
     assert effects["left"]["backlash"].trials == 0
@@ -240,10 +243,12 @@ def test_a_run_keeps_it_and_its_report_shows_it(
         asked.append((planned, trials, seed))
         return result
 
-    monkeypatch.setattr("cellapp.commands.power.run.power_of", power_of_these)
+    monkeypatch.setattr("cellapp.commands.trials.power.rounds.power_of", power_of_these)
     plan_new_run(twin(stops=30), tmp_path / "run")
     CliRunner().invoke(
-        app, ["power", str(tmp_path / "run"), "--trials", "8", "--minutes", "3", "--seed", "5"], catch_exceptions=False
+        app,
+        ["trials", "power", str(tmp_path / "run"), "--trials", "8", "--minutes", "3", "--seed", "5"],
+        catch_exceptions=False,
     )
     ((planned, trials, seed),) = asked
     assert (len(planned.time_s), trials, seed) == (30, 8, 5)
@@ -256,11 +261,7 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 
 
 @pytest.mark.fast
-def test_a_run_without_a_plan_and_too_few_trials_are_refused(tmp_path: Path) -> None:
+def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):
-        run_power(PowerRequest(folder=tmp_path / "run"), quiet_work())
-    with pytest.raises(InputError, match="--trials"):
-        VERB.asked({"folder": tmp_path, "trials": 3})
-    with pytest.raises(InputError, match="--minutes"):
-        VERB.asked({"folder": tmp_path, "minutes": 0})
+        power_at(tmp_path / "run", 8, 0, Work(), TimeLimit.from_now(None))

@@ -32,7 +32,7 @@ from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
 from tests.commands.emulated_cell import behind_bridge
 from tests.commands.free_ports import on_free_ports
-from tests.trials.bridge import ALL_FAULTS, bridge_trial
+from tests.evidence.wire.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
 from tests.waiting import WAIT_S
 

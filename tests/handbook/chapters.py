@@ -44,7 +44,7 @@ NOT_RUN = ("server", "real-cell", "dev")
 LONG = "long"
 EXCERPT = "excerpt"
 PRINTED = "printed"
-_COMMAND = re.compile(r"cellapp [-a-z]|python -m tests\.trials\.")
+_COMMAND = re.compile(r"cellapp [-a-z]")
 _PROMPT = "$ "
 """What begins a command above what it prints."""
 

@@ -136,9 +136,6 @@ def _told(place: str, text: str, problem: str) -> list[str]:
         ("cellapp plan PROFILE && cellapp discover DIR --propose few", "valid integer"),
         ("cellapp export DIR", ""),
         ("cellapp push DIR", "Missing"),
-        ("python -m tests.trials.links --person PROFILE --press 3", "No such option"),
-        ("python -m tests.trials.campaigns --n 3 --store FILE", ""),
-        ("python -m tests.trials.tempest", "No module named"),
     ],
 )
 def test_a_wrong_command_is_found(line: str, problem: str) -> None:

@@ -136,7 +136,7 @@ def test_a_parameter_that_a_law_does_not_have_is_refused(scene: Scene) -> None:
 def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
-    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Every figure")
+    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Figures")
     section = runner.invoke(app, ["docs", "backlash"]).output
     assert section.startswith("## backlash\n")
     assert "## friction_windup" not in section

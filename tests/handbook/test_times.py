@@ -22,10 +22,3 @@ def test_no_time_of_the_program_stands_alone(name: str) -> None:
     text = " ".join(re.sub(r"(?s)```.*?```", "", text).split())
     alone = [words for words in _TAKES.findall(text) if not any(known in words for known in _KNOWN)]
     assert alone == []
-
-
-def test_the_chapter_of_figures_names_processor_reference_and_command() -> None:
-    text = chapter_text("figures")
-    times = text.partition("## Times")[2].partition("\n## ")[0]
-    for words in ("AMD EPYC", "numpy.linalg.lstsq", "tests.benchmarks.reference_time", "tests.benchmarks.whole_twin"):
-        assert words in times

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import importlib
 import io
 import os
 import re
@@ -181,15 +180,8 @@ class Program:
 
 
 def program_of(words: Sequence[str]) -> Program | None:
-    """``cellapp`` or ``python -m tests.trials.NAME`` with its words; None for any other. Raises ``ImportError``."""
-    if words[:1] == ["cellapp"]:
-        return Program("cellapp", app, list(words[1:]))
-    if words[:2] != ["python", "-m"] or not words[2].startswith("tests.trials."):
-        return None
-    module = importlib.import_module(words[2])
-    if hasattr(module, "__path__"):
-        module = importlib.import_module(f"{words[2]}.__main__")
-    return Program(words[2], module.app, list(words[3:]))
+    """``cellapp`` with its words; None for any other."""
+    return Program("cellapp", app, list(words[1:])) if words[:1] == ["cellapp"] else None
 
 
 def _make_quick(path: Path) -> None:

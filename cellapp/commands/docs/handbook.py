@@ -41,11 +41,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "python": "using cellapp from Python: runs, models, data frames, mistakes",
     },
     "for developers": {
-        "figures": "every figure of the project, and how it was measured",
-        "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
+        "figures": "figures of the project, each with the program that measured it",
         "extend": "arms, drivers, effects and exports of your own, as plug-ins",
         "emulator": "the emulated cell: real protocols, faults at will",
-        "scale": "trials on all cores or a Dask cluster, results that survive",
+        "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
         "house": "how the code is laid out, how to add to it, tests",
         "decisions": "decisions that shaped the house, with what was measured",
     },

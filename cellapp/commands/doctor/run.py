@@ -16,7 +16,6 @@ from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.commands.record import Work
-from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
@@ -106,7 +105,7 @@ def _result(finding: Finding) -> ResultFinding:
 
 def installed_plugins() -> tuple[Plugin, ...]:
     """Return every entry point in a group of this program, including unusable ones."""
-    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins, *METHODS.plugins)
+    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
 
 
 def installed_findings() -> list[Finding]:

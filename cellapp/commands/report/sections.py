@@ -48,7 +48,6 @@ from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
-from cellapp.commands.power.run import stored_power
 from cellapp.commands.rehearse.record_file import kept_log
 from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
@@ -57,6 +56,7 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
 from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
+from cellapp.commands.trials.power.result import stored_power
 from cellapp.commands.trials.power.tables import power_parts
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of

@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -25,7 +26,6 @@ from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, Ju
 from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
-from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.outcome import Discovery
@@ -34,10 +34,9 @@ from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.executors import Work, gather
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, TaskKind, as_given
 from cellapp.ground.version import __version__
 from cellapp.robot.model import CellModel
 
@@ -63,10 +62,10 @@ class StoredTrial(Record):
     arms: Mapping[str, StoredFindings]
 
 
-def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) -> JudgeResult:
+def judge_trials(folder: Path, work: Work, *, again: bool = False) -> JudgeResult:
     """Calibrate and search all runs of a folder that are not judged yet, then open the truth and compare.
 
-    The findings are stored in the runs themselves, so no store is needed; workers of a cluster must see the folder
+    The findings are stored in the runs themselves; workers of a cluster must see the folder
     under the same path. ``again`` also repeats runs judged before. A run that fails is reported and does not stop the
     others.
 
@@ -85,7 +84,7 @@ def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) ->
         raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
     source = source_digest()
     pending = runs if again else [run for run in runs if _stored(run) is None]
-    failures, jobs = _judge_all(pending, source, len(runs), work)
+    failures = _judge_all(pending, source, len(runs), work)
     opened = open_truth(folder)
     scored, sources, failed = _compare(folder, opened.trials, failures)
     return JudgeResult(
@@ -93,37 +92,10 @@ def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) ->
         program=f"cellapp {__version__}",
         source=source,
         judged_by_other_source=sum(other != source for other in sources),
-        jobs=jobs,
         sealed=opened.sealed,
         failed=failed,
         **dict(scores(scored)),
     )
-
-
-class Source(Record):
-    """State of the program that judges; see ``source_digest``."""
-
-    source: str
-
-
-class JudgedFolder(Record):
-    """The folder of one run, under a path that every worker sees."""
-
-    folder: str
-
-
-class Judged(Record):
-    """That a run was judged; it keeps itself what was found."""
-
-    run: str
-
-
-def _judge(source: Source, one: JudgedFolder) -> Judged:
-    judge_run(Path(one.folder), source.source)
-    return Judged(run=Path(one.folder).name)
-
-
-RUNS = TaskKind("cellapp.commands.trials.judge:RUNS", Source, JudgedFolder, Judged, as_given, _judge)
 
 
 def judge_run(folder: Path, source: str) -> None:
@@ -192,21 +164,24 @@ def _stored(folder: Path) -> StoredTrial | None:
         return None
 
 
-def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> tuple[dict[str, str], int]:
-    """Judge runs; return run -> error for those that failed, and how many were judged at the same time."""
+def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> Mapping[str, str]:
+    """Judge runs; return run -> error for those that failed."""
     before = total - len(runs)
     work.listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
     if not runs:
-        return {}, 1
-    tasks = [JudgedFolder(folder=str(run.absolute())) for run in runs]
-    batch = Batch(RUNS, Source(source=source), tasks, [run.name for run in runs])
+        return {}
 
     def of_all(event: Progress) -> None:
         work.listener(replace(event, done=before + event.done, total=total))
 
-    unstored = replace(work.resources, store=None)
-    gathered = gather(batch, "judge", unstored, of_all, work.cancel, all_may_fail=True)
-    return dict(gathered.failures), gathered.workers
+    folders = {run.name: str(run.absolute()) for run in runs}
+    unstored = replace(work, results=None, listener=of_all)
+    return gather(_judge, partial(str, source), folders, str, "judge", unstored, all_may_fail=True).failures
+
+
+def _judge(source: str, folder: str) -> str:
+    judge_run(Path(folder), source)
+    return folder
 
 
 def _compare(

@@ -299,6 +299,5 @@ class JudgeResult(Scores, Result, schema="cellapp-trials-judge"):
     program: str
     source: str
     judged_by_other_source: int
-    jobs: int
     sealed: SealHeader
     failed: tuple[str, ...]

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
-from cellapp.commands.trials.blind_matrix import MatrixResult
 from cellapp.commands.trials.judge_records import (
     OUTCOMES,
-    THRESHOLD,
     VERDICTS,
     CleanCounts,
     EffectCounts,
@@ -23,27 +21,9 @@ from cellapp.commands.trials.judge_records import (
     TargetScore,
 )
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.skeleton import not_computed
-from cellapp.commands.view.table import Column, Field, Number, Table, number_column, table_of
+from cellapp.commands.view.table import Field, Number, Table, table_of
 from cellapp.ground.counting import counted
 from cellapp.ground.times import day_of
-
-_CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
-    "Cells: visible effects, exactly named": {
-        "one": ("one", "visible: exactly its name"),
-        "several": ("pair, triple", "visible: exactly their names"),
-        "look-alikes": ("pair", "visible look-alikes: exactly their names"),
-        "second": ("one, pair, triple", "second names"),
-    },
-    "Cells: nothing hidden, laws outside the library, flipped signs": {
-        "false": ("none", "false names, by arm"),
-        "unknown": ("none", "false unknown effects, by arm"),
-        "called": ("outside", "visible: called unknown"),
-        "described": ("outside", "visible: right channel and variables"),
-        "sign": ("flipped", "visible: called unknown, opposite sign said"),
-    },
-}
-"""Tables of the cells: title, headings, and under each heading its target (kind, target)."""
 
 
 def judge_tables(result: Scores) -> list[Table]:
@@ -71,7 +51,7 @@ def judge_sentences(result: JudgeResult) -> list[str]:
     if wall is not None and cpu is not None:
         said.append(
             f"Discovery of one arm: median {wall.median:.1f} s, longest {wall.max:.1f} s (processor"
-            f" {cpu.median:.1f} and {cpu.max:.1f} s), {result.jobs} at a time, a thread each."
+            f" {cpu.median:.1f} and {cpu.max:.1f} s)."
         )
     if result.judged_by_other_source:
         said.append(
@@ -87,57 +67,11 @@ def judge_sentences(result: JudgeResult) -> list[str]:
     return said
 
 
-def refused(result: JudgeResult | MatrixResult) -> str:
-    """State the runs that could not be judged, or bars missed in enough trials; empty if there are none."""
-    missed = "; ".join(f"{one.kind}: {one.target}" for one in result.missed)
-    return not_computed(result.failed) or (f"bars missed: {missed}" if missed else "")
-
-
 def setup_words(setup: Setup) -> str:
     """Describe the conditions of a set of trials."""
     said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
     said.append(f"masses {100 * setup.mass_error:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
-
-
-def matrix_tables(result: MatrixResult) -> list[Table]:
-    """Show targets over all cells, stated probabilities, and the shares reached in each cell."""
-    return [
-        _target_table(result.targets),
-        *(_posterior_table(score) for score in result.posteriors),
-        *(_cell_table(title, result, headings) for title, headings in _CELLS.items()),
-    ]
-
-
-def _cell_table(title: str, result: MatrixResult, headings: Mapping[str, tuple[str, str]]) -> Table:
-    """Show the cells that have any of the targets ``headings`` (heading -> kind, target), and those targets."""
-    reached = {
-        cell.name: {(one.kind, one.target): f"{one.reached}/{one.n}" for one in cell.targets} for cell in result.cells
-    }
-    used = {heading: target for heading, target in headings.items() if any(target in cell for cell in reached.values())}
-    rows = []
-    for cell in result.cells:
-        if reached[cell.name].keys() & set(used.values()):
-            pace = cell.seconds_an_arm
-            spent = (None, None) if pace is None else (pace.median, pace.max)
-            rows.append((cell.name, *(reached[cell.name].get(target, "") for target in used.values()), *spent))
-    seconds = number_column("median s", ".1f"), number_column("longest", ".1f")
-    return Table(title, (Column("cell"), *(Column(heading) for heading in used), *seconds), tuple(rows))
-
-
-def matrix_sentences(result: MatrixResult) -> list[str]:
-    """State the conditions of the tables."""
-    said = [f"Visible: {THRESHOLD}."]
-    if result.seconds_an_arm is not None:
-        pace = result.seconds_an_arm
-        said.append(f"Discovery of one arm: median {pace.median:.1f} s, longest {pace.max:.1f} s.")
-    said += [f"Not judged: {failure}." for failure in result.failed]
-    runs = sum(cell.runs for cell in result.cells)
-    return [
-        *said,
-        f"{result.date}; {result.program}, source {result.source}; {counted(runs, 'run')} in"
-        f" {counted(len(result.cells), 'cell')}.",
-    ]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cellapp.ground.outputs import Writes
-
-if TYPE_CHECKING:
-    from cellapp.ground.scale.executor import Resources
 
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
@@ -39,23 +36,3 @@ Scheduler = Annotated[
         "--scheduler", metavar="ADDRESS", help="Compute on the workers of a Dask scheduler, as tcp://HOST:8786."
     ),
 ]
-Store = Annotated[
-    Path | None,
-    typer.Option("--store", metavar="FILE", help="Keep results in FILE as they come; what it holds is not repeated."),
-    Writes.STORE,
-]
-MarkdownFile = Annotated[
-    Path | None,
-    typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE."),
-    Writes.FILE,
-]
-
-
-def resources_of(jobs: int | None, scheduler: str | None, store: Path | None = None) -> Resources:
-    """Return where tasks are computed and stored, by a command's options. Raises ``InputError`` if they conflict."""
-    from cellapp.ground.scale.executor import Resources
-    from cellapp.ground.scale.gather import check_resources
-
-    resources = Resources(jobs, scheduler, store)
-    check_resources(resources)
-    return resources

@@ -15,7 +15,7 @@ from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.request_commands import REQUESTS
 
 HELP_OPTIONS = ["-h", "--help"]
-TRIALS = "Trials on simulated cells and measured series."
+TRIALS = "Effects hidden in a simulated cell of yours: which of which size would be named?"
 
 
 class InOrder(TyperGroup):

@@ -15,10 +15,10 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
 from cellapp.cell.safety.obstacles import Obstacle
 from cellapp.cell.safety.shapes import RoundedBox, load_mesh
-from cellapp.commands.trials.collision_check import CollisionCheck
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.obstacles import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
+from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_obstacles import crowded, random_segments
 from tests.twin import PROFILES, small_twin
 

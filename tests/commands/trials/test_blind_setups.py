@@ -1,9 +1,7 @@
-"""Conditions of blind trials, sizes of what is hidden, scores of probabilities and of second names, the matrix."""
+"""Conditions of blind trials, sizes of what is hidden, scores of probabilities and of second names."""
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +10,6 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials import blind_matrix
-from cellapp.commands.trials.blind_matrix import MatrixResult, matrix_cells
 from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, NoiseLengths, ScoredRun
 from cellapp.commands.trials.run_score import score_run
@@ -21,15 +17,13 @@ from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import ExpectedTerm, GroundTruth, HiddenLaw, open_truth, seal_trials
 from cellapp.commands.trials.sealed_cases import EXPECTED
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.skeleton import Work
 from cellapp.commands.trials.visible_size import beyond_law, registered_model
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import InputError
+from cellapp.ground.executors import Work
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, Progress
-from cellapp.interfaces import cli
 from tests.twin import PROFILES, small_twin
 
 SEED = 5
@@ -91,7 +85,7 @@ def test_flipped_signs_are_those_of_the_way_back(tmp_path: Path) -> None:
 
 def test_recordings_are_judged_by_stops_at_rest(tmp_path: Path) -> None:
     seal_trials(small_twin(60), tmp_path / "t", 1, Setup(kind="none", sweeps=1, stops=25), seed=SEED)
-    (judged,) = judge_trials(tmp_path / "t").trials
+    (judged,) = judge_trials(tmp_path / "t", Work()).trials
     with RunFile.open(tmp_path / "t" / "run-0001") as run:
         stored = StoredTrial.model_validate_json(run.read_result(TRIAL_RESULT) or "")
         assert [len(run.readings("left").in_split(split)) for split in ("identify", "validate")] == [1, 24]
@@ -308,56 +302,3 @@ def test_a_bar_counts_from_enough_trials() -> None:
 
     assert missed(33) == []
     assert missed(34) == ["visible: exactly its name"]
-
-
-# -- the matrix -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.fast
-def test_cells_are_chosen_by_name() -> None:
-    names = [cell.name for cell in matrix_cells()]
-    assert len(set(names)) == len(names)
-    assert {"same.one", "other.triple", "narrow.none", "unstated.outside", "approach.flipped"} <= set(names)
-    assert [cell.setup.kind for cell in matrix_cells("stops-60.pair")] == ["pair"]
-    with pytest.raises(InputError, match="no cell is called 'nothing'; cells are same"):
-        matrix_cells("nothing")
-
-
-def test_a_matrix_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cells = matrix_cells("stops-60.none") + matrix_cells("stops-60.one")
-    cancel = CancelToken()
-
-    def stop_before_the_second(event: Progress) -> None:
-        if event.done == 1:
-            cancel.cancel()
-
-    work = Work(listener=stop_before_the_second, cancel=cancel)
-    with pytest.raises(Cancelled):
-        blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, work, seed=SEED)
-    first = (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes()
-    result = blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED)
-    assert (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes() == first
-    assert [(cell.name, cell.runs) for cell in result.cells] == [("stops-60.none", 1), ("stops-60.one", 1)]
-    out, table = tmp_path / "out.json", tmp_path / "table.md"
-    monkeypatch.setattr("cellapp.commands.trials.blind_matrix.matrix_cells", lambda pattern: cells)
-    arguments = (
-        "blind-matrix",
-        PROFILES / "twin.yaml",
-        "--out",
-        tmp_path,
-        "--n",
-        1,
-        "--json",
-        out,
-        "--markdown",
-        table,
-    )
-    monkeypatch.setattr(sys, "argv", ["cellapp", "trials", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code in (0, None)
-    assert MatrixResult.from_json(out.read_text("utf-8"), "out").cells == result.cells
-    assert json.loads(out.read_text("utf-8"))["schema"] == "cellapp-trials-blind-matrix"
-    assert "| stops-60.one |" in table.read_text("utf-8")
-    with pytest.raises(InputError, match="holds 1 sealed runs, not 2; give --n 1 or another --out"):
-        blind_matrix.blind_matrix(twin(), tmp_path, 2, cells)

@@ -35,12 +35,12 @@ from cellapp.commands.trials.sealed import (
 )
 from cellapp.commands.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.skeleton import Work
 from cellapp.commands.trials.tables import judge_sentences, judge_tables
 from cellapp.commands.trials.visible_size import beyond_geometry
 from cellapp.commands.view.table import markdown
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.executors import Work
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from cellapp.interfaces import cli
@@ -88,7 +88,7 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
     with pytest.raises(Cancelled):
         judge_trials(folder, Work(listener=stop_after_the_first, cancel=cancel))
     first = stored(folder)
-    return folder, first, judge_trials(folder)
+    return folder, first, judge_trials(folder, Work())
 
 
 @pytest.fixture
@@ -283,7 +283,7 @@ def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
     data[int(place * len(data))] ^= 1
     (mine / "truth.json").write_bytes(data)
     with pytest.raises(CheckFailed, match="the seal is broken"):
-        judge_trials(mine)
+        judge_trials(mine, Work())
     assert stored(mine) == [""] * 10, "it is reported before any work"
 
 
@@ -294,10 +294,10 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
     connection.commit()
     connection.close()
     with pytest.raises(CheckFailed, match="run-0002: its readings are not those that were sealed"):
-        judge_trials(folder)
+        judge_trials(folder, Work())
     shutil.rmtree(folder / "run-0002")
     with pytest.raises(InputError, match="run-0002 is missing, but was sealed"):
-        judge_trials(folder)
+        judge_trials(folder, Work())
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         ("judge torn", 2, "torn holds no sealed trials (seal.txt is missing)"),
         ("judge bare", 2, "bare holds no runs"),
         ("judge broken", 1, "the seal is broken"),
-        ("judge bare --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
+        ("judge bare --json no/where.json", 2, "--json: no/where.json: folder not found"),
         ("judge bare --jobs 0", 2, ""),
         ("seal twin.yaml --out torn --n 1", 2, "torn is not empty; give a new folder"),
         ("seal twin.yaml --out torn/truth.json --n 1", 2, "torn/truth.json: "),
@@ -322,8 +322,6 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         ("seal twin.yaml --out new --flip-approach --kind pair", 2, "leave out --kind pair"),
         ("seal twin.yaml --out new --sweeps 20 --ranges narrow", 2, "--sweeps needs the full joint ranges"),
         ("seal twin.yaml --out new --sweeps 0", 2, ""),
-        ("blind-matrix twin.yaml --out new --only none.such", 2, "no cell is called 'none.such'"),
-        ("blind-matrix twin.yaml --out new --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
         ("seal twin.yaml --out new --noise pink", 2, "noises are gaussian, heavy, repeatability"),
         ("seal ur10-real.yaml --out new", 2, "sealed trials need a section 'plant' and two arms"),
         ("seal nowhere.yaml --out new", 2, "nowhere.yaml"),
@@ -388,7 +386,7 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     folder = tmp_path / "trials"
     seal_trials(small(), folder, 1, Setup(kind="one"), seed=0)
     judge_run(folder / "run-0001", source_digest())
-    result = judge_trials(folder)
+    result = judge_trials(folder, Work())
     (trial,) = result.trials
     assert [hidden.effect for hidden in trial.hidden] == ["joint_compliance"]
     assert trial.visible
@@ -412,7 +410,7 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
             connection.execute("UPDATE reading SET split = 'identify'")
         connection.commit()
         connection.close()
-    result = judge_trials(folder)
+    result = judge_trials(folder, Work())
     assert len(result.failed) == 1
     assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
     assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
@@ -424,14 +422,13 @@ def test_the_commands(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    out, table = tmp_path / "out.json", tmp_path / "table.md"
-    code, said, _ = call(capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out, "--markdown", table)
+    out = tmp_path / "out.json"
+    code, said, _ = call(capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out)
     assert code == 0
     assert "Sealed trials: targets" in said
     assert f"seed {SEED}" in said
     found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
     assert found.trials == judged_once[2].trials
-    assert table.read_text("utf-8") == markdown(judge_tables(found), judge_sentences(found))
     shutil.copytree(PROFILES, tmp_path / "profiles")
     monkeypatch.setattr("cellapp.commands.trials.sealed._write_runs", lambda *arguments: [])
     code, said, _ = call(
@@ -622,7 +619,7 @@ def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
         judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
     ]
     result = JudgeResult(
-        date="2026-02-03", program="cellapp 0.1.0", source="abc", judged_by_other_source=1, jobs=2, sealed=sealed,
+        date="2026-02-03", program="cellapp 0.1.0", source="abc", judged_by_other_source=1, sealed=sealed,
         failed=("run-0009: broken",), **dict(scores(trials)),
     )  # fmt: skip
     text = markdown(judge_tables(result), judge_sentences(result))

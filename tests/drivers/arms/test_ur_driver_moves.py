@@ -60,11 +60,11 @@ from tests.drivers.arms.emulated_ur_cell import (
     repair,
     warnings_about,
 )
+from tests.evidence.wire.link_bench import travel_s
+from tests.evidence.wire.link_results import LinksResult
+from tests.evidence.wire.links import link_trials
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
-from tests.trials.link_bench import travel_s
-from tests.trials.link_results import LinksResult
-from tests.trials.links import link_trials
 from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits

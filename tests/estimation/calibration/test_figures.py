@@ -10,9 +10,9 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
 from cellapp.commands.calibrate.run import draw_missing_splits
-from cellapp.commands.trials.coverage import coverage
-from cellapp.commands.trials.parameter_sets import parameter_set_trials
 from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.ground.grouping import grouped
+from tests.evidence import coverage, parameter_sets
 
 ROOT = Path(__file__).parents[3]
 READINGS = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
@@ -39,27 +39,25 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
 
 @pytest.mark.parametrize("arm", ["right", pytest.param("left", marks=pytest.mark.long)])
 def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time(arm):
-    result = coverage(load_profile(ROOT / "profiles" / "twin.yaml"), arm, runs=200)
-    assert result.runs == 200
-    assert result.intervals == 200 * 27
-    assert 0.93 <= result.share <= 0.97
-    assert result.scatter == pytest.approx(1.0, abs=0.02)
-    assert min(result.by_parameter.values()) > 0.88  # 4.5 standard deviations of 200 draws
+    results = [coverage.one({"arm": arm, "seed": seed, "stops": 100}) for seed in range(200)]
+    held = np.array([found["held"] for found in results])
+    assert held.shape == (200, 27)
+    assert coverage.LEAST <= held.mean() <= coverage.MOST
+    assert np.mean([found["scatter"] for found in results]) == pytest.approx(1.0, abs=0.02)
+    assert held.mean(axis=0).min() > 0.88  # 4.5 standard deviations of 200 draws
 
 
 def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
     # of six, one or two converge all the same: which ones depends on the linear algebra library
-    result = parameter_set_trials(load_profile(ROOT / "profiles" / "twin.yaml"), seeds=range(3))
-    assert result.failed == ()
-    by_name = {(trial.parameter_set, trial.solver): trial for trial in result.arms["left"]}
-    redundant, reduced = by_name["full", "plain"], by_name["auto", "plain"]
-    assert (redundant.parameters, reduced.parameters) == (34, 27)
-    assert by_name["paper", "plain"].parameters == 26
-    assert redundant.converged < redundant.seeds
-    assert redundant.iterations > 100
-    assert reduced.converged == reduced.seeds
-    assert reduced.iterations <= 4
-    assert reduced.mean_mm < redundant.mean_mm
-    assert reduced.max_mm < redundant.max_mm
-    ours = by_name["full", "cellapp"]
-    assert ours.converged == ours.seeds
+    found = [parameter_sets.one({"arm": "left", "seed": seed})["solutions"] for seed in range(3)]
+    by_name = grouped((name, rest) for solutions in found for name, *rest in solutions)
+    medians = {name: np.median(np.array(some, dtype=np.float64), axis=0) for name, some in by_name.items()}
+    converged = {name: [one[1] for one in some] for name, some in by_name.items()}
+    redundant, reduced = "full (34), plain", "auto (27), plain"
+    assert "paper (26), plain" in by_name
+    assert not all(converged[redundant])
+    assert medians[redundant][0] > 100
+    assert all(converged[reduced])
+    assert medians[reduced][0] <= 4
+    assert (medians[reduced][2:] < medians[redundant][2:]).all()
+    assert all(converged["full (34), cellapp"])

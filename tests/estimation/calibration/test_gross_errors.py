@@ -14,14 +14,14 @@ from cellapp.commands.calibrate.result import arm_result
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import warnings
-from cellapp.commands.trials.league.series import Entrant, load_entrant
 from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_arm, calibrate_readings, train_arm
 from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.gross_errors import left_out_words
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.robot.kinematics.chain import smr_positions
-from tests.benchmarks.gross_errors import disturbed
+from tests.evidence.gross_errors import disturbed
+from tests.evidence.shared.series import Entrant, load_entrant
 
 ROOT = Path(__file__).parents[3]
 
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.fixture(scope="module")
 def ur5() -> Entrant:
     """A measured arm, 300 of its rows: a quarter held out, a quarter to train on."""
-    entrant = load_entrant("UR5", ROOT / "tests" / "fixtures", ROOT / "profiles")
+    entrant = load_entrant("UR5")
     words = ("validate", "identify", "train", "identify")
     some = entrant.readings.take(np.arange(0, 900, 3))
     return replace(entrant, readings=replace(some, split=tuple(words[k % 4] for k in range(300))))
@@ -165,7 +165,7 @@ def test_the_whole_cell_leaves_them_out_of_the_pair(twin_readings: tuple) -> Non
 @pytest.fixture(scope="module")
 def twin_readings() -> tuple:
     """A simulated cell without networks, and its readings at 160 random stops."""
-    from cellapp.commands.trials.measured import measured_plan
+    from tests.evidence.shared.cells import measured_plan
 
     profile = load_profile(ROOT / "profiles" / "twin.yaml")
     profile = profile.model_copy(

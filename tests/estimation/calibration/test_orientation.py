@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.commands.trials.league.series import draw_rows, load_entrant
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import start_from_nominal
@@ -25,6 +24,7 @@ from cellapp.robot.kinematics.chain import (
 )
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import true_geometry
+from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
 from tests.twin import PROFILES
 
@@ -154,7 +154,7 @@ def test_orientations_in_another_convention_are_refused_by_name(words):
 
 def test_a_mirrored_frame_of_a_probe_that_hardly_turned_is_named():
     """A probe that always faces the tracker turns so little that its mirror image is 0.2 rad off, not more."""
-    entrant = load_entrant("D6", FIXTURES, PROFILES)
+    entrant = load_entrant("D6")
     readings = entrant.readings
     mirrored = replace(readings, quaternion_M=readings.quaternion_M * np.array([1.0, 1.0, -1.0, -1.0]))
     geometry = start_from_nominal(
@@ -191,7 +191,7 @@ def test_held_out_errors_and_an_offset_that_is_not_determined():
 
 def test_a_real_arm_in_six_dimensions():
     """Bars: what a plain reference fit of positions and orientations reaches, 0.369 mm and 0.94 mrad."""
-    entrant = load_entrant("D6", FIXTURES, PROFILES)
+    entrant = load_entrant("D6")
     readings = draw_rows(entrant, 300, 0).split(entrant.readings)
     arm, notes = calibrate_arm(entrant.profile, entrant.arm, readings)
     errors = arm.validate["geometry"]

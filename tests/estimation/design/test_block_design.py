@@ -13,11 +13,11 @@ from cellapp.estimation.design.block_choice import (
     Candidates,
     Effort,
     choose_blocks,
-    least_errors,
     most_informative_first,
 )
 from cellapp.estimation.design.block_design import BlockDesign, Criterion, Shares, information_of, reference_errors
 from cellapp.ground.progress import Cancelled, CancelToken
+from tests.estimation.design.relaxation import least_errors
 
 pytestmark = pytest.mark.fast
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.commands.trials.league.series import load_entrant
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.gross_errors import gross_errors
 from cellapp.estimation.discovery.discover import discover_arm
+from tests.evidence.shared.series import load_entrant
 
 ROOT = Path(__file__).parents[3]
 
@@ -24,7 +24,7 @@ def test_heavy_tails_are_no_gross_errors_and_a_moved_target_is_one() -> None:
 
 
 def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
-    ur5 = load_entrant("UR5", ROOT / "tests" / "fixtures", ROOT / "profiles")
+    ur5 = load_entrant("UR5")
     split = tuple("identify" if row % 8 == 0 else "validate" for row in range(len(ur5.readings)))
     readings = replace(ur5.readings, split=split)
     arm, _ = calibrate_arm(ur5.profile, ur5.arm, readings)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellapp.commands.trials.league.series import draw_rows, load_entrant
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.gauss_newton import minimise
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
@@ -22,15 +20,15 @@ from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
+from tests.evidence.shared.series import draw_rows, load_entrant
 
-ROOT = Path(__file__).parents[3]
 SEARCHED, ROWS = 200, 320
 
 
 @cache
 def drawn():
     """A draw of a real UR10: its profile, calibrated model, readings with splits, and their conditions."""
-    series = load_entrant("D", ROOT / "tests" / "fixtures", ROOT / "profiles")
+    series = load_entrant("D")
     readings = draw_rows(series, ROWS, 3).split(series.readings)
     arm, _ = calibrate_arm(series.profile, series.arm, readings)
     return series.profile, series.arm, arm.model, readings, measurement_conditions(readings)

@@ -374,11 +374,6 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
         jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
 
 
-def test_trials(work: Path, call: Any) -> None:
-    found = call("trials", "coverage", "twin.yaml", "--n", "2", "--stops", "25", "--jobs", "1", "--json", "-").json
-    assert found["arms"]["left"]["runs"] == 2
-
-
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
@@ -432,15 +427,6 @@ def test_the_calibrated_arms_in_every_format(work: Path, call: Any) -> None:
             assert arm["conversion_mm"] < 1e-3
             for part, loss in arm["lost"].items():
                 assert f"{part}: {loss['rms_mm']:.3f} mm rms" in ended.err, name
-
-
-def test_the_league_on_one_series(work: Path, call: Any) -> None:
-    there = ("--data", ROOT / "tests" / "fixtures", "--profiles", PROFILES)
-    ended = call("trials", "league", "--series", "UR5", "--rows", 60, "--seeds", 1, *there, "--json", "-")
-    missed = [bar for bar in ended.json["bars"] if not bar["met"]]
-    assert ended.code == (1 if missed else 0)
-    assert [line["held_out"] for line in ended.json["lines"]] == [960, 940, 20]
-    assert call("trials", "league", "--markdown", "nowhere/league.md", *there).code == 2
 
 
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
@@ -573,11 +559,6 @@ BAD = [
     (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
     (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
     (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
-    (None, "trials coverage ur10-ur5.yaml --n 2", ["profile ur10-ur5: these trials need a section 'plant'"]),
-    (None, "trials paper ur10-ur5.yaml --seeds 1", ["the comparison needs a section 'plant' and two arms"]),
-    (None, "trials league --data nowhere", ["nowhere/ur10-real/readings.csv: file not found", "say with --data"]),
-    (None, "trials league --series X", ["'X' is not a series of the league"]),
-    (None, "trials league --rows few", ["--rows: expected numbers of rows or 'all'"]),
     (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
     (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
     (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),

@@ -150,7 +150,7 @@ def test_every_option_that_names_a_place_says_whether_it_writes() -> None:
 
 
 def test_every_command_has_its_outputs() -> None:
-    assert len(ALL) > 45
+    assert len(ALL) > 30
     assert [one.words for one in ALL if "--json" not in written_by(one.function)] == []
     by_option = {option for one in ALL for option in written_by(one.function)}
     assert by_option == {
@@ -159,11 +159,10 @@ def test_every_command_has_its_outputs() -> None:
         "--plan",
         "--out",
         "--geometry",
-        "--markdown",
-        "--store",
+        "--page",
+        "--results",
         "--joints",
         "--points",
-        "--problems",
         "--controllers",
         "--bundle",
     }
@@ -247,9 +246,9 @@ def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(run_file: Path, monkey
     for suffix in ("-wal", "-journal", "-shm"):
         name = f"R/run.sqlite{suffix}"
         assert called(monkeypatch, "show", "R", "--json", name, "--force") == 2
-        words = ("trials", "coverage", str(ROOT / "profiles/twin.yaml"), "--n", "2", "--stops", "25", "--jobs", "1")
-        assert called(monkeypatch, *words, "--store", name) == 2
-        assert called(monkeypatch, *words, "--store", "R/run.sqlite") == 2
+        words = ("trials", "power", str(ROOT / "profiles/twin.yaml"))
+        assert called(monkeypatch, *words, "--results", name) == 2
+        assert called(monkeypatch, *words, "--results", "R/run.sqlite") == 2
 
 
 # -- the door itself --------------------------------------------------------------------------------------------------
@@ -334,7 +333,6 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/robot/model/model.py",
         "cellapp/cell/run/file.py",
         "cellapp/commands/trials/sealed.py",
-        "cellapp/commands/trials/league/series.py",
         "cellapp/cell/driving/requests/job_requests.py",
     }
     words = (".write_text(", ".write_bytes(", "os.replace(", '.open("w', '"wb")', "copyfile(")

@@ -6,6 +6,7 @@ import json
 import sqlite3
 from contextlib import closing
 
+import numpy as np
 import pytest
 import yaml
 
@@ -18,6 +19,7 @@ from cellapp.commands.runs.history import summarise
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.tables import overview_sentences, overview_tables
 from cellapp.commands.stages import append_stage
+from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
@@ -108,13 +110,14 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
     profile = load_profile(PROFILES / "twin.yaml")
     with RunFile.create(tmp_path / "run", profile) as run:
         path = run.path
+        run.add_stop(0, {"right": Reading(q=np.zeros(6), p_M=np.array([3.0, 0.5, 0.1]))})
     old_rows(path, columns, rows)
     with RunFile.open(path.parent, write=True) as run:
         state = run_overview(run)
         assert (state.arms["left"].measured, state.next_step) == (3, "")
         assert state.complaints[0].startswith(f"arm 'left': readings of {what} were removed in ")
         exported = export_run(run, tmp_path / "out.csv", None)
-        assert exported.readings == {"left": 3}
+        assert exported.readings == {"left": 3, "right": 1}
         assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(last)
         with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show'"):
             calibrate_run(run)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.cell.exports.formats import all_formats
-from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.ground.profile.schema import Arm, Profile, Sensors, Tracker
 from cellapp.robot.effects import EFFECTS
@@ -28,7 +27,7 @@ from drivers.trackers.registry import TRACKERS
 REPOSITORY = Path(__file__).parents[3]
 EXAMPLE = Path(__file__).parent / "example_plugin"
 """The distribution of the handbook's chapter on plug-ins."""
-REGISTRIES: tuple[Registry[Any], ...] = (ARMS, TRACKERS, AIR_SENSORS, ARM_TYPES, EFFECTS, all_formats(), METHODS)
+REGISTRIES: tuple[Registry[Any], ...] = (ARMS, TRACKERS, AIR_SENSORS, ARM_TYPES, EFFECTS, all_formats())
 Groups = Mapping[str, Mapping[str, str]]
 """Group -> name -> target of entry points."""
 

@@ -30,9 +30,9 @@ from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import job_of
+from tests.evidence.wire.storm_cell import emulated_cell
 from tests.interfaces.tui.pilot import until
 from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
-from tests.trials.storm_cell import emulated_cell
 
 LETTERS = "zvkjuzvkju"
 STOPS = 40

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyte
 
-from tests.trials.pseudo_terminal import PseudoTerminal
+from tests.evidence.wire.pseudo_terminal import PseudoTerminal
 
 ROOT = Path(__file__).resolve().parents[3]
 PATIENT = "tests.interfaces.tui.patient_program"

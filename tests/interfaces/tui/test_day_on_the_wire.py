@@ -16,11 +16,11 @@ from textual.pilot import Pilot
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.interfaces.tui.app import CellApp
+from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.interfaces.tui.patient_program import be_patient
 from tests.interfaces.tui.pilot import shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import PATIENT, Terminal, cellapp
-from tests.trials.storm_cell import StormCell, emulated_cell
 from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits

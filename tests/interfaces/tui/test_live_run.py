@@ -27,11 +27,11 @@ from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
 from tests.commands.emulated_cell import patiently
+from tests.evidence.wire.polling import comes_about
+from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import PATIENT, ROOT, Terminal, cellapp
-from tests.trials.polling import comes_about
-from tests.trials.storm_cell import StormCell, emulated_cell
 from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits

@@ -13,9 +13,9 @@ import pytest
 
 from cellapp.interfaces.tui import ESCAPE_WAITS_MS
 from cellapp.interfaces.tui.leaving import LEFT
+from tests.evidence.wire.polling import comes_about
+from tests.evidence.wire.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.interfaces.tui.terminal import ROOT, Terminal
-from tests.trials.polling import comes_about
-from tests.trials.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.run import RunFile
+from tests.evidence.wire.pseudo_terminal import PseudoTerminal
+from tests.evidence.wire.terminal_presses import KEYS, PLACES, press_bench
 from tests.loopback import free_port, own_address
-from tests.trials.pseudo_terminal import PseudoTerminal
-from tests.trials.terminal_presses import KEYS, PLACES, press_bench
 from tests.twin import PROFILES
 from tests.waiting import WAIT_S
 

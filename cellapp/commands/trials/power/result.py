@@ -1,12 +1,15 @@
-"""``power``: from which size on effects would be named."""
+"""``trials power``: from which size on effects would be named."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from cellapp.cell.run import RunFile
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.ground.results import Record, Result
 
+POWER_RESULT = "plan-power"
+"""Name of the document in a run with the result."""
 SHARE = 0.95
 """Share of the trials in which an effect must be named."""
 
@@ -74,7 +77,7 @@ class ArmPower(Record):
 
 
 class PowerResult(Result, schema="cellapp-plan-power"):
-    """``power``: arms, every trial, tasks that failed, and whether the time ended it before all trials were made."""
+    """``trials power``: arms, every trial, what failed, and whether the time ended it before all trials were made."""
 
     date: str
     program: str
@@ -86,3 +89,9 @@ class PowerResult(Result, schema="cellapp-plan-power"):
     trials: tuple[NamingTrial, ...]
     failed: tuple[str, ...] = ()
     ended_by_time: bool = False
+
+
+def stored_power(run: RunFile) -> PowerResult | None:
+    """Return the stored result of a run; None if its plan was not tried."""
+    text = run.read_result(POWER_RESULT)
+    return None if text is None else PowerResult.from_json(text, str(run.folder))

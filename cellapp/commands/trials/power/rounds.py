@@ -6,19 +6,32 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import zip_longest
+from pathlib import Path
 
 import numpy as np
 
+from cellapp.cell.planning.check import required_plan
 from cellapp.cell.planning.method import make_stops
-from cellapp.commands.trials.power.result import SHARE, ArmPower, EffectPower, NamedSize, NamingTrial, PowerResult
-from cellapp.commands.trials.power.trial import NAMING_TRIALS, PlannedCell, TrialCell, trial_cell
-from cellapp.commands.trials.skeleton import Work
+from cellapp.cell.planning.planned_stops import read_planned_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.power.result import (
+    POWER_RESULT,
+    SHARE,
+    ArmPower,
+    EffectPower,
+    NamedSize,
+    NamingTrial,
+    PowerResult,
+)
+from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
-from cellapp.ground.profile import Profile
+from cellapp.ground.executors import Work, gather
 from cellapp.ground.time_limit import TimeLimit
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -35,10 +48,20 @@ _FOLLOWED = 0.3
 """Share absorbed by geometry from which that is stated as the limit of naming."""
 
 
-def power_of_profile(profile: Profile, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
-    """Plan the stops of a profile and try them. Raises as ``make_stops`` and ``power_of`` do."""
-    stops, _ = make_stops(profile, work.listener, work.cancel)
-    return power_of(PlannedCell.of(profile, stops), trials, seed, work, limit)
+def power_at(where: Path, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
+    """Try the stops that a profile would plan, or those that are planned in a run, which keeps the result.
+
+    Raises as ``make_stops`` and ``power_of`` do, and ``InputError`` if the run has no plan.
+    """
+    if not where.is_dir():
+        profile = load_profile(where)
+        stops, _ = make_stops(profile, work.listener, work.cancel)
+        return power_of(PlannedCell.of(profile, stops), trials, seed, work, limit)
+    with RunFile.open(where, write=True) as run:
+        required_plan(run)
+        result = power_of(PlannedCell.of(run.profile, read_planned_stops(run)), trials, seed, work, limit)
+        run.write_result(POWER_RESULT, result.to_json())
+        return result
 
 
 def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
@@ -51,7 +74,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     InputError
         If the profile does not describe the cell.
     Cancelled
-        On request; a store keeps the trials that were made.
+        On request; a results file keeps the trials that were made.
     """
     cell = trial_cell(planned)
     lacking = _lacking(cell)
@@ -63,10 +86,11 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     failed: list[str] = []
     allowed = len(tried)  # the first trial of each shows its duration
     while asked := _round(tried, trials)[:allowed]:
-        name = "arm {0.arm}, {0.effect}, {0.size_mm:.3f} mm"
         began_s = limit.now()
         job, begun = f"power, {limit.words()}", any(one.trials for one in tried)
-        gathered = work.gather(NAMING_TRIALS, job, planned, asked, name, all_may_fail=begun)
+        given = {f"arm {one.arm}, {one.effect}, {one.size_mm:.3f} mm, seed {one.seed}": one for one in asked}
+        prepare = partial(trial_cell, planned)
+        gathered = gather(naming_trial, prepare, given, NamingTrial, job, work, all_may_fail=begun)
         failed += gathered.failed
         tried = [one.with_trials(asked, gathered.results) for one in tried]
         allowed = limit.allowed((limit.now() - began_s) / len(asked), 2 * len(tried))

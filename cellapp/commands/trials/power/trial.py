@@ -29,7 +29,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
 from cellapp.ground.results import Record
-from cellapp.ground.scale.task import TaskKind
 from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS
@@ -157,11 +156,6 @@ def naming_trial(cell: TrialCell, asked: NamingTrial) -> NamingTrial:
     hidden = build_plant(with_hidden(cell.simulated, {name: {asked.effect: law}}, true_arms))
     measured = _measured(cell, name, plant, hidden, 1e-3 * asked.size_mm, rng)
     return asked if measured is None else _searched(cell, asked, *measured)
-
-
-NAMING_TRIALS = TaskKind(
-    "cellapp.commands.trials.power.trial:NAMING_TRIALS", PlannedCell, NamingTrial, NamingTrial, trial_cell, naming_trial
-)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

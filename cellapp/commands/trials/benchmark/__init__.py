@@ -1,1 +1,0 @@
-"""The benchmark "name the missing effect": sealed problems, a scorer, and methods that anybody can add."""

@@ -1,1 +1,0 @@
-"""League of real robots: ``cellapp trials league``."""

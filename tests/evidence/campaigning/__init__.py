@@ -1,0 +1,1 @@
+"""The whole engine on doubles of arms, tracker, air, disk, clock and person, with faults at seeded moments."""

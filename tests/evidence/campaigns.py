@@ -1,0 +1,69 @@
+"""The whole engine with real run file, gate and profile, on doubles of arms, tracker, air, disk, clock and person, with
+faults of all kinds at seeded moments, on simulated time. Nothing may be lost, doubled or false; no motion may begin
+after a stop or beside a doubt; no arms may collide; every gap has its reason, and the calibration is that of the
+undisturbed campaign. A failure names the seed that repeats it."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import asdict
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from cellapp.cell.profile import load_profile
+from tests.evidence.campaigning.campaign import Bench, make_bench, run_campaign
+from tests.evidence.campaigning.faults import KINDS
+from tests.evidence.campaigning.monitor import KINDS_OF_FAILURE
+from tests.evidence.shared.cells import TWIN
+from tests.evidence.skeleton import Evidence, Limit, Table
+
+TITLE = "Campaigns"
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--n", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=1000, help="of the first")
+    parser.add_argument("--stops", type=int, default=400)
+
+
+def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    seeds = range(asked.seed, asked.seed + asked.n)
+    return {f"seed {seed}": {"seed": seed, "stops": asked.stops} for seed in seeds}
+
+
+@cache
+def bench(stops: int) -> Bench:
+    """The cell and its undisturbed campaign, made once a process."""
+    return make_bench(load_profile(TWIN), stops)
+
+
+def one(case: dict[str, Any]) -> dict[str, Any]:
+    return asdict(run_campaign(bench(case["stops"]), case["seed"])[0])
+
+
+def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
+    wrong = Counter(failure["kind"] for its in results for failure in its["failures"])
+    struck, ended = Counter[str](), Counter[str]()
+    for its in results:
+        struck.update(its["struck"])
+        ended.update(its["ended"])
+    readings, faults = sum(its["readings"] for its in results), struck.total()
+    hours = sum(its["simulated_s"] for its in results) / 3600.0
+    said = [
+        f"{len(results)} campaigns, {faults} faults of {len(struck)} of {len(KINDS)} kinds, {readings} readings;"
+        f" {sum(its['missing'] for its in results)} planned readings are missing with a reason; {hours:.0f} h of"
+        f" simulated time, {np.mean([its['seconds'] for its in results]):.1f} s of one core for each campaign."
+    ]
+    said += [f"Seed {its['seed']}: {its['failures'][:3]}" for its in results if its["failures"]]
+    return Evidence(
+        {"faults": str(faults), "wrong": str(wrong.total())},
+        [
+            Table("", ["fault", "struck"], [[kind, str(struck[kind])] for kind in KINDS]),
+            Table("", ["end of a session", "n"], [[end, str(count)] for end, count in sorted(ended.items())]),
+        ],
+        [Limit(kind, wrong[kind], 0) for kind in KINDS_OF_FAILURE],
+        said,
+    )

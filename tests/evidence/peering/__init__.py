@@ -1,0 +1,1 @@
+"""Problems that other libraries solve too, and a driver of each."""

@@ -1,0 +1,1 @@
+"""What several programs share: measured series, simulated cells drawn by a seed."""

@@ -1,0 +1,127 @@
+"""Simulated cells that programs draw by a seed, their readings as if a plan were collected, and their calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from drivers.plant import Plant
+from tests.evidence.skeleton import ROOT
+
+TWIN = ROOT / "profiles" / "twin.yaml"
+_STIFFNESS, _PLAY, _CURVE = (6e4, 3e4), 1e-4, 1e-4
+"""Hidden effects of the mix: stiffness of every joint of two arms in turn [Nm/rad], play and rms of the gears' curves
+[rad]; sizes as in catalogues of strain-wave gears and in measured arms of this class."""
+
+
+def drawn_cell(profile: Profile, seed: int, *, mix: bool = False) -> Profile:
+    """Return the profile of a simulated cell; ``seed`` draws its true geometry, plan and splits.
+
+    ``mix`` adds hidden effects of the arms themselves, with curves drawn by ``seed``.
+    """
+    profile = _with_mix(profile, seed) if mix else profile
+    assert profile.plant is not None
+    return profile.model_copy(update={"seed": seed, "plant": profile.plant.model_copy(update={"seed": seed})})
+
+
+def _with_mix(profile: Profile, seed: int) -> Profile:
+    assert profile.plant is not None
+    hidden = {}
+    for place, (name, arm) in enumerate(profile.arms.items()):
+        count = len(arm.type.joints)
+        sag: dict[str, object] = {"stiffness": [_STIFFNESS[place % 2]] * count}
+        if place % 2:
+            hidden[name] = {"joint_compliance": sag, "backlash": {"play": [_PLAY] * count}}
+        else:
+            curves = {"joints": list(range(1, count)), "rms": [_CURVE] * (count - 1), "lowest": 2, "highest": 30}
+            hidden[name] = {"joint_compliance": sag, "transmission_error": {"mode": "curve", "seed": seed, **curves}}
+    plant = profile.plant.model_copy(update={"effects": hidden})
+    return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
+
+
+def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
+    """Simulate readings of all arms at a plan of their own; all but the last ones are for learning."""
+    planned = profile.model_copy(
+        update={
+            "seed": seed,
+            "plan": profile.plan.model_copy(update={"stops": stops}),
+        }
+    )
+    readings = measured_plan(planned, plan_stops(planned), seed)
+    words = ("identify",) * (stops - 1) + ("validate",)
+    return {name: replace(arm, split=words) for name, arm in readings.items()}
+
+
+def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
+    """Calibrate all arms and search them for effects; return their models."""
+    models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
+    conditions = conditions_of_arms(models, readings)
+    return {
+        name: discover_arm(profile, name, model, readings[name], conditions=conditions[name]).model
+        for name, model in models.items()
+    }
+
+
+def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:
+    """Simulate readings of all arms at ``plan`` (name -> (n, N) [rad]); ``seed`` draws noise, the profile's seed
+    splits.
+
+    Joints approach each stop from the one before, the first stop from home.
+    """
+    readings = measured_by(build_plant(profile), home_positions(profile), plan, seed)
+    splits, _ = profile_splits(profile, readings)
+    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def measured_by(
+    plant: Plant, homes: Mapping[str, Array], plan: Mapping[str, Array], seed: int, *, noise: bool = True
+) -> dict[str, Readings]:
+    """Simulate readings of all arms of a plant at ``plan``, without splits; see ``measured_plan``.
+
+    Without ``noise`` the points are exact.
+    """
+    readings = {}
+    for place, (name, q) in enumerate(plan.items()):
+        approach = np.sign(np.diff(np.vstack([homes[name], q]), axis=0)).astype(np.int8)
+        others = {other: rows for other, rows in plan.items() if other != name}
+        exact = plant.smr_positions(name, q, approach=approach.astype(np.float64), others=others)
+        points, covariance = plant.measure_positions(exact, np.random.default_rng([seed, place]))
+        readings[name] = Readings(
+            configuration=np.arange(len(q)),
+            time_s=np.full(len(q), np.nan),
+            q=q,
+            approach=approach,
+            p_M=points if noise else exact,
+            covariance_M=covariance,
+        )
+    return readings
+
+
+def bare(profile: Profile, stops: int, plant_seed: int | None = None) -> Profile:
+    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
+    assert profile.plant is not None
+    seed = profile.plant.seed if plant_seed is None else plant_seed
+    plant = profile.plant.model_copy(update={"effects": {}, "seed": seed})
+    plan = profile.plan.model_copy(update={"stops": stops})
+    return profile.model_copy(update={"plant": plant, "plan": plan})
+
+
+@cache
+def bare_stops(path: Path, stops: int) -> dict[str, Array]:
+    """Arm -> joint positions (n, N) of stops that all seeds share [rad]; planned once a process."""
+    return dict(plan_stops(bare(load_profile(path), stops)))
