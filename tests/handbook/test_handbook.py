@@ -19,6 +19,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile.obstacles import Obstacle
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
+from tests.evidence import more_readings
 from tests.handbook import frame_figures, planning_figures
 from tests.handbook.chart import Chart, Series, chart_svg, shown
 from tests.handbook.declarations import with_declarations
@@ -32,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 TWIN = ROOT / "profiles" / "twin.yaml"
 DOCS = Path(cellapp.docs.__file__).parent
 MOST_BYTES = 45_000
-DRAWN = {*EFFECTS, planning_figures.FIGURE, *frame_figures.FIGURES}
+DRAWN = {*EFFECTS, planning_figures.FIGURE, more_readings.FIGURE, *frame_figures.FIGURES}
 """Stems of the figures that one command draws."""
 
 

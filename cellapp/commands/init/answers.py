@@ -115,7 +115,7 @@ def _taken_points(document: Document) -> Mapping[str, tuple[SurveyPoint, ...]]:
             at: KeyPath = ("arms", name, "base", "points")
             if len(base) > 1:
                 raise InputError(f"{document.places[at]}: give points or a pose, not both")
-            if isinstance(tracker, dict) and "pose" not in tracker:
+            if not isinstance(tracker, dict) or tracker.get("pose") is None:
                 raise InputError(
                     f"{document.places[at]}: tracker.pose: missing; points in the tracker frame give a base only with"
                     " the tracker's pose"
@@ -135,10 +135,8 @@ def _points(document: Document, at: KeyPath, listed: object) -> tuple[SurveyPoin
 
 
 def _base_of(profile: Profile, name: str, points: Sequence[SurveyPoint]) -> SurveyedBase:
-    pose = profile.tracker.pose
-    if pose is None:
-        raise InputError("tracker.pose: missing; points in the tracker frame give a base only with the tracker's pose")
-    return surveyed_base(profile.arms[name], points, pose)
+    assert profile.tracker.pose is not None, "asked for where the points were taken"
+    return surveyed_base(profile.arms[name], points, profile.tracker.pose)
 
 
 def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> SurveyedBase:
