@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import stdtr
 
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import BASE_NAMES, PROBE_NAMES, TOOL_NAMES, JointAngles, jacobian, parameter_unit
@@ -118,7 +118,7 @@ def differences(first: CalibratedArm, later: CalibratedArm) -> list[Difference]:
         estimated = MODEL_CHOICE * math.hypot(own.standard_error, before[name].standard_error)
         uncertainty = math.hypot(estimated, EXPANSION * own.length_m * warmer_K)
         tested = name not in untested and 0.0 < uncertainty < math.inf
-        chance = 2.0 * float(stdtr(freedom, -abs(difference / uncertainty))) if tested else None
+        chance = 2.0 * float(scipy.special.stdtr(freedom, -abs(difference / uncertainty))) if tested else None
         moved_m = levers[name] * abs(difference)
         found.append(Difference(name, before[name], own, difference, uncertainty, chance, moved_m))
     return found

@@ -123,6 +123,8 @@ def test_a_run_that_stored_torques_gives_them_back_and_keeps_its_hash(tmp_path: 
             for stop, its in enumerate(texts):
                 cell = json.dumps([float(text) if text else None for text in its]) if any(its) else None
                 connection.execute(f"UPDATE reading SET {name} = ? WHERE configuration = ?", (cell, stop))
+        for table in ("reading", "earlier_reading"):
+            connection.execute(f"ALTER TABLE {table} DROP COLUMN turning_covariance_rad2")
         connection.execute("PRAGMA user_version=9")
     connection.close()
     with RunFile.open(tmp_path / "run", write=True) as run:
