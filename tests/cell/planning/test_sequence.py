@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.optimize import lsq_linear
 
-from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, block_count
-from cellapp.cell.planning.balance import balanced_levels, correlations, fair_blocks, standardised, travel_time
+from cellapp.cell.planning.arrangement import StopSet, arrange
+from cellapp.cell.planning.balance import correlations, standardised, travel_time
 from cellapp.cell.planning.duration import motion_s, route_s, stop_times_of
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, straight_stops
@@ -286,15 +286,6 @@ def test_small_tours_are_hardly_longer_than_the_best(seed: int) -> None:
         assert length(time_s[:, 0], order) <= 1.05 * min(every)
 
 
-def test_blocks_of_different_sizes_keep_their_stops() -> None:
-    rng = np.random.default_rng(0)
-    sizes = [5, 4, 1]
-    order = best_order(task_of(distances(rng, 3, 3, 5), sizes), 300, rng, CancelToken())
-    for arm, (block, size) in product(range(3), enumerate(sizes)):
-        assert sorted(order[arm, block, :size].tolist()) == list(range(size))
-        assert np.all(order[arm, block, size:] == -1)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_forbidden_pairs_and_correlations_are_avoided(seed: int) -> None:
     """The stops of both arms are in two places, and it costs a little where the arms are not in the same one."""
@@ -317,55 +308,6 @@ def test_forbidden_pairs_and_correlations_are_avoided(seed: int) -> None:
     assert correlation[1] < 0.25
 
 
-@given(st.integers(1, 6), st.integers(6, 40), st.integers(0, 1000))
-def test_fair_blocks_have_their_sizes(blocks: int, stops: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    sizes = np.full(blocks, stops // blocks)
-    sizes[rng.permutation(blocks)[: stops % blocks]] += 1
-    block = fair_blocks(rng.normal(size=(stops, 4)), sizes, rng)
-    np.testing.assert_array_equal(np.bincount(block, minlength=blocks), sizes)
-
-
-def test_fair_blocks_are_fairer_than_chance() -> None:
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(200, 3))
-
-    def spread(block: np.ndarray) -> float:
-        return float(np.std([features[block == k].mean(axis=0) for k in range(10)]))
-
-    fair = np.mean([spread(fair_blocks(features, np.full(10, 20), rng)) for _ in range(20)])
-    chance = np.mean([spread(rng.permutation(np.repeat(np.arange(10), 20))) for _ in range(20)])
-    assert fair < 0.6 * chance
-
-
-@given(st.integers(0, 1000), st.integers(2, 4))
-def test_levels_are_allowed_ones(seed: int, count: int) -> None:
-    rng = np.random.default_rng(seed)
-    allowed = rng.random((30, count)) < 0.5
-    allowed[np.arange(30), rng.integers(count, size=30)] = True
-    chosen = balanced_levels(np.arange(count, dtype=float), allowed, rng.normal(size=(30, 5)), rng, 0.0)
-    assert np.all(allowed[np.arange(30), chosen])
-
-
-def test_levels_correlate_less_than_random_ones() -> None:
-    """70 variables and 400 stops: random signs give 0.15."""
-    rng = np.random.default_rng(0)
-    against = np.column_stack([standardised(("",) * 70, rng.normal(size=(400, 70))).values, np.ones(400)])
-    for levels in (np.array([-1.0, 1.0]), np.array([1.0, 2.0, 5.0])):
-        values = levels[balanced_levels(levels, np.ones((400, len(levels)), dtype=bool), against, rng, 0.03)]
-        found = np.abs(np.corrcoef(values, against[:, :-1].T)[0, 1:]).max()
-        assert found < 0.05
-        counts = np.array([np.sum(values == level) for level in levels])
-        assert abs(np.mean(values) - levels.mean()) < 0.05 * levels.std(), counts
-
-
-@pytest.mark.parametrize(
-    ("asked", "stops", "blocks"), [(None, 400, 4), (None, 4000, 40), (None, 5, 1), (9, 5, 5), (3, 50, 3)]
-)
-def test_number_of_blocks(asked: int | None, stops: int, blocks: int) -> None:
-    assert block_count(asked, stops) == blocks
-
-
 def test_pairs_stand_together_and_an_order_is_mended() -> None:
     """Three arms; a mended order has the same pairs, in the same blocks, with no more refused ways."""
     profile = three_arms(18)
@@ -380,19 +322,6 @@ def test_pairs_stand_together_and_an_order_is_mended() -> None:
     copies = np.flatnonzero(mended.repeat_of >= 0)
     np.testing.assert_array_equal(mended.rows[:, copies], mended.rows[:, mended.repeat_of[copies]])
     assert np.all(mended.repeat_of[copies] < copies)
-
-
-def test_of_two_visits_the_later_one_is_the_repeat() -> None:
-    before = Arrangement(np.array([[5, 6, 5]]), np.zeros(3, dtype=np.intp), np.array([-1, -1, 0]))
-    np.testing.assert_array_equal(before.taken(np.array([2, 1, 0])).repeat_of, [-1, -1, 0])
-    np.testing.assert_array_equal(before.taken(np.array([2, 1])).repeat_of, [-1, -1])
-
-
-def test_one_stop_is_an_order() -> None:
-    profile = planned_twin(1)
-    cell = cell_bodies(profile)
-    stops = StopSet(profile, cell, draw_stops(cell, profile, 1, np.random.default_rng(2)))
-    assert arrange(stops, 1, 0, np.random.default_rng(0), CancelToken()).rows.tolist() == [[0], [0]]
 
 
 # -- Distances between segments: known cases, and every case against a search over both segments -----------------------

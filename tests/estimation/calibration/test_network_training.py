@@ -12,9 +12,7 @@ import pytest
 
 from cellapp.estimation.calibration.network_training import Perceptron, Shape, candidate_shapes, train_network
 from cellapp.robot.model.network import (
-    ResidualNetwork,
     network_from_json,
-    network_inputs,
     network_to_json,
     rotate_about_z,
 )
@@ -57,14 +55,6 @@ def test_pure_noise_gets_no_network():
     )
     assert training.network is None
     assert training.left_out_rms > 0.95 * training.without_rms
-
-
-def test_the_same_seed_gives_the_same_network(trained):
-    q, training = trained
-    noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
-    again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
-    assert again.network is not None
-    assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
 
 
 def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
@@ -118,14 +108,6 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
 
 
-def test_network_inputs():
-    q = np.array([[0.0, np.pi / 2.0], [1.0, -1.0]])
-    low, high = q.min(axis=0), q.max(axis=0)
-    np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)
-    scaled = network_inputs("angles", low, high, q)
-    np.testing.assert_allclose(np.abs(scaled), 1.0)
-
-
 def test_joints_that_do_not_matter_are_left_out(trained):
     """The fixture's residual depends on joints 1 to 3; the evidence removes the weights of the others."""
     _, training = trained
@@ -177,43 +159,3 @@ def test_normal_equations_are_those_of_automatic_derivatives():
 
 
 # -- Perceptron: its normal equations against automatic derivatives, its layers against the network that uses them -----
-
-NETS = [Perceptron(12, 7, 3), Perceptron(7, 1, 3), Perceptron(2, 4, 1)]
-
-
-def problem(net, rows=9):
-    rng = np.random.default_rng(2)
-    return net.start(rng), rng.normal(size=(rows, net.inputs)), rng.normal(size=(rows, net.outputs))
-
-
-@pytest.mark.parametrize("net", NETS)
-def test_normal_equations_are_those_of_the_numerical_jacobian(net):
-    p, x, e = problem(net)
-    step = 1e-6
-    J = np.stack(
-        [(net.predict(p + d, x) - net.predict(p - d, x)).ravel() / (2.0 * step) for d in step * np.eye(len(p))], axis=1
-    )
-    gram, slope = net.normal_equations(p, x, e)
-    np.testing.assert_allclose(gram, J.T @ J, atol=1e-7)
-    np.testing.assert_allclose(slope, J.T @ e.ravel(), atol=1e-7)
-    np.testing.assert_array_equal(gram, gram.T)
-
-
-def test_parameters_are_split_into_the_layers_of_a_network():
-    net = Perceptron(12, 7, 3)
-    p, _, _ = problem(net)
-    q = np.random.default_rng(3).uniform(-2.0, 2.0, (5, 6))
-    low, high = np.full(6, -3.0), np.full(6, 3.0)
-    network = ResidualNetwork("sincos", low, high, high, False, 1e-3, (net.layers(p),))
-    computed = net.predict(p, network_inputs("sincos", low, high, q))
-    np.testing.assert_allclose(network.correct(q), 1e-3 * computed, rtol=1e-12)
-
-
-def test_cosine_and_sine_of_a_joint_share_a_weight_decay():
-    net = Perceptron(4, 2, 3)
-    q = np.array([[0.3, 0.8]])
-    at_0 = network_inputs("sincos", q[0], q[0], q)[0]
-    assert at_0.tolist() == pytest.approx([np.cos(0.3), np.cos(0.8), np.sin(0.3), np.sin(0.8)])
-    rest = [0] * net.sizes[1]
-    assert net.decay_groups("sincos").tolist() == [1, 2, 1, 2, 0, 1, 2, 1, 2, 0, *rest]
-    assert net.decay_groups("angles").tolist() == [1, 2, 3, 4, 0, 1, 2, 3, 4, 0, *rest]

@@ -9,10 +9,8 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.discovery.accepted import accepted_effect, formulas
-from cellapp.estimation.discovery.all_readings import SplitColumns
 from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.joint_fit import LinearModel
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
@@ -23,28 +21,14 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.comparison import Scatter
 from cellapp.estimation.discovery.structure import CHANCE, remaining_structure
-from cellapp.estimation.discovery.terms import (
-    Excess,
-    ModelTerm,
-    Smoothness,
-    TermLayout,
-    prior_sd,
-    smoothness_of,
-    with_term,
-    without_term,
-)
 from cellapp.estimation.discovery.verdict import verdict
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, EffectTerm, joint_column
+from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, EffectTerm
 from cellapp.robot.effects.data_driven import Quantity, Variable
-from cellapp.robot.effects.law import circle_variances
-from cellapp.robot.effects.periodic import CURVE
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from tests.arms import OFF_AXIS, STATION, UR10, at_station
-from tests.estimation.discovery.linear_problem import PLAIN
-from tests.robot.effects.cell import context_of
+from tests.arms import STATION
 
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
@@ -199,96 +183,10 @@ def test_the_formula_that_made_a_curve_explains_all_of_it(variables, shape, text
     assert explained(best.values, shape(x, y)) == pytest.approx(1.0)
 
 
-def test_an_oscillation_in_time_has_its_period() -> None:
-    t = np.linspace(0.0, 6000.0, 300)
-    best = max(
-        formulas([Variable(Quantity.TIME)], [t]),
-        key=lambda one: explained(one.values, np.sin(2.0 * np.pi * t / 1200.0)),
-    )
-    assert best.text == "c sin(2 pi time / 20 min + phase)"
-
-
-def test_a_constant_variable_has_no_formula() -> None:
-    assert formulas([Variable(Quantity.PAYLOAD)], [np.zeros(5)]) == []
-
-
 # -- Structure tests in words ------------------------------------------------------------------------------------------
-
-
-def test_structure_counts_where_it_survives_the_number_of_tests() -> None:
-    found = remaining_structure({"joints": 0.2, "order": 0.004, "time": 1e-6}, chance=0.01)
-    assert found.sentence == "what is left still depends on time (p below 0.001)"
-    assert [(test.against, test.p_value) for test in found.tests] == [("joints", 0.2), ("order", 0.004), ("time", 1e-6)]
-    both = remaining_structure({"order": 0.004, "approach": 0.005}, chance=0.01)
-    assert both.sentence == "what is left still depends on the order of the readings (p = 0.004) and the side of" + (
-        " approach (p = 0.005)"
-    )
-
-
-def test_no_structure_names_what_was_tested() -> None:
-    found = remaining_structure({"joints": 0.2, "position": 0.3}, chance=0.01)
-    assert found.sentence == (
-        "what is left shows no structure against the joint angles and the position in the workspace (smallest p = 0.2)"
-    )
-    assert remaining_structure({}, chance=0.01).tests == ()
 
 
 # -- Layout of parameters: geometry first, then one term after the other; priors of free curves ------------------------
 
 
-def test_each_term_has_its_columns_behind_the_geometry() -> None:
-    layout = TermLayout.of(5, [2, 0, 3])
-    assert layout.total == 10
-    assert [layout.columns(term) for term in range(3)] == [slice(0, 2), slice(2, 2), slice(2, 5)]
-    assert layout.parameters(2) == slice(7, 10)
-    np.testing.assert_array_equal(np.flatnonzero(layout.all_but(0)), [0, 1, 2, 3, 4, 7, 8, 9])
-    assert TermLayout.of(5, []).total == 5
-
-
-def test_terms_are_left_out_and_replaced() -> None:
-    terms = tuple(ModelTerm(slug, PLAIN.law(), ()) for slug in ("one", "two", "three"))
-    assert [term.slug for term in without_term(terms, 1)] == ["one", "three"]
-    assert [term.slug for term in with_term(terms, 1, terms[0])] == ["one", "one", "three"]
-
-
-def test_only_coefficients_of_the_curve_have_a_prior() -> None:
-    names = ("cos2q2", "sin7q2", "cos120q2", "cos2q1")
-    law = CURVE.law({"cycles": 80.0, "length2": 0.1, "amplitude2": 2e-4})
-    columns = EFFECTS["transmission_error"].columns(context_of(5), law, names)
-    by_name = {column.name: column.prior_sd for column in columns}
-    wanted = 2e-4 * np.sqrt(circle_variances(0.1, 10))
-    np.testing.assert_allclose([by_name[name] for name in names], [wanted[1], wanted[6], np.inf, np.inf])
-    play = joint_column("half_play1", "rad", 0, np.zeros(2), 0.0, 1.0)
-    assert prior_sd([play]) is None
-    sd = prior_sd([play, *columns])
-    assert sd is not None
-    assert sd[0] == np.inf
-    smooth = ModelTerm("transmission_error", CURVE.law(), names, Smoothness(1.0, 2, Excess(1e-5)))
-    assert smoothness_of((smooth,)) is smooth.smooth
-
-
 # -- Products of columns that keep joint offsets as functions of the reading are those of whole columns ----------------
-
-
-def test_products_and_moments_are_those_of_whole_columns():
-    rng, n = np.random.default_rng(5), 40
-    geometry, q = at_station(UR10, OFF_AXIS), rng.uniform(-2.0, 2.0, (n, 6))
-    white = np.linalg.cholesky(np.eye(3) + 0.2 * np.ones((3, 3)))[:, :, None] * rng.uniform(0.5, 2.0, n)
-    parameters = tuple(range(12))
-
-    def column(name, channel, index=None, **moved):
-        return EffectColumn(name, "", name, -np.inf, np.inf, channel, index, **moved)
-
-    effects = [
-        column("a", Channel.JOINT, 2, offset=rng.normal(size=n)),
-        column("b", Channel.BASE, shift_M=rng.normal(size=(n, 3))),
-        column("c", Channel.JOINT, 0, offset=rng.normal(size=n)),
-        column("d", Channel.JOINT, 2, offset=rng.normal(size=n)),
-        column("e", Channel.TOOL, shift_M=rng.normal(size=(n, 3))),
-    ]
-    for some in (effects, effects[:1], effects[1:2], []):
-        whole = LinearModel.of(geometry, q, white, parameters, some).rows
-        split = SplitColumns.of(LinearModel.of(geometry, q, white, parameters), some, white)
-        left = rng.normal(size=(3, n))
-        np.testing.assert_allclose(split.gram(), whole @ whole.T, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(split.moment(left), whole @ left.ravel(), rtol=1e-9, atol=1e-9)
