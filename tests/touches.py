@@ -53,7 +53,7 @@ TOUCHES: tuple[Touch, ...] = (
         6,
         (f"{_EXAMPLE}/hose_pull.py",),
         ("cellapp/robot/effects/registry.py: its class",),
-        "robot/effects/test_new_effect.py",
+        "robot/effects/test_declarations.py",
     ),
     Touch(
         "driver of an arm",
@@ -69,7 +69,7 @@ TOUCHES: tuple[Touch, ...] = (
         2,
         ("cell/driving/toys/tracker.py",),
         ("drivers/trackers/registry.py: its settings",),
-        "cell/driving/test_new_kinds.py",
+        "cell/driving/test_controllers.py",
     ),
     Touch(
         "export",
@@ -85,7 +85,7 @@ TOUCHES: tuple[Touch, ...] = (
         26,
         tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
         ("cellapp/commands/folders.py: its folder",),
-        "commands/test_toy_verb.py",
+        "commands/test_show.py",
     ),
     Touch(
         "chart of a result",
@@ -93,7 +93,7 @@ TOUCHES: tuple[Touch, ...] = (
         2,
         (f"{_VERB}/view.py",),
         (),
-        "commands/test_toy_verb.py",
+        "commands/test_show.py",
     ),
     Touch(
         "dialog with its job",
@@ -101,7 +101,7 @@ TOUCHES: tuple[Touch, ...] = (
         1,
         (f"{_VERB}/request.py",),
         (),
-        "commands/test_toy_verb.py",
+        "commands/test_show.py",
     ),
     Touch(
         "screen of the day",

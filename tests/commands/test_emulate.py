@@ -270,6 +270,7 @@ def planned(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = planned(tmp_path / "run")
     with RunFile.open(folder, write=True) as run:

@@ -224,7 +224,7 @@ def test_a_task_that_fails_is_named_and_does_not_stop_the_others() -> None:
     found = gather(square, partial(offset, 0.0), {"a": -1, "b": 2}, Square, "squares", Work())
     assert found.results[0] is None
     assert [one.value for one in found.found] == [4.0]
-    assert found.failed[0].startswith("a: ValueError: negative (test_executors.py:")
+    assert found.failed[0].startswith("a: ValueError: negative (test_control.py:")
     with pytest.raises(CheckFailed, match=r"negative .*all 2 failed"):
         gather(square, partial(offset, 0.0), {"a": -1, "b": -2}, Square, "squares", Work())
     assert not gather(square, partial(offset, 0.0), {"a": -1}, Square, "x", Work(), all_may_fail=True).found

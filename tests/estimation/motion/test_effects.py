@@ -100,6 +100,7 @@ def found_in(*recordings, **options):
     return discovery, {effect.slug: effect for effect in discovery.effects}
 
 
+@pytest.mark.slow
 def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     rng = np.random.default_rng(1)
     amplitude, phase = np.array([30e-6, 25e-6, 35e-6, 0, 0, 0, 0]), rng.uniform(0.0, 6.0, 7)
