@@ -1,5 +1,5 @@
-"""Simulated arms, each with its own true geometry and noise, are identified from the same 100 stops: how often do the
-stated 95 % intervals of their parameters hold the truth?"""
+"""How often the stated 95 % intervals of the parameters hold the truth, of simulated arms with geometry and noise of
+their own, from the same 100 stops."""
 
 from __future__ import annotations
 
