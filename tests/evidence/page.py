@@ -84,14 +84,16 @@ def figures_part() -> str:
 
 
 def _section(name: str, stated: dict[str, Any]) -> str:
-    number = f"{stated['cases']} cases, " if stated["cases"] > 1 else ""
-    seeds = f"seeds {stated['seeds']}, " if stated["seeds"] else ""
     missed = [limit for limit in stated["limits"] if not Limit(**limit).met]
-    limits = f"{len(missed)} of {len(stated['limits'])} limits missed" if missed else "all limits kept"
+    facts = [f"Date: {stated['date']}", f"commit: {stated['commit']}"]
+    facts += [f"{stated['cases']} cases"] if stated["cases"] > 1 else []
+    facts += [f"seeds: {stated['seeds']}"] if stated["seeds"] else []
+    if stated["limits"]:
+        facts.append(f"{len(missed)} of {len(stated['limits'])} limits missed" if missed else "all limits kept")
     about = " ".join((program(name).__doc__ or "").split())
-    measured = f"Measured on {stated['date']}, commit {stated['commit']}: {number}{seeds}{limits}."
     block = f"```sh dev\n{stated['command']}\n```"
-    return "\n\n".join([f"## {stated['title']}", about, block, measured, words({**stated, "limits": missed})])
+    shown = words({**stated, "limits": missed})
+    return "\n\n".join([f"## {stated['title']}", about, block, "; ".join(facts) + ".", shown])
 
 
 def _anchor(name: str) -> str:
