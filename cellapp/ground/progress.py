@@ -93,15 +93,12 @@ class StopReport:
         Distance of the measured SMR from the refitted model's.
     standard_error_mm : float
         Standard uncertainty of a predicted SMR position from the parameters alone, rms over the planned stops.
-    parameter_errors : mapping
-        Parameter -> standard error [m or rad].
     """
 
     stop: int
     arm: str
     residual_mm: float
     standard_error_mm: float
-    parameter_errors: Mapping[str, float]
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from cellapp.estimation.monitoring.check.conclusion import judgement
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
 from cellapp.estimation.monitoring.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
 from cellapp.estimation.monitoring.check.naming import Cause, Design, with_station
-from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
+from cellapp.estimation.monitoring.check.sequential import design_of
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.prior.belief import is_own
 from cellapp.estimation.prior.changes import parameter_words
@@ -43,6 +43,7 @@ from cellapp.robot.model import CellModel
 from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN, calibrated_alone, drawn_cell, measured_by, measured_stops
 from tests.evidence.shared.changes import PlantChange, effect_changes, parameter_plant, rigid_changes
+from tests.evidence.shared.estimates import decided_prefix
 from tests.evidence.shared.series import load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
 

@@ -68,15 +68,15 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -
     chance = _CHANCE * math.sqrt(2.0 * degrees_of_freedom)  # chi-square has variance 2 f
     if float(np.sum(squares / variance)) - degrees_of_freedom <= chance:
         return 0.0
-    return added_variance(squares, variance, degrees_of_freedom)
+    return _added_variance(squares, variance, degrees_of_freedom)
 
 
-def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, least: float = 0.0) -> float:
-    """Find v [m^2] with ``sum(squares / (variance + v)) = degrees_of_freedom``; return at least ``least``.
+def _added_variance(squares: Array, variance: Array, degrees_of_freedom: float) -> float:
+    """Find v [m^2] with ``sum(squares / (variance + v)) = degrees_of_freedom``, at least 0.
 
     One over that sum is concave in v and nearly linear: Newton's steps for it from below end below the root.
     """
-    v = least
+    v = 0.0
     for _ in range(_MOST_STEPS):
         inverse = 1.0 / (variance + v)
         total = float(np.sum(squares * inverse))

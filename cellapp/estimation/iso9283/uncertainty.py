@@ -69,14 +69,14 @@ class Cycles:
         """Covariance (3, 3) of the attained positions [m^2]."""
         return np.atleast_2d(np.cov(self.attained, rowvar=False))
 
-    def draws(self, rng: np.random.Generator, count: int = _DRAWS) -> Array:
-        """Draw simulated cycles (count, n, 3) [m], without errors that all cycles share."""
-        noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(count, self.n), method="eigh")
-        return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (count, 1, 1)) * noise)
+    def draws(self, rng: np.random.Generator) -> Array:
+        """Draw simulated cycles (D, n, 3) [m], without errors that all cycles share."""
+        noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(_DRAWS, self.n), method="eigh")
+        return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (_DRAWS, 1, 1)) * noise)
 
-    def common(self, rng: np.random.Generator, count: int = _DRAWS) -> Array:
-        """Draw simulated errors (count, 1, 3) [m] that all cycles share."""
-        drawn = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=count, method="eigh")
+    def common(self, rng: np.random.Generator) -> Array:
+        """Draw simulated errors (D, 1, 3) [m] that all cycles share."""
+        drawn = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=_DRAWS, method="eigh")
         return np.asarray(drawn[:, None])
 
 

@@ -254,8 +254,6 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
         segments=tuple(segments),
         steps_of_joints=track.path.stamps.steps,
         steps_of_points=track.stamps.steps,
-        regular_joints=track.path.stamps.regular,
-        regular_points=track.stamps.regular,
         correlation=track.start.correlation,
         trigger=checked(track.trigger, first.offset_s, first.offset_standard_error_s),
     )

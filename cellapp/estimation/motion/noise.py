@@ -137,9 +137,9 @@ class NoiseModel:
     freedom: Array = field(repr=False)
     level: tuple[float, ...]
 
-    def half_width(self, probability: float = 0.95) -> Array:
-        """Return the half widths (k,) of the intervals of this probability, in standard errors."""
-        return np.asarray(scipy.special.stdtrit(self.freedom, 0.5 + probability / 2.0))
+    def half_width(self) -> Array:
+        """Return the half widths (k,) of the 95 % intervals, in standard errors."""
+        return np.asarray(scipy.special.stdtrit(self.freedom, 0.975))
 
 
 @dataclass(frozen=True, eq=False)

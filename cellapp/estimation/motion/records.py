@@ -43,8 +43,6 @@ class ClockFit:
     segments : tuple of ClockSegment
     steps_of_joints, steps_of_points : tuple of ClockStep
         Steps of the controller's and of the tracker's clock.
-    regular_joints, regular_points : bool
-        Whether the timestamps had jitter about a regular clock and were replaced by it.
     correlation : float
         Correlation of the speeds at the start of the fit.
     trigger : TriggerCheck or None
@@ -61,14 +59,8 @@ class ClockFit:
     segments: tuple[ClockSegment, ...]
     steps_of_joints: tuple[ClockStep, ...]
     steps_of_points: tuple[ClockStep, ...]
-    regular_joints: bool
-    regular_points: bool
     correlation: float
     trigger: TriggerCheck | None = None
-
-    def offset_at(self, stamp_s: float) -> float:
-        """Return the tracker's timestamp less the controller's [s] at a tracker's timestamp in the first segment."""
-        return self.offset_s + 1e-6 * self.rate_ppm * (stamp_s - self.middle_s)
 
 
 @dataclass(frozen=True, eq=False)

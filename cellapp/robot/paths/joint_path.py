@@ -56,17 +56,14 @@ class Reversal:
         Number of the joint, from 1.
     at_m : float
         Arc length [m].
-    jump_rad : float
-        Backlash that the joint's command crosses there [rad].
     jump_m : float
-        The same as displacement of the SMR [m]: the error of a command without it.
+        Backlash that the joint's command crosses there, as displacement of the SMR [m].
     window_m : float
         Distance along the path in which it is crossed [m]; 0 at a stop of the path.
     """
 
     joint: int
     at_m: float
-    jump_rad: float
     jump_m: float
     window_m: float
 
@@ -251,7 +248,7 @@ def _crossings(
             if abs(jump) < _NO_PLAY_RAD:
                 continue
             speed = float(solver.path.wanted_speed(np.array([at]))[0])
-            found.append(Reversal(j + 1, at, abs(jump), abs(jump) * lever, cross_s * float(np.sqrt(abs(jump))) * speed))
+            found.append(Reversal(j + 1, at, abs(jump) * lever, cross_s * float(np.sqrt(abs(jump))) * speed))
     return found
 
 
@@ -288,9 +285,7 @@ def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Co
         at = float(after.s[0])
         plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in turned]
         more = tuple(
-            Reversal(j + 1, at, abs(jump), abs(jump) * lever, 0.0)
-            for j, jump, lever in plays
-            if abs(jump) >= _NO_PLAY_RAD
+            Reversal(j + 1, at, abs(jump) * lever, 0.0) for j, jump, lever in plays if abs(jump) >= _NO_PLAY_RAD
         )
         found.append(Stretch(after.s, after.q, after.signs, after.end_signs, (*more, *after.reversals)))
     return found

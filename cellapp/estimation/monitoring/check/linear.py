@@ -82,20 +82,6 @@ class StopRows:
         """Residuals (m, 3) [m]: measured minus expected."""
         return np.asarray(self.measured - self.expected)
 
-    def first(self, count: int) -> StopRows:
-        """Select the first ``count`` stops."""
-        d = int(self.stop_ends[count - 1])
-        return replace(
-            self,
-            measured=self.measured[: d // 3],
-            expected=self.expected[: d // 3],
-            stop_ends=self.stop_ends[:count],
-            arm_of=self.arm_of[: d // 3],
-            rows=self.rows[:, :d],
-            factor=self.factor[:d, :d],
-            turned=None if self.turned is None else self.turned[: d // 3],
-        )
-
 
 def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, MeasurementConditions]:
     """Return conditions of stops outside the calibration's run: without its clock, so that time means "now"."""

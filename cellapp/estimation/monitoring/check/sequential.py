@@ -25,15 +25,13 @@ _FEWEST_STOPS = 6
 class SequentialTest:
     """Sequential test of a calibration: add stops until ``state.sure``, then ask for the conclusion.
 
-    The probability of a false alarm is at most ``false_alarm`` over all stops, that of calling a visible change valid
-    at most ``miss``.
+    The probability of a false alarm is at most ``FALSE_ALARM`` over all stops, that of calling a visible change valid
+    at most ``MISS``.
     """
 
-    def __init__(
-        self, belief: CheckBelief, planned: int, *, false_alarm: float = FALSE_ALARM, miss: float = MISS
-    ) -> None:
+    def __init__(self, belief: CheckBelief, planned: int) -> None:
         """Prepare the test; it ends after ``planned`` stops at the latest."""
-        self._design = design_of(belief, false_alarm, miss)
+        self._design = design_of(belief)
         self._planned = planned
         self._readings: dict[str, Readings] = {}
         self._standing = SequentialState(0, False, False, False, 0.0, 0.0, 1.0)
@@ -82,13 +80,13 @@ class SequentialTest:
         return concluded(self._design, self._stops, self._standing)
 
 
-def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
+def design_of(belief: CheckBelief) -> Design:
     """Define what a check of a cell tests: directions, alternatives, visibility."""
     directions = tuple(directions_of(belief))
     motions = calibration_motions(belief, directions)
     moved, visible = visibility(belief, directions, motions)
     alternatives = tuple(alternatives_of(belief, directions))
-    return Design(belief, directions, alternatives, motions, moved, visible, false_alarm, miss)
+    return Design(belief, directions, alternatives, motions, moved, visible, FALSE_ALARM, MISS)
 
 
 def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
@@ -115,20 +113,6 @@ def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
         log_valid=float(seen.log_valid[-1]),
         p_value=float(seen.p_values[-1]),
     )
-
-
-def decided_prefix(design: Design, stops: StopRows) -> tuple[StopRows, SequentialState]:
-    """Find the shortest prefix of the planned ``stops`` at which the sequential test decides, and its state there."""
-    planned = len(stops.stop_ends)
-    first = 1
-    if not design.belief.station_free:  # then the looks at fewer stops are those at all of them
-        seen = looks(Moments.of(stops), design.alternatives, design.visible)
-        first = min(_first(seen.log_evidence, design.early_alarm), _first(seen.log_valid, design.early_miss)) + 1
-    for count in range(min(first, planned), planned + 1):
-        state = judged(design, stops.first(count), planned)
-        if state.sure:
-            break
-    return stops.first(count), state
 
 
 def _first(values: Array, chance: float) -> int:
