@@ -1,5 +1,6 @@
 """Calibrate from readings: identify the arms, train residual networks, find the inter-base transform, evaluate all on
-held-out readings."""
+held-out readings.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +14,23 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess, refused_by_arm, robust_loss
 from cellapp.estimation.calibration.evaluation import evaluate, evaluate_quantities, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
-from cellapp.estimation.calibration.identification import Identification, start_from_nominal
-from cellapp.estimation.calibration.learning import learn, learning_steps, require_learner
-from cellapp.estimation.calibration.network_training import Training, train_network, training_steps
+from cellapp.estimation.calibration.identification import (
+    Identification,
+    identify_with_excess,
+    refused_by_arm,
+    robust_loss,
+    start_from_nominal,
+)
+from cellapp.estimation.calibration.learning import (
+    Training,
+    learn,
+    learning_steps,
+    require_learner,
+    train_network,
+    training_steps,
+)
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     Quantities,
@@ -27,8 +39,6 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.splits import draw_splits
-from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -36,10 +46,104 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, apply, register
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.robot.plugins import program_of
+
+# -- Random assignment of stops to identification, training and validation, reproducible by the profile's seed --------
+
+
+@dataclass(frozen=True)
+class SplitSizes:
+    """Number of stops in each split; ``notes`` report if there are fewer stops than the profile requires."""
+
+    identify: int
+    train: int
+    validate: int
+    notes: tuple[str, ...]
+
+
+def split_sizes(n: int, identify: int, train: int, validate: int | None) -> SplitSizes:
+    """Compute split sizes of ``n`` stops; ``validate`` None takes the rest. Too few stops reduce all in proportion."""
+    wanted = max(1, n // 5) if validate is None else validate
+    if identify + train + (1 if validate is None else validate) <= n:
+        return SplitSizes(identify, train, n - identify - train if validate is None else validate, ())
+    share = n / (identify + train + wanted)
+    less_identify = max(1, int(identify * share))
+    less_train = min(int(train * share), n - less_identify - 1)
+    less_validate = n - less_identify - less_train
+    note = (
+        f"{counted(n, 'stop is', 'stops are')} too few for identify {identify}, train {train}, validate"
+        f" {validate or 'rest'}: used {less_identify}, {less_train}, {less_validate} instead"
+    )
+    return SplitSizes(less_identify, less_train, less_validate, (note,))
+
+
+def draw_splits(
+    configurations: NDArray[np.int64], identify: int, train: int, validate: int | None, seed: int
+) -> tuple[dict[int, str | None], tuple[str, ...]]:
+    """Draw a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
+
+    The draw depends on the set of numbers and the seed, not on the order of ``configurations``.
+    """
+    numbers = np.unique(configurations)
+    sizes = split_sizes(len(numbers), identify, train, validate)
+    order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
+    words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
+    drawn: dict[int, str | None] = {int(number): None for number in numbers}
+    drawn.update({int(number): word for number, word in zip(order, words)})
+    return drawn, sizes.notes
+
+
+# -- Detection of a tracker station or robot base that was moved during the run: this would invalidate every fit ------
+
+_COARSE_TRIALS = 24
+"""Number of split points that are tried first, evenly over the readings; then all points around the best one."""
+_FEWEST = 6
+"""Least number of readings before and after a split point: registration needs three, twice as many leave residuals."""
+_RATIO = 3.0
+"""Ratio of the rms residual of one registration to that of two from which a move is reported. Unmodelled geometry
+leaves a ratio near 1."""
+_LEAST_M = 2e-3
+"""Rms residual of one station below which no move is searched for: smaller steps are drift, which discovery finds."""
+
+
+def station_change(p_B: Array, p_M: Array) -> int | None:
+    """Find the first row measured after the station was moved; None if it was not moved.
+
+    Register the points before and after a split point separately. The station was moved at the split point with the
+    smallest residual, if that is far smaller than the residual of one registration of all points.
+
+    Parameters
+    ----------
+    p_B : array, shape (n, 3)
+        SMR positions in the base frame by the nominal geometry [m], in the order of measurement.
+    p_M : array, shape (n, 3)
+        Measured SMR positions in the tracker frame [m].
+    """
+    n = len(p_B)
+    if n < 2 * _FEWEST:
+        return None
+    together = _registration_rms(p_B, p_M)
+    if together < _LEAST_M:
+        return None
+
+    def separate(k: int) -> float:
+        before, after = _registration_rms(p_B[:k], p_M[:k]), _registration_rms(p_B[k:], p_M[k:])
+        return float(np.sqrt((k * before**2 + (n - k) * after**2) / n))
+
+    step = max(1, (n - 2 * _FEWEST) // _COARSE_TRIALS)
+    row = min(range(_FEWEST, n - _FEWEST + 1, step), key=separate)
+    row = min(range(max(_FEWEST, row - step), min(n - _FEWEST, row + step) + 1), key=separate)
+    return row if together > _RATIO * separate(row) else None
+
+
+def _registration_rms(p_B: Array, p_M: Array) -> float:
+    """Compute the rms distance [m] of the points after registration."""
+    off = p_M - apply(register(p_M, p_B), p_B)
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
 
 _HARDLY_BETTER = 0.9
 """Ratio of held-out errors, identified to nominal, from which the operator is warned: the geometry is hardly better."""

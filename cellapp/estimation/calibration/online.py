@@ -22,8 +22,8 @@ from functools import partial
 
 import numpy as np
 
-from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.least_squares import shortened
 from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
 from cellapp.estimation.calibration.online_model import (
     GROSS,

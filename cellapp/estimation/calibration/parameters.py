@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.robot.kinematics.chain import (
     Geometry,
     JointAngles,

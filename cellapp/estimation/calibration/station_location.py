@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import MeasurementConditions

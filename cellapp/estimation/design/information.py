@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import orthonormal_basis
+from cellapp.estimation.calibration.least_squares import orthonormal_basis
 from cellapp.robot.kinematics.transforms import Array
 
 VISIBLE = 1e-3

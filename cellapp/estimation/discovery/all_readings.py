@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.gauss_newton import minimise
+from cellapp.estimation.calibration.least_squares import minimise
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.joint_fit import (

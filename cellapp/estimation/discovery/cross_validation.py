@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import PIVOT, cholesky
+from cellapp.estimation.calibration.least_squares import PIVOT, cholesky
 from cellapp.estimation.design.information import SMALLEST
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit

@@ -21,9 +21,13 @@ from cellapp.estimation.calibration.gross_errors import (
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
-from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
+from cellapp.estimation.calibration.quantities import (
+    conditions_of_arms,
+    measured_quantities,
+    measurement_conditions,
+    states_nothing,
+)
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData

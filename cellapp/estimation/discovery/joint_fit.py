@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import excess_of
-from cellapp.estimation.calibration.identification import Identification, identify
+from cellapp.estimation.calibration.identification import Identification, excess_of, identify
 from cellapp.estimation.calibration.normal_equations import EffectColumns
-from cellapp.estimation.calibration.readings_noise import readings_noise
-from cellapp.estimation.calibration.weights import with_excess
+from cellapp.estimation.calibration.weights import readings_noise, with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements

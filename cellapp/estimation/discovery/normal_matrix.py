@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import cholesky, inverse_psd, solve_psd
+from cellapp.estimation.calibration.least_squares import cholesky, inverse_psd, solve_psd
 from cellapp.robot.kinematics.transforms import Array
 
 _SMALLEST = 1e-300

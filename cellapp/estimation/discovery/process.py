@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.readings_noise import mean_variance
+from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
 from cellapp.estimation.discovery.normal_matrix import NormalMatrix

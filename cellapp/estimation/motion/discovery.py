@@ -16,7 +16,7 @@ from functools import cache, cached_property
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.estimation.calibration.quantities import conditions_of_arms, measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
 from cellapp.estimation.discovery.held_out import HeldOut

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, Solution, Source, normal_equations, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem

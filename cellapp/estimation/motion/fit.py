@@ -19,9 +19,8 @@ from statistics import median_high, median_low
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.linear import inverse_diagonal, solve_psd
+from cellapp.estimation.calibration.least_squares import inverse_diagonal, shortened, solve_psd
 from cellapp.estimation.calibration.parameters import (
     PriorSpread,
     SetName,

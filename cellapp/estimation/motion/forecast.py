@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.linear import covariance_with_priors
+from cellapp.estimation.calibration.least_squares import covariance_with_priors
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.plan_forecast import accuracy_of

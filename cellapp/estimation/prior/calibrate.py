@@ -11,12 +11,11 @@ from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.evaluation import evaluate_quantities
 from cellapp.estimation.calibration.gross_errors import gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, determined_set
-from cellapp.estimation.calibration.quantities import measured_quantities
-from cellapp.estimation.calibration.readings_noise import readings_noise
+from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities
 from cellapp.estimation.calibration.records import ArmPriorResult
+from cellapp.estimation.calibration.weights import readings_noise
 from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.prior.linear_model import Measured

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.estimation.calibration.gross_errors import gross_errors_of_model
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import candidate_columns
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.prior.belief import Belief, sizes
 from cellapp.estimation.prior.linear_model import Measured
 from cellapp.estimation.prior.posterior import Posterior, Prior, posterior

@@ -12,8 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from cellapp.estimation.calibration.gauss_newton import shortened
-from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
+from cellapp.estimation.calibration.least_squares import inverse_psd, shortened, solve_psd
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.discovery.arm_data import whitening

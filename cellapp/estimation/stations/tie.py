@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, twist_columns
 
 FEWEST_NESTS = 3

@@ -21,8 +21,8 @@ _LEAST_GRID = 64
 """Fewest samples of the speed along a stretch."""
 _SLOWEST_SHARE = 0.02
 """Least share of the desired speed: if a joint limit allows less, the path passes too near a singularity."""
-_ROUNDS = 4
-_SHARE = 0.97
+_TIMING_ROUNDS = 4
+_USED = 0.97
 """Share of the limits that is used: differences of samples may slightly exceed the limited derivatives."""
 
 
@@ -99,7 +99,7 @@ def timed(path: CartesianPath, joints: JointPath, rates: Rates, period_s: float)
         If a joint limit allows almost no speed (near a singularity), or samples cannot be kept within the limits.
     """
     share = 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_TIMING_ROUNDS):
         profiles = [_profile(path, stretch, rates, share) for stretch in joints.stretches]
         trajectory = _sampled(joints, profiles, rates, period_s)
         speed, acceleration = trajectory.largest_rates()
@@ -108,7 +108,7 @@ def timed(path: CartesianPath, joints: JointPath, rates: Rates, period_s: float)
         )
         if excess <= 1.0:
             return trajectory
-        share *= _SHARE / excess
+        share *= _USED / excess
     raise PathError("its joints cannot follow within their accelerations; widen blends or lower the speed", 0.0)
 
 
@@ -123,8 +123,8 @@ def _profile(path: CartesianPath, stretch: Stretch, rates: Rates, share: float) 
     spline = stretch.spline
     first, second = np.abs(spline(s, 1)), np.abs(spline(s, 2))
     tiny = 1e-12
-    by_speed = _SHARE * rates.speed / np.maximum(first, tiny)
-    by_turning = np.sqrt(0.5 * _SHARE * rates.acceleration / np.maximum(second, tiny))
+    by_speed = _USED * rates.speed / np.maximum(first, tiny)
+    by_turning = np.sqrt(0.5 * _USED * rates.acceleration / np.maximum(second, tiny))
     by_joint = np.minimum(by_speed, by_turning)
     joint = np.argmin(by_joint, axis=1)
     wanted = path.wanted_speed(np.minimum(s, np.nextafter(end, begin)))
@@ -132,7 +132,7 @@ def _profile(path: CartesianPath, stretch: Stretch, rates: Rates, share: float) 
     bound = np.minimum(by_joint.min(axis=1), by_curve)
     most = share * np.minimum(wanted, bound)
     ramp = share**2 * np.minimum(
-        0.5**0.5 * rates.tool_acceleration, (0.5 * _SHARE * rates.acceleration / np.maximum(first, tiny)).min(axis=1)
+        0.5**0.5 * rates.tool_acceleration, (0.5 * _USED * rates.acceleration / np.maximum(first, tiny)).min(axis=1)
     )
     if (slow := most < _SLOWEST_SHARE * wanted).any():
         k = int(np.argmax(slow))

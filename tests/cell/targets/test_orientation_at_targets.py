@@ -33,7 +33,7 @@ from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.view.words import judgement_table
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances

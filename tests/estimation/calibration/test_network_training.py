@@ -10,7 +10,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.network_training import Perceptron, Shape, candidate_shapes, train_network
+from cellapp.estimation.calibration.learning import Perceptron, Shape, candidate_shapes, train_network
 from cellapp.robot.model.network import network_from_json, network_inputs, network_to_json, rotate_about_z
 
 SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration import normal_equations
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
-from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.online import OnlineFit, online_fit
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import StopReport

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.estimation.calibration.identification import identify
+from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
     RoughStation,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.gauss_newton import minimise
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.least_squares import minimise
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.invert import invert
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.joint_fit import fit_terms

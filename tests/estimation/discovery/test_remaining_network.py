@@ -12,7 +12,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.blind import blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.model.network import network_to_json

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.identification import identify
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.prior.belief import Belief, is_own
 from cellapp.estimation.prior.calibrate import stated_model, updated_arm

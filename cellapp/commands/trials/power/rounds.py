@@ -27,7 +27,7 @@ from cellapp.commands.trials.power.result import (
     PowerResult,
 )
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve

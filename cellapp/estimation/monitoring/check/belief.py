@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import states_nothing
-from cellapp.estimation.calibration.readings_noise import mean_variance
-from cellapp.estimation.calibration.weights import excess_variance, with_excess
+from cellapp.estimation.calibration.weights import excess_variance, mean_variance, with_excess
 from cellapp.estimation.monitoring.check.model import ArmBelief, CheckBelief
 from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.earlier import calibration_posterior

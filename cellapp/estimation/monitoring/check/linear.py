@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
 from cellapp.estimation.monitoring.check.belief import measured_vectors, network_shift, noise_covariance
 from cellapp.estimation.monitoring.check.model import TRACKER, VISIBLE, ArmBelief, CheckBelief

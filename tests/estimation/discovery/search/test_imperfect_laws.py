@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import refit
