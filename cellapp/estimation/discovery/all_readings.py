@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import minimise
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
-from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     LinearModel,
+    NormalMatrix,
     fit_terms,
     noise_of,
     refit,
     uncertainty_with_scatter,
     with_posterior,
 )
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process import (
     Component,
     Hyperparameters,
@@ -38,7 +37,7 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of, whitened_displacements
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, displacement_by

@@ -28,14 +28,12 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     states_nothing,
 )
-from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
+from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.detectability import detectability
-from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
-from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
-from cellapp.estimation.discovery.pictures import pictures
+from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
+from cellapp.estimation.discovery.plan_forecast import detectability
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
@@ -44,12 +42,10 @@ from cellapp.estimation.discovery.records import (
     HeldOutBeforeAfter,
     Noise,
 )
-from cellapp.estimation.discovery.search.comparison import scatter
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
-from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
-from cellapp.estimation.discovery.verdict import verdict
+from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted

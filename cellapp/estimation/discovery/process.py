@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import JointFit, NormalMatrix, fit_terms, uncertainty_with_scatter
 from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import FIELD, position_in_base

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.discovery.joint_fit import LinearModel
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import LinearModel, NormalMatrix
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations

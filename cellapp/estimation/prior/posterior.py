@@ -16,7 +16,7 @@ from cellapp.estimation.calibration.least_squares import inverse_psd, shortened,
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import NormalMatrix
 from cellapp.estimation.prior.linear_model import Measured, normal_matrix, values_of, with_values
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.chain import Geometry

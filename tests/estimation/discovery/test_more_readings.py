@@ -15,7 +15,7 @@ from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
-from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.ground.errors import NotConverged

@@ -14,7 +14,7 @@ from cellapp.estimation.calibration.quantities import measured_quantities, measu
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.joint_fit import fit_terms
-from cellapp.estimation.discovery.search.comparison import scatter
+from cellapp.estimation.discovery.search.state import scatter
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions

@@ -17,12 +17,10 @@ import numpy as np
 from cellapp.estimation.design.discrimination import Discrimination
 from cellapp.estimation.design.information import VISIBLE, detectable_size
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
-from cellapp.estimation.discovery.candidates import whitened_displacements
-from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, fit_terms, refit
+from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, Smoothness, with_term
+from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, Smoothness, whitened_displacements, with_term
 from cellapp.robot.effects import (
     EFFECTS,
     DriverVariable,
