@@ -25,14 +25,12 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.monitoring.check import CheckBelief, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.conclusion import judgement
+from cellapp.estimation.monitoring.check.belief import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
-from cellapp.estimation.monitoring.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
-from cellapp.estimation.monitoring.check.naming import Cause, Design, with_station
-from cellapp.estimation.monitoring.check.sequential import design_of
-from cellapp.estimation.monitoring.check.statistics import MinPValueTest
+from cellapp.estimation.monitoring.check.naming import Cause, Design, MinPValueTest, with_station
+from cellapp.estimation.monitoring.check.sequential import design_of, judgement
 from cellapp.estimation.prior.belief import is_own
-from cellapp.estimation.prior.changes import parameter_words
+from cellapp.estimation.prior.update import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

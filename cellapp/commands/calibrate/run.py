@@ -19,8 +19,7 @@ from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.prior.calibrate import calibrate_with_prior
-from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind

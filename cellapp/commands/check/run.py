@@ -28,7 +28,8 @@ from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
 from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS
+from cellapp.estimation.monitoring.check.belief import FALSE_ALARM, MISS
+from cellapp.estimation.monitoring.check.naming import SPENT_EARLY
 from cellapp.estimation.monitoring.check.records import (
     CHANGES_OF_ARMS,
     CheckedPoint,
@@ -37,7 +38,6 @@ from cellapp.estimation.monitoring.check.records import (
     CheckVerdict,
     WeakChange,
 )
-from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError

@@ -27,10 +27,16 @@ from cellapp.estimation.calibration.records import (
     RecordingResult,
     TriggerResult,
 )
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, no_gross_errors
+from cellapp.estimation.motion.identify import (
+    ClockFit,
+    MotionFit,
+    RecordedArm,
+    RecordingFit,
+    identify_from_motion,
+    no_gross_errors,
+)
 from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.observe import Stops
-from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty
 from cellapp.ground.errors import InputError

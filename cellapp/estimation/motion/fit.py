@@ -29,12 +29,13 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
-from cellapp.estimation.motion.noise import NoiseModel, noise_model
 from cellapp.estimation.motion.observe import (
     Layout,
     Model,
+    NoiseModel,
     Stops,
     Sums,
+    noise_model,
     residuals,
     stop_residuals,
     stop_sums,

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
 from cellapp.estimation.calibration.records import SignaturePart
-from cellapp.estimation.prior.linear_model import Measured, term_columns, values_of
-from cellapp.estimation.prior.posterior import Posterior, Prior
+from cellapp.estimation.prior.linear_model import Measured, Posterior, Prior, term_columns, values_of
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import Geometry, all_names, parameter_names

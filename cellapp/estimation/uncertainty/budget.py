@@ -12,10 +12,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
-from cellapp.estimation.uncertainty.records import UncertaintyContribution, UncertaintyParts
+from cellapp.estimation.readings.readings import Readings
+from cellapp.estimation.uncertainty.records import TurnContribution, UncertaintyContribution, UncertaintyParts
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
@@ -257,3 +260,85 @@ def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -
     return UncertaintyContribution.model_validate(
         {"source": source, "standard_mm": standard_mm, "evaluation": evaluation, "basis": basis}
     )
+
+
+# -- Uncertainty budget of a measured orientation error (JCGM 100): independent contributions, for one component ------
+
+
+def turn_budget(
+    profile: Profile, arm: str, model_mrad: float, noise_mrad: float, basis: str = "at the command"
+) -> tuple[TurnContribution, ...]:
+    """Return the contributions to the uncertainty of a flange rotation measured by a probe or several SMRs [mrad].
+
+    With several SMRs only the scatter about the model is known, which includes the arm's repeatability.
+
+    Parameters
+    ----------
+    model_mrad : float
+        Standard uncertainty of a component by the model in force, including the mounting of the probe.
+    noise_mrad : float
+        Scatter of measured orientations about the model.
+    basis : str
+        Words that say to which command ``model_mrad`` belongs.
+    """
+    smr, scatter = profile.arms[arm].smr, f"orientations scatter by {noise_mrad:.4f} mrad about the model"
+    stated = None if smr.probe is None else smr.probe.sigma * 1e3
+    beyond = math.sqrt(max(noise_mrad**2 - (stated or 0.0) ** 2, 0.0))
+    said = "not given: the profile states no probe (smr.probe)"
+    lines = [
+        ("6-D probe", stated, "B", said if stated is None else "stated standard uncertainty about each axis"),
+        ("repeatability of the arm", beyond, "A", f"{scatter}; what exceeds the probe's"),
+        ("calibrated model", model_mrad, "A", f"posterior of the model in force {basis}"),
+    ]
+    return tuple(
+        TurnContribution.model_validate(
+            {"source": source, "standard_mrad": value, "evaluation": kind, "basis": words, "where": arm}
+        )
+        for source, value, kind, words in lines
+    )
+
+
+def expanded_mrad(contributions: Sequence[TurnContribution]) -> float | None:
+    """Return the expanded uncertainty [mrad], k = 2; None if a contribution is missing."""
+    standard_mrad = combined(one.standard_mrad for one in contributions)
+    return None if standard_mrad is None else COVERAGE * standard_mrad
+
+
+# -- Conditions of an arm's measurements: distances from the tracker, temperatures, payload. No I/O -------------------
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MeasuredConditions:
+    """Smallest and largest values over the readings of one arm; None if no reading has the quantity.
+
+    ``distance_m`` is from the tracker to the SMR, ``air_c`` the air or arm temperature of the readings, ``joints_c``
+    that of the joints [degC], ``payload_kg`` the payload.
+    """
+
+    readings: int
+    distance_m: Range | None = None
+    air_c: Range | None = None
+    joints_c: Range | None = None
+    payload_kg: Range | None = None
+
+
+def measured_conditions(readings: Mapping[str, Readings]) -> dict[str, MeasuredConditions]:
+    """Return the conditions of the readings of each arm."""
+    return {name: _of_arm(arm) for name, arm in readings.items()}
+
+
+def _of_arm(readings: Readings) -> MeasuredConditions:
+    return MeasuredConditions(
+        readings=len(readings),
+        distance_m=_range(np.linalg.norm(readings.p_M, axis=1)),
+        air_c=_range(readings.temperature_c),
+        joints_c=_range(readings.joint_temperature_c),
+        payload_kg=_range(readings.payload_kg),
+    )
+
+
+def _range(values: NDArray[np.float64] | None) -> Range | None:
+    known = np.empty(0) if values is None else values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else None

@@ -180,7 +180,7 @@ def test_smrs_on_one_line_give_no_rotation(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_figure_that_does_not_settle_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.estimation.readings.several_smrs._ROUNDS", 1)
+    monkeypatch.setattr("cellapp.estimation.readings.readings._ROUNDS", 1)
     with pytest.raises(NotConverged, match="fit of the SMRs on a flange did not converge"):
         imported(measured().rows, tmp_path)
 

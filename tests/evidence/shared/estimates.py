@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.monitoring.check.belief import SequentialState
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
-from cellapp.estimation.monitoring.check.model import SequentialState
-from cellapp.estimation.monitoring.check.naming import Design
+from cellapp.estimation.monitoring.check.naming import Design, looks
 from cellapp.estimation.monitoring.check.sequential import judged
-from cellapp.estimation.monitoring.check.statistics import looks
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 

@@ -13,9 +13,8 @@ from scipy.stats import binom, chi2, kstest, ncx2
 
 from cellapp.estimation.monitoring.check import choose_stops
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
-from cellapp.estimation.monitoring.check.naming import Design, with_station
+from cellapp.estimation.monitoring.check.naming import Design, MinPValueTest, after, looks, with_station
 from cellapp.estimation.monitoring.check.sequential import design_of
-from cellapp.estimation.monitoring.check.statistics import MinPValueTest, after, looks
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from tests.estimation.monitoring.check.conftest import SimulatedCell, free
 from tests.evidence.shared.estimates import decided_prefix, first_stops
