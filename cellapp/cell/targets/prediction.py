@@ -20,7 +20,7 @@ from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 AT_ONCE = 1000
 """Number of configurations per batch: their posterior draws take some tens of MB."""

@@ -23,9 +23,8 @@ from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel

@@ -9,7 +9,7 @@ from cellapp.commands.certificate.result import CertifiedArm, CertifiedInstrumen
 from cellapp.estimation.uncertainty.budget import MeasuredConditions, not_given
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Instrument
+from cellapp.ground.profile.sections import Instrument
 from cellapp.ground.times import day_of
 
 TRACKER_ROLE = "laser tracker"

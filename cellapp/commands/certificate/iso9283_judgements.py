@@ -17,7 +17,7 @@ from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoVa
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.counting import counted
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 
 TEST_OF: Mapping[Characteristic, IsoTest] = {
     "pose_accuracy": "pose",

@@ -41,7 +41,7 @@ from cellapp.estimation.uncertainty.records import (
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, COMPENSATE, ISO9283, VERIFY, ErrorSummary, StageName
 
 Budget = Sequence[UncertaintyContribution]

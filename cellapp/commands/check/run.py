@@ -41,10 +41,9 @@ from cellapp.estimation.monitoring.check.records import (
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel

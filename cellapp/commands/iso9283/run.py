@@ -36,9 +36,8 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import ISO9283
 
 _NO_ORIENTATION = (

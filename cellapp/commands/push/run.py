@@ -28,9 +28,8 @@ from cellapp.estimation.uncertainty.decision import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import PUSH, VERIFY
 
 

@@ -22,7 +22,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model.network import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
+from cellapp.robot.model.model import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
 
 # -- Training of the residual network by Levenberg-Marquardt, selected by cross-validation ----------------------------
 #

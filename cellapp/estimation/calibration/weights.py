@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model.posterior import ReadingsNoise
+from cellapp.robot.model.model import ReadingsNoise
 
 RobustName = Literal["none", "huber", "tukey"]
 

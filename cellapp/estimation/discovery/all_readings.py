@@ -44,7 +44,7 @@ from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 _CHUNK = 1024
 """Readings in a chunk: 2000 columns of them take 50 MB."""

@@ -36,7 +36,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise
 
 # -- Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated ---------
 #

@@ -26,7 +26,7 @@ from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 # -- Earlier calibration of an arm: its belief and its origin ---------------------------------------------------------
 

@@ -21,8 +21,8 @@ from cellapp.estimation.readings.readings import Readings
 from cellapp.estimation.uncertainty.records import TurnContribution, UncertaintyContribution, UncertaintyParts
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.ground.profile.schema import ArmType, PermissibleError
+from cellapp.ground.profile.sections import MPE_SHARE, MpeRule
 from cellapp.robot.effects import EFFECTS
 
 COVERAGE = 2.0

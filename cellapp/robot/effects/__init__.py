@@ -1,7 +1,16 @@
 """The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
 
-from cellapp.robot.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies
+from cellapp.robot.effects.context import (
+    Channel,
+    EffectColumn,
+    EffectContext,
+    MeasurementConditions,
+    TemperatureRecord,
+    Wave,
+    joint_column,
+    shift_column,
+    varies,
+)
 from cellapp.robot.effects.effect import Effect, Meaning, SizeSource, enumeration, place_in_words
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
 from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law

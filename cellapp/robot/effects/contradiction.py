@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cellapp.robot.effects.column import INDEXED_CHANNELS, EffectColumn, place_name
+from cellapp.robot.effects.context import INDEXED_CHANNELS, EffectColumn, place_name
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import Law, LawForm
 

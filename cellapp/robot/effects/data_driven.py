@@ -13,8 +13,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from cellapp.robot.effects.column import Channel, place_name
-from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.context import Channel, EffectContext, place_name, varies
 from cellapp.robot.effects.field import FIELD_CONSTANTS
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.time_functions import times_known

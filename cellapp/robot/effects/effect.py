@@ -12,8 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import FreeDriver
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import Law
 from cellapp.robot.effects.modulation import Modulation, modulation_from_json, modulation_to_json, with_modulations

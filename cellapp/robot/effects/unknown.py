@@ -13,8 +13,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column
 from cellapp.robot.effects.contradiction import (
     BorrowedForm,
     ContradictionForm,

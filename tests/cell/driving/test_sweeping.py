@@ -30,7 +30,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.plan import Plan
+from cellapp.ground.profile.sections import Plan
 from cellapp.ground.progress import Progress, SweepLive
 from cellapp.ground.results import CALIBRATE
 from tests.twin import small_twin

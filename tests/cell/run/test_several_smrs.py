@@ -19,7 +19,7 @@ from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.import_.run import run as import_run
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.cell.run.csv_rows import Rows, written
 from tests.commands.quiet_work import quiet_work

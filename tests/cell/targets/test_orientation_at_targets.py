@@ -36,8 +36,7 @@ from cellapp.commands.view.words import judgement_table
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Tolerances
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr, Tolerances
 from cellapp.interfaces.page.certificate_page import certificate_page
 from cellapp.interfaces.tui.widgets.verdict_bars import verdict_lines
 from cellapp.robot.model import CellModel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.learning import Perceptron
-from cellapp.robot.model.network import ResidualNetwork, network_inputs
+from cellapp.robot.model.model import ResidualNetwork, network_inputs
 
 pytestmark = pytest.mark.fast
 

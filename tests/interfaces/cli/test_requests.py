@@ -15,8 +15,7 @@ import pytest
 
 from cellapp.cell.driving.records import RequestResult
 from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.ground.asking import VERBS, Verb
-from cellapp.ground.control import JobControl
+from cellapp.ground.control import VERBS, JobControl, Verb
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.latency import attempts
 from tests.waiting import WAIT_S

@@ -20,7 +20,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
-from cellapp.robot.paths.timing import Trajectory
+from cellapp.robot.paths.joint_path import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TrackerError, stream_of
 
