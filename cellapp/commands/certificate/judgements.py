@@ -24,6 +24,7 @@ from cellapp.commands.run_results import StageResults
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,
+    conformity,
     distance_budget,
     expanded_mm,
     expanded_mrad,
@@ -31,7 +32,6 @@ from cellapp.estimation.uncertainty.budget import (
     position_budget,
     turn_budget,
 )
-from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import (
     Characteristic,
     Judgement,

@@ -23,8 +23,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
-from cellapp.estimation.uncertainty.budget import measured_conditions
-from cellapp.estimation.uncertainty.decision import Judge
+from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError

@@ -19,10 +19,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import LeastSquares, inverse_psd
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions, position_errors, summarise
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile

@@ -44,9 +44,8 @@ from cellapp.robot.effects import (
     place_in_words,
     term_to_json,
 )
-from cellapp.robot.effects.contradiction import contradicted_effect, is_borrowed, is_contradiction
-from cellapp.robot.effects.data_driven import DataChannel, Quantity, Variable, data_driven_form
-from cellapp.robot.effects.field import FIELD_LENGTH
+from cellapp.robot.effects.data_driven import FIELD_LENGTH, DataChannel, Quantity, Variable, data_driven_form
+from cellapp.robot.effects.effect import contradicted_effect, is_borrowed, is_contradiction
 from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel

@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.gross_errors import (
+from cellapp.estimation.calibration.calibrate import (
     ROUNDS,
     gross_errors_of_geometry,
     gross_errors_of_model,
     left_out_words,
+    rms_length_mm,
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps

@@ -11,9 +11,13 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.evaluation import evaluate_quantities, position_errors
 from cellapp.estimation.calibration.pair_calibration import PairCalibration
-from cellapp.estimation.calibration.quantities import Quantities, measured_quantities
+from cellapp.estimation.calibration.quantities import (
+    Quantities,
+    evaluate_quantities,
+    measured_quantities,
+    position_errors,
+)
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
     BeforeAfter,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law
-from cellapp.robot.effects.contradiction import BorrowedForm
+from cellapp.robot.effects.effect import BorrowedForm
 from cellapp.robot.effects.modulation import Modulation
 from cellapp.robot.effects.periodic import TransmissionError
 from cellapp.robot.kinematics.transforms import Array

@@ -15,11 +15,11 @@ from cellapp.estimation.calibration.calibrate import (
     calibrate_readings,
     rms_length_mm,
     with_networks,
+    without,
 )
-from cellapp.estimation.calibration.evaluation import evaluate, repeatability
-from cellapp.estimation.calibration.gross_errors import without
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
+from cellapp.estimation.calibration.quantities import evaluate, repeatability
 from cellapp.estimation.calibration.records import (
     ClockResult,
     ClockSegmentResult,

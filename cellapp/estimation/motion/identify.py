@@ -16,8 +16,7 @@ from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
-from cellapp.estimation.motion.stamps import ClockStep, TriggerCheck, checked
-from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.streams import ClockStep, Recording, TriggerCheck, checked
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError

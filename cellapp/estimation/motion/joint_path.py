@@ -16,8 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.motion.stamps import Stamps, read_stamps
-from cellapp.estimation.motion.streams import JointStream
+from cellapp.estimation.motion.streams import JointStream, Stamps, read_stamps
 from cellapp.robot.kinematics.transforms import Array, rows_at
 
 _WINDOW_S = 0.2

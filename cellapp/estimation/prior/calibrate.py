@@ -8,17 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.estimation.calibration.evaluation import evaluate_quantities
-from cellapp.estimation.calibration.gross_errors import gross_errors_of_model, without
+from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, determined_set
-from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities
+from cellapp.estimation.calibration.quantities import conditions_of_arms, evaluate_quantities, measured_quantities
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.calibration.weights import readings_noise
-from cellapp.estimation.prior.belief import Belief, geometry_sizes, is_smooth, sizes
-from cellapp.estimation.prior.linear_model import Measured, Posterior, Prior, posterior
+from cellapp.estimation.prior.belief import (
+    Belief,
+    Measured,
+    Posterior,
+    Prior,
+    geometry_sizes,
+    is_smooth,
+    posterior,
+    sizes,
+)
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

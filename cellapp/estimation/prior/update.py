@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
-from cellapp.estimation.prior.belief import Belief, is_own, sizes
-from cellapp.estimation.prior.linear_model import Measured, Posterior, design, posterior, term_columns
+from cellapp.estimation.prior.belief import Belief, Measured, Posterior, design, is_own, posterior, sizes, term_columns
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile

@@ -14,14 +14,8 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column
-from cellapp.robot.effects.contradiction import (
-    BorrowedForm,
-    ContradictionForm,
-    borrowed_form_named,
-    contradiction_meaning,
-    lent_law,
-)
 from cellapp.robot.effects.data_driven import (
+    FIELD_LENGTH,
     FIRST_CONSTANTS,
     PERIOD,
     POSITION,
@@ -33,13 +27,24 @@ from cellapp.robot.effects.data_driven import (
     Variable,
     channels,
     data_driven_form,
+    field_frequencies,
+    field_functions,
+    field_variances,
     form_named,
     form_of,
     position_in_base,
     variables,
 )
-from cellapp.robot.effects.effect import Effect, Meaning, enumeration
-from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_functions, field_variances
+from cellapp.robot.effects.effect import (
+    BorrowedForm,
+    ContradictionForm,
+    Effect,
+    Meaning,
+    borrowed_form_named,
+    contradiction_meaning,
+    enumeration,
+    lent_law,
+)
 from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.estimation.calibration.calibrate import draw_splits, split_sizes
-from cellapp.estimation.calibration.evaluation import (
+from cellapp.estimation.calibration.quantities import (
     distance_errors,
     distance_summary,
     evaluate,

@@ -11,8 +11,7 @@ from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_fit, motion_problem
 from cellapp.estimation.motion.observe import Stops, residuals
-from cellapp.estimation.motion.stamps import read_stamps
-from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
+from cellapp.estimation.motion.streams import JointStream, PointStream, Recording, read_stamps
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions

@@ -19,8 +19,8 @@ from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, 
 from cellapp.estimation.discovery.verdict import remaining_structure
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm, term_from_json, term_to_json
-from cellapp.robot.effects.contradiction import form_without_bounds
 from cellapp.robot.effects.data_driven import Quantity, Variable
+from cellapp.robot.effects.effect import form_without_bounds
 from cellapp.robot.effects.modulation import Modulation
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel

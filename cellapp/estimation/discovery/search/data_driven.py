@@ -33,9 +33,8 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.contradiction import imitation, is_borrowed
 from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
-from cellapp.robot.effects.effect import place_in_words
+from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 

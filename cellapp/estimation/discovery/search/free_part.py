@@ -33,8 +33,7 @@ from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProble
 from cellapp.estimation.discovery.terms import LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, EffectColumn
-from cellapp.robot.effects.data_driven import FIELD, position_in_base
-from cellapp.robot.effects.field import FIELD_LENGTH
+from cellapp.robot.effects.data_driven import FIELD, FIELD_LENGTH, position_in_base
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
 from cellapp.robot.effects.unknown import channel_directions

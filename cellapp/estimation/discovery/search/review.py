@@ -31,7 +31,7 @@ from cellapp.estimation.discovery.search.state import (
 from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.contradiction import form_without_bounds, sentence
+from cellapp.robot.effects.effect import form_without_bounds, sentence
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 

@@ -30,7 +30,7 @@ from cellapp.ground.errors import tried
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, Law
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.effect import is_contradiction
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 

@@ -14,9 +14,8 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, mean_variance, with_excess
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
-from cellapp.estimation.prior.belief import is_smooth
+from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
-from cellapp.estimation.prior.linear_model import Measured, Posterior, design
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -34,8 +34,7 @@ from cellapp.estimation.monitoring.check.belief import (
     network_shift,
     noise_covariance,
 )
-from cellapp.estimation.prior.belief import is_own, is_smooth
-from cellapp.estimation.prior.linear_model import Measured, design, term_columns
+from cellapp.estimation.prior.belief import Measured, design, is_own, is_smooth, term_columns
 from cellapp.estimation.prior.update import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, MeasurementConditions

@@ -45,7 +45,7 @@ from cellapp.estimation.monitoring.check.naming import (
     with_station,
 )
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
-from cellapp.estimation.prior.linear_model import Measured
+from cellapp.estimation.prior.belief import Measured
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
