@@ -22,7 +22,8 @@ from cellapp.commands.runs.history import list_runs, resumable, summarise
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import runs_sentences, runs_tables
 from cellapp.commands.show.overview import run_overview
-from cellapp.ground.control import JOB_FILE, JobControl
+from cellapp.ground.asking import JOB_FILE
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run, set_began
 from tests.cell.run.spoiled import SPOILED

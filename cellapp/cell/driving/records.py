@@ -10,7 +10,7 @@ from pydantic import Field
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.records import PlannedTime, SweepForecast
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
-from cellapp.ground.control import Verb
+from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
 
 End = Literal["complete", "accurate enough"]

@@ -19,7 +19,7 @@ from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.runs.history_figures import run_figures
 from cellapp.commands.runs.result import LastSession, RunsResult, RunSummary, StageSummary
 from cellapp.commands.stages import read_stages
-from cellapp.ground.control import RUNS_NOW, who_uses
+from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 

@@ -323,7 +323,7 @@ def _check_count(n: int, precision: Array) -> None:
 
 @dataclass(frozen=True)
 class _Problem:
-    """The least-squares problem of ``identify``, for ``gauss_newton.minimise``."""
+    """The least-squares problem of ``identify``, for ``least_squares``."""
 
     start: Geometry
     observations: Observations

@@ -570,7 +570,7 @@ def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array
 
 # -- Training of the residual network from all readings, in batches, by torch -----------------------------------------
 #
-# The committee of ``network_training`` solves normal equations, whose time limits it to some thousand readings; its
+# The committee above solves normal equations, whose time limits it to some thousand readings; its
 # evidence and its few units generalise well to configurations that were never measured. Training in batches starts from
 # it: each member of the committee gets two more hidden layers that learn its residuals, by Adam (Kingma, Ba, ICLR 2015)
 # from batches drawn from all readings outside its fold. They start at zero correction and keep the weights that

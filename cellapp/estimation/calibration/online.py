@@ -5,7 +5,7 @@ squares. A renewal linearises all readings again at the present estimate. Renewa
 at once if the estimate has left the range in which the linear model holds.
 
 Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
-weights are those of ``arm_identification``: stated covariance plus the excess variance from unmodelled physics.
+weights are those of ``identification``: stated covariance plus the excess variance from unmodelled physics.
 A gross error (a wrong target) gets no weight.
 
 Predictions come from a second model. It adds to the geometry the joints' compliance under gravity and an error of one

@@ -181,7 +181,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _AllReadings:
-    """Least squares over all readings with priors, for ``gauss_newton.minimise``: a step is in standard errors."""
+    """Least squares over all readings with priors, for ``least_squares``: a step is in standard errors."""
 
     nominal: Array
     start: JointFit

@@ -2,7 +2,7 @@
 
 1. The earlier calibration becomes a belief about the arm's own parameters (``belief``). The likelihood of the new
    readings decides which parts of it are used.
-2. Drifts of these parts and the scatter of the new readings maximise the likelihood of these (``evidence``).
+2. Drifts of these parts and the scatter of the new readings maximise the likelihood of these (below).
 3. Jumps of single parameters, effects or curves are added one after another while one is proven (``changes``).
 4. Geometry, effects, base and tool follow from the new readings and the belief, widened by drifts and jumps.
 """

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from cellapp.ground.control import VERBS, Verb, ask_running_job
+from cellapp.ground.asking import VERBS, Verb, ask_running_job
 
 _FORCE = "--force"
 REMEDY = f"add {_FORCE} to replace it"

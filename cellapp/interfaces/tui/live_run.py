@@ -9,19 +9,8 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cellapp.ground.control import (
-    JOB_FILE,
-    Aborted,
-    JobAddress,
-    JobControl,
-    JobSeen,
-    Request,
-    Stopped,
-    Verb,
-    address_of_job,
-    ask_running_job,
-    look_at_job,
-)
+from cellapp.ground.asking import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
+from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.interfaces.tui.host import Host

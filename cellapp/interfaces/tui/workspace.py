@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cellapp.ground.control import who_uses
+from cellapp.ground.asking import who_uses
 from cellapp.ground.errors import CellappError, InputError
 
 if TYPE_CHECKING:

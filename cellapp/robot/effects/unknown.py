@@ -176,7 +176,7 @@ class Unknown(Effect):
     the end of the run for time, no step, the run's median dwell, its mean temperature, the nominal payload), ``center``
     of an azimuth; with a ``2`` appended for the second variable.
 
-    Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of
+    Of the position: the smooth field over the workspace of ``robot.effects.data_driven``, a shift along x, y and z of
     the base with one amplitude and one length scale.
 
     A law of the library whose values are impossible, or that imitates a part of something else, is one as well.

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.ground.control import JOB_FILE, JobControl, JobSeen, Verb, ask_running_job, look_at_job
+from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Progress, StateChange
 
@@ -159,7 +160,7 @@ def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: Jo
 
 
 def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.control.PATIENCE_S", 0.05)
+    monkeypatch.setattr("cellapp.ground.asking.PATIENCE_S", 0.05)
     with taking_requests(folder, JobControl()), socket.create_server(("127.0.0.1", 0)) as mute:
         address = json.loads((folder / JOB_FILE).read_text())
         (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))
@@ -198,6 +199,6 @@ def test_a_look_tells_the_state_and_how_far_the_job_is(folder: Path) -> None:
 
 
 def test_a_job_of_another_version_is_named(folder: Path, job: JobControl, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.control.exchange", lambda *_: "done a job runs here")
+    monkeypatch.setattr("cellapp.ground.asking.exchange", lambda *_: "done a job runs here")
     with pytest.raises(InputError, match="of another version of cellapp"):
         look_at_job(folder)

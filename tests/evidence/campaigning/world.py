@@ -16,7 +16,8 @@ from cellapp.cell.driving.requests.job_requests import answer_to
 from cellapp.cell.driving.together import one_by_one
 from cellapp.cell.driving.tracker_watch import Died, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
-from cellapp.ground.control import JobControl, Request, Verb
+from cellapp.ground.asking import Verb
+from cellapp.ground.control import JobControl, Request
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress, StateChange

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.ground.control import Verb, ask_running_job
+from cellapp.ground.asking import Verb, ask_running_job
 from cellapp.ground.errors import CellappError
 from tests.evidence.wire.storm_cell import StormCell
 

@@ -15,7 +15,8 @@ import pytest
 
 from cellapp.cell.driving.records import RequestResult
 from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.ground.control import VERBS, JobControl, Verb
+from cellapp.ground.asking import VERBS, Verb
+from cellapp.ground.control import JobControl
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.latency import attempts
 from tests.waiting import WAIT_S
@@ -32,7 +33,7 @@ HEAVY = {
     "pydantic",
     "dataclasses",
     "numpy",
-    "cellapp.ground.control",
+    "cellapp.ground.asking",
     "cellapp.interfaces.cli.app",
 }
 """Some of what a stop must not wait for."""

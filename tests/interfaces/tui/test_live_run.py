@@ -20,7 +20,7 @@ from textual.widgets import Static
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.ground.control import JOB_FILE, ask_running_job
+from cellapp.ground.asking import JOB_FILE, ask_running_job
 from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice

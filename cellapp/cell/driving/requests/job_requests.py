@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from cellapp.ground.control import (
+from cellapp.ground.asking import (
     DONE,
     JOB_FILE,
     LONGEST_LINE,
@@ -24,13 +24,13 @@ from cellapp.ground.control import (
     PATIENCE_S,
     VERBS,
     JobAddress,
-    JobControl,
     JobSeen,
     Verb,
     address_of_job,
     exchange,
     this_computer,
 )
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange, ignore
 

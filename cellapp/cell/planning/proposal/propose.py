@@ -33,7 +33,7 @@ from cellapp.cell.planning.proposal.hypotheses import CandidateDesign, Hypothesi
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import refuse_motion, visible_stops
 from cellapp.estimation.calibration.quantities import conditions_of_arms
-from cellapp.estimation.design.discrimination import Discrimination
+from cellapp.estimation.design.information import Discrimination
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted

@@ -418,7 +418,7 @@ def visibility(
     """Compute the rms motion (C,) [m] of the SMR by one step of each direction, and the mask of visible ones.
 
     Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting
-    motion of the tracker is subtracted, see ``check.model``, except from the tracker's own directions; these are not
+    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions; these are not
     visible if it was set up anew. ``moved`` are the motions at the calibration's readings.
     """
     rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
