@@ -33,7 +33,7 @@ HEAVY = {
     "pydantic",
     "dataclasses",
     "numpy",
-    "cellapp.ground.asking",
+    "cellapp.ground.control",
     "cellapp.interfaces.cli.app",
 }
 """Some of what a stop must not wait for."""
