@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.design.block_choice import Candidates, choose_blocks
-from cellapp.estimation.design.block_design import BlockDesign, Criterion, reference_errors
+from cellapp.estimation.design.block_design import BlockDesign, Candidates, Criterion, choose_blocks, reference_errors
 from tests.benchmarks.test_speed import best_of
 
 COLUMNS, STOPS = 150, 400

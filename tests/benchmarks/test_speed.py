@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.identification import identify
-from cellapp.estimation.calibration.network_training import Perceptron, train_network
+from cellapp.estimation.calibration.learning import Perceptron, train_network
 from cellapp.robot.kinematics.chain import JointAngles, jacobian
 from tests.benchmarks.identification import NOISE_M, least_squares_of, problem
 from tests.latency import attempts

@@ -22,7 +22,7 @@ from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Traceability, TraceableArm
+from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.interfaces.cli.app import app
 from tests.cell.run.small_runs import planned_run
 from tests.cell.run.spoiled import spoil_cut

@@ -15,7 +15,7 @@ from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.commands.iso9283.view import iso9283_tables
 from cellapp.estimation.iso9283.evaluate import orientation_characteristics
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from tests.cell.planning.planned_cells import one_arm
 
 SIGMA = 5e-5

@@ -20,16 +20,15 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.monitoring.check import CheckBelief, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.conclusion import judgement
+from cellapp.estimation.monitoring.check.belief import LENGTH_M, TRACKER, TURN_RAD
 from cellapp.estimation.monitoring.check.linear import StopRows, stop_rows
-from cellapp.estimation.monitoring.check.model import LENGTH_M, TRACKER, TURN_RAD
 from cellapp.estimation.monitoring.check.naming import Cause, Design, with_station
-from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
+from cellapp.estimation.monitoring.check.sequential import design_of, judgement
 from cellapp.estimation.prior.belief import is_own
-from cellapp.estimation.prior.changes import parameter_words
+from cellapp.estimation.prior.update import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -40,6 +39,7 @@ from cellapp.robot.model import CellModel
 from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN, calibrated_alone, drawn_cell, measured_by, measured_stops
 from tests.evidence.shared.changes import PlantChange, effect_changes, parameter_plant, rigid_changes
+from tests.evidence.shared.estimates import decided_prefix
 from tests.evidence.shared.series import load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
 

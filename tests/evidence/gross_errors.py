@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel

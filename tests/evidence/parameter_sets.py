@@ -12,9 +12,9 @@ import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
+from cellapp.estimation.calibration.quantities import position_errors, summarise
 from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array

@@ -6,8 +6,7 @@ import threading
 
 import pytest
 
-from cellapp.ground.pace import eta_words, in_lines, with_eta
-from cellapp.ground.progress import Progress, SharedProgress, StateChange
+from cellapp.ground.progress import Progress, SharedProgress, StateChange, eta_words, in_lines, with_eta
 from tests.waiting import within
 
 pytestmark = pytest.mark.fast

@@ -17,7 +17,7 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.push.run import push_run
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from tests.twin import PROFILES, small_twin
 
 STOPS = 8

@@ -18,7 +18,7 @@ from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, CylinderObstacle, Placement
+from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, Placement
 from tests.cell.planning.hand_made import some_stops
 from tests.cell.planning.planned_cells import one_arm, planned_twin, refusals
 

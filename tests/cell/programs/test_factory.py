@@ -22,8 +22,8 @@ from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.schema import FactoryErrors
+from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.plant.factory import factory_calibration
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint

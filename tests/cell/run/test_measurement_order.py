@@ -16,7 +16,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.tables import overview_sentences
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from tests.cell.run.two_arm_cell import assert_same, two_arms

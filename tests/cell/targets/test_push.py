@@ -22,7 +22,7 @@ from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.push.run import judge_of, push_run
 from cellapp.commands.report.result import read_results
-from cellapp.estimation.uncertainty.decision import Judge
+from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled, Progress

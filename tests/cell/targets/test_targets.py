@@ -11,7 +11,7 @@ import pytest
 from cellapp.cell.targets.prediction import predicted_verdict
 from cellapp.cell.targets.target_text import TypedTarget, targets_text, typed_target, typed_texts
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.errors import InputError
 from tests.twin import PROFILES, small_twin
 

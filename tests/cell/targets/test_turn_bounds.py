@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.prediction import _with_noise, length_bounds
-from cellapp.estimation.calibration.readings_noise import readings_noise
-from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
+from cellapp.estimation.calibration.weights import readings_noise
+from cellapp.robot.model.model import PosteriorDraws, posterior_from_json, posterior_to_json
 
 pytestmark = pytest.mark.fast
 AXES = np.array([5e-5, 6e-5, 2e-4])

@@ -7,7 +7,7 @@ from datetime import date
 import pytest
 
 from cellapp.commands.certificate.instruments import used_instruments
-from cellapp.ground.profile.acceptance import Instrument
+from cellapp.ground.profile.sections import Instrument
 from tests.estimation.uncertainty.cases import profile_with
 
 pytestmark = pytest.mark.fast

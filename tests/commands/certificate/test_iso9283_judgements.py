@@ -6,7 +6,7 @@ import pytest
 
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 
 pytestmark = pytest.mark.fast
 

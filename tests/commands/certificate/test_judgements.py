@@ -9,7 +9,7 @@ from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.report.result import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
-from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
 from cellapp.ground.results import COMPENSATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification

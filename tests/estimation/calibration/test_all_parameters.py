@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
-from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.estimation.calibration.identification import identify, identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.parameters import auto_set, full_set
 from cellapp.robot.kinematics.chain import parallel_rows, parameter_names, parameter_unit, smr_positions
 from tests.arms import HALF_TURN, OFF_AXIS, SEVEN, UR5, UR10, at_station, dh, true_geometry

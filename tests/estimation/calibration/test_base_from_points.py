@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration.base_from_points import base_from_points
+from cellapp.estimation.calibration.registration import base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
 

@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import arm_type_files
-from cellapp.estimation.calibration.conventions import better_reading, explained
+from cellapp.estimation.calibration.registration import better_reading, explained
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm

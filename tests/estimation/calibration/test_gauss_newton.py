@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.gauss_newton import LeastSquares, Linearised, Minimum, minimise, shortened
+from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise, shortened
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.robot.kinematics.transforms import Array
 

@@ -14,9 +14,14 @@ from cellapp.commands.calibrate.result import arm_result
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import warnings
-from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_arm, calibrate_readings, train_arm
-from cellapp.estimation.calibration.evaluation import position_errors
-from cellapp.estimation.calibration.gross_errors import left_out_words
+from cellapp.estimation.calibration.calibrate import (
+    ArmCalibration,
+    calibrate_arm,
+    calibrate_readings,
+    left_out_words,
+    train_arm,
+)
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.robot.kinematics.chain import smr_positions

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration import inter_base_transform
+from cellapp.estimation.calibration import pair_calibration
 from cellapp.estimation.calibration.identification import TooFewReadings
-from cellapp.estimation.calibration.inter_base_transform import distances, identify_pair
+from cellapp.estimation.calibration.pair_calibration import distances, identify_pair
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_zyx, transform
 
@@ -62,6 +62,6 @@ def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, monkeypatch):
     start = transform(rotation_from_vector(rng.normal(0, 1.0, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + rng.normal(0, 0.3, 3))
     found = identify_pair(start, p_L, p_R, measured)
     assert square(found.T_R_L, p_L, p_R, measured) <= square(start, p_L, p_R, measured)
-    monkeypatch.setattr(inter_base_transform, "_MOST_ITERATIONS", 1)
+    monkeypatch.setattr(pair_calibration, "_MOST_ITERATIONS", 1)
     with pytest.raises(NotConverged, match="inter-base transform from distances did not converge: 1 steps"):
         identify_pair(start, p_L, p_R, measured)

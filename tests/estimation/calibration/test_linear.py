@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.linear import cholesky, inverse_psd, orthonormal_basis, solve_psd
+from cellapp.estimation.calibration.least_squares import cholesky, inverse_psd, orthonormal_basis, solve_psd
 
 pytestmark = pytest.mark.fast
 

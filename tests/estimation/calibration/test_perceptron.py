@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.network_training import Perceptron
-from cellapp.robot.model.network import ResidualNetwork, network_inputs
+from cellapp.estimation.calibration.learning import Perceptron
+from cellapp.robot.model.model import ResidualNetwork, network_inputs
 
 pytestmark = pytest.mark.fast
 

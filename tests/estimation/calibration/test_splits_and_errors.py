@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration.evaluation import (
+from cellapp.estimation.calibration.calibrate import draw_splits, split_sizes
+from cellapp.estimation.calibration.quantities import (
     distance_errors,
     distance_summary,
     evaluate,
@@ -15,7 +16,6 @@ from cellapp.estimation.calibration.evaluation import (
     repeatability,
     summarise,
 )
-from cellapp.estimation.calibration.splits import draw_splits, split_sizes
 from cellapp.ground.results import ErrorSummary
 
 

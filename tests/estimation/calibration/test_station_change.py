@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.station_change import station_change
+from cellapp.estimation.calibration.calibrate import station_change
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration.gauss_newton import LeastSquares
 from cellapp.estimation.calibration.identification import identify
+from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
     RoughStation,
@@ -25,8 +25,7 @@ from cellapp.robot.kinematics.chain import BASE_NAMES, JointAngles, base_twists,
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.model import relocated
-from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
 
 SIGMA_M = 20e-6

@@ -9,13 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.design.block_choice import (
+from cellapp.estimation.design.block_design import (
+    BlockDesign,
     Candidates,
+    Criterion,
     Effort,
+    Shares,
     choose_blocks,
+    information_of,
     most_informative_first,
+    reference_errors,
 )
-from cellapp.estimation.design.block_design import BlockDesign, Criterion, Shares, information_of, reference_errors
 from cellapp.ground.progress import Cancelled, CancelToken
 from tests.estimation.design.relaxation import least_errors
 

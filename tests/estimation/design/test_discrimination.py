@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.design.discrimination import Discrimination, SequentialDesign, joint_gains
+from cellapp.estimation.design.information import Discrimination, SequentialDesign, joint_gains
 
 pytestmark = pytest.mark.fast
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.design.block_choice import (
+from cellapp.estimation.design.block_design import (
     GAP_OF_EVEN_STOPS,
     Candidates,
+    Criterion,
+    Shares,
     choose_blocks,
     close_gaps,
     gap_limits,
     largest_gaps,
+    reference_errors,
     without_turns,
 )
-from cellapp.estimation.design.block_design import Criterion, Shares, reference_errors
 from cellapp.ground.progress import CancelToken
 
 pytestmark = pytest.mark.fast

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.candidates import whitened_displacements
+from cellapp.estimation.discovery.terms import whitened_displacements
 from cellapp.robot.effects import Channel, EffectColumn
 
 pytestmark = pytest.mark.fast

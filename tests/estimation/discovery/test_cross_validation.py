@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.cross_validation import _FOLD_SEED, cross_validated_gain
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import _FOLD_SEED, NormalMatrix, cross_validated_gain
 
 pytestmark = pytest.mark.fast
 

@@ -18,7 +18,7 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery import discover
 from cellapp.estimation.discovery.discover import discover_arm, discover_cell
 from cellapp.estimation.discovery.records import with_effects

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.gross_errors import gross_errors
+from cellapp.estimation.calibration.calibrate import calibrate_arm, gross_errors
 from cellapp.estimation.discovery.discover import discover_arm
 from tests.evidence.shared.series import load_entrant
 

@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.invert import invert
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.joint_fit import fit_terms
-from cellapp.estimation.discovery.search.comparison import scatter
+from cellapp.estimation.discovery.search.state import scatter
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions

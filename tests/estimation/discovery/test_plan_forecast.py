@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual, fit_terms
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,
     PlannedReadings,
@@ -14,7 +14,6 @@ from cellapp.estimation.discovery.plan_forecast import (
     planned_effects,
     tracker_covariance,
 )
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import covariances

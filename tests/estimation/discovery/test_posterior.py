@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.discovery import posterior
-from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.posterior import posteriors
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import Review
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.estimation.discovery.search.state import Review, possible_score
+from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm
 from cellapp.robot.effects import Channel, EffectColumn
 from cellapp.robot.effects.periodic import LINES
 from tests.estimation.discovery.linear_problem import PLAIN, problem

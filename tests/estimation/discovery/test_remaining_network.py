@@ -12,10 +12,10 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.blind import blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.model.network import network_to_json
+from cellapp.robot.model.model import network_to_json
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "twin.yaml")
 COMPLIANT = {"left": {"joint_compliance": {"stiffness": [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}}}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cellapp.estimation.discovery.structure import remaining_structure
+from cellapp.estimation.discovery.verdict import remaining_structure
 
 pytestmark = pytest.mark.fast
 

@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import pearson3
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
-from cellapp.estimation.discovery.structure import CHANCE, has_structure, pearson3_tail, structure_left
+from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel

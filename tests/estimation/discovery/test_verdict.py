@@ -7,9 +7,8 @@ import pytest
 
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.records import AcceptedEffect, BeforeAfter, Evidence, Place, RunnerUp
-from cellapp.estimation.discovery.search.comparison import Scatter
-from cellapp.estimation.discovery.structure import CHANCE, remaining_structure
-from cellapp.estimation.discovery.verdict import verdict
+from cellapp.estimation.discovery.search.state import Scatter
+from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
 from cellapp.robot.effects import EFFECTS, EffectTerm
 
 pytestmark = pytest.mark.fast

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from cellapp.estimation.iso9283.cube import (
+from cellapp.estimation.iso9283.norm import (
     CORNERS,
     CYCLE,
     PLANES,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cellapp.estimation.iso9283.records import IsoValue
-from cellapp.estimation.iso9283.uncertainty import (
+from cellapp.estimation.iso9283.characteristics import (
     Cycles,
     accuracy_value,
     directional_value,
@@ -16,6 +15,7 @@ from cellapp.estimation.iso9283.uncertainty import (
     path_values,
     repeatability_value,
 )
+from cellapp.estimation.iso9283.records import IsoValue
 
 pytestmark = pytest.mark.fast
 

@@ -14,7 +14,7 @@ from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses, of_all_joints, torques_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, MeasurementConditions
-from cellapp.robot.effects.term import displacement
+from cellapp.robot.effects.effect import displacement
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.noise import bands_of, noise_model
+from cellapp.estimation.motion.observe import bands_of, noise_model
 
 pytestmark = pytest.mark.fast
 

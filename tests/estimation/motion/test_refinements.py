@@ -14,7 +14,7 @@ from cellapp.estimation.motion.joint_path import Fading, joint_path
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import JointLaws, JointTerm, Law, Masses, state_at_rest, state_in_motion
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
-from cellapp.robot.effects.term import displacement, term_from_json, term_to_json
+from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, gradual, record, sweep, true_arm

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
-from cellapp.estimation.motion.stamps import checked, triggered_clock
+from cellapp.estimation.motion.streams import checked, triggered_clock
 from cellapp.robot.kinematics.chain import nominal_geometry
 from tests.estimation.motion.simulated import UR10, record, sweep, true_arm
 

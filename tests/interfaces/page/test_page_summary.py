@@ -22,7 +22,7 @@ from cellapp.commands.view.words import CHARACTERISTIC_WORDS, judged_sentence, j
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
+from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from tests.interfaces.page.cases import discovery
 from tests.twin import PROFILES
 

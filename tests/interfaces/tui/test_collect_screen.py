@@ -82,7 +82,7 @@ EVERY_DETAIL: tuple[Detail, ...] = (
     PointMeasured(3, "left", Q1, (1.234567, -0.5, 0.25), 0.0123, 21.25),
     AirReport(21.25, 1013.0, 44.0),
     PointMissed(3, "right", "the beam was broken"),
-    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1), {}) for stop in range(4)),
+    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1)) for stop in range(4)),
     Suspicion("loose SMR", "fasten the SMR of the left arm", "left"),
     ReferenceReport({"arm left": 0.01}, 0.1),
     ReferenceReport({"arm left": 0.034}, 0.1),
@@ -233,7 +233,7 @@ async def test_a_sweep_is_followed_while_the_arm_moves(size: tuple[int, int]) ->
 @pytest.mark.parametrize("count", [1, 3, 90])
 def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
     stops = {
-        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0, {}) for stop in range(count)]
+        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0) for stop in range(count)]
         for name, size in (("left", 0.1), ("right", 0.0))
     }
     line = residual_line(stops, SMALL[0] - 2)  # a screen keeps a column at each side

@@ -51,7 +51,7 @@ def test_an_arm_is_followed_from_motion_to_its_point() -> None:
     assert record.arms["left"] == ArmRecord("measured", 4, q=Q1, joint_temperature_c=WARM)
     assert record.tracker.point is point
     assert not record.tracker.measuring
-    report = StopReport(4, "left", 0.05, 0.01, {})
+    report = StopReport(4, "left", 0.05, 0.01)
     record.add(Progress("collect", 4, 9, detail=report))
     assert record.arms["left"].report is report
     assert record.stops == {"left": [report]}
@@ -128,7 +128,7 @@ def test_lines_have_the_level_of_what_happened_and_steps_of_a_stop_have_none() -
     assert not record_of(*quiet).log
     loud = (
         (None, "debug"),
-        (StopReport(4, "left", 0.05, 0.01, {}), "debug"),
+        (StopReport(4, "left", 0.05, 0.01), "debug"),
         (LogReport("note", "planned"), "info"),
         (LogReport("warning", "late"), "warning"),
         (LogReport("error", "gone"), "error"),

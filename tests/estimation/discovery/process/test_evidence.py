@@ -20,7 +20,7 @@ from cellapp.estimation.discovery.process import (
     most_evident,
 )
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
-from cellapp.robot.effects.column import Wave
+from cellapp.robot.effects.context import Wave
 from cellapp.robot.effects.law import circle_variances
 
 pytestmark = pytest.mark.fast

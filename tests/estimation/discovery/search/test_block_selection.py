@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.candidates import CandidateLaw
+from cellapp.estimation.discovery.terms import CandidateLaw
 from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem, refining_law
 
 pytestmark = pytest.mark.fast

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.terms import CandidateLaw
 from cellapp.robot.effects import EffectColumn
 from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.candidates import CandidateLaw
 from cellapp.estimation.discovery.search.scan import (
     corrected_p_value,
     score_threshold,
     simulate_null_maxima,
     smallest_detectable,
 )
+from cellapp.estimation.discovery.terms import CandidateLaw
 from tests.estimation.discovery.linear_problem import PLAIN, column, problem
 
 pytestmark = pytest.mark.fast

@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.alternatives import directions_of
 from cellapp.estimation.monitoring.check.belief import arm_belief
-from cellapp.estimation.monitoring.check.linear import calibration_motions, stop_rows, visibility
-from cellapp.estimation.prior.linear_model import Measured
-from cellapp.estimation.prior.posterior import Prior, posterior
+from cellapp.estimation.monitoring.check.linear import calibration_motions, directions_of, stop_rows, visibility
+from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

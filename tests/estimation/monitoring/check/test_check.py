@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.monitoring.check import Conclusion, SequentialTest, choose_stops
-from cellapp.estimation.monitoring.check.alternatives import GROWTH
-from cellapp.estimation.monitoring.check.model import Power
-from cellapp.estimation.prior.linear_model import Measured
+from cellapp.estimation.monitoring.check.belief import Power
+from cellapp.estimation.monitoring.check.linear import GROWTH
+from cellapp.estimation.prior.belief import Measured
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.robot.kinematics.chain import Geometry, parameter_names
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
