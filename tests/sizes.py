@@ -2,7 +2,7 @@
 
     python -m tests.sizes
 
-prints the table of the handbook's chapter house.
+prints them as a table.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""How many files a new effect, driver, export, verb, chart or screen touches: before the house was drawn anew, and now.
+"""How many files a new effect, driver, export, verb, chart or screen touches, by the toys of the tests.
 
     python -m tests.touches
 
-prints the table of the handbook. *Before* are the files of ``cellapp`` and ``drivers`` that named the traced one
-outside of its own at commit c6ef7c5d (``git grep -lw NAME c6ef7c5d -- cellapp drivers``): a table, a branch or a list
-in each had to be edited. *Now* is what the toys of the tests need: their own files, and lines elsewhere.
+prints the table of the handbook: their own files, and lines elsewhere.
 """
 
 from __future__ import annotations
@@ -26,10 +24,6 @@ class Touch:
     Attributes
     ----------
     kind : str
-    traced : str
-        What was traced before.
-    before : int
-        Files outside of its own that named it.
     own : tuple of str
         Files of the toy, relative to ``tests``.
     elsewhere : tuple of str
@@ -39,8 +33,6 @@ class Touch:
     """
 
     kind: str
-    traced: str
-    before: int
     own: tuple[str, ...]
     elsewhere: tuple[str, ...]
     shown_by: str
@@ -49,64 +41,48 @@ class Touch:
 TOUCHES: tuple[Touch, ...] = (
     Touch(
         "effect",
-        "`target_slip`, `TargetSlip`",
-        6,
         (f"{_EXAMPLE}/hose_pull.py",),
         ("cellapp/robot/effects/registry.py: its class",),
         "robot/effects/test_declarations.py",
     ),
     Touch(
         "driver of an arm",
-        "`URSettings`",
-        3,
         (f"{_EXAMPLE}/line_settings.py", f"{_EXAMPLE}/line_arm.py"),
         ("drivers/arms/registry.py: its settings",),
         "interfaces/plugins/test_example_plugin.py",
     ),
     Touch(
         "driver of a tracker",
-        "`BridgeSettings`",
-        2,
         ("cell/driving/toys/tracker.py",),
         ("drivers/trackers/registry.py: its settings",),
         "cell/driving/test_controllers.py",
     ),
     Touch(
         "export",
-        "`POE`",
-        1,
         (f"{_EXAMPLE}/serial_link.py",),
         ("cellapp/cell/exports/formats.py: its format",),
         "commands/test_export.py",
     ),
     Touch(
         "verb with its result",
-        "`locate`",
-        26,
         tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
         ("cellapp/commands/folders.py: its folder",),
         "commands/test_show.py",
     ),
     Touch(
         "chart of a result",
-        "`drift_chart` of `collect`",
-        2,
         (f"{_VERB}/view.py",),
         (),
         "commands/test_show.py",
     ),
     Touch(
         "dialog with its job",
-        "`LocateTracker`",
-        1,
         (f"{_VERB}/request.py",),
         (),
         "commands/test_show.py",
     ),
     Touch(
         "screen of the day",
-        "`RunsScreen`",
-        1,
         (),
         ("cellapp/interfaces/tui/screens/__init__.py: its entry", "cellapp/interfaces/tui/workspace.py: its step"),
         "test_touches.py",
@@ -116,11 +92,10 @@ TOUCHES: tuple[Touch, ...] = (
 
 def touches_table(touches: Sequence[Touch] = TOUCHES) -> str:
     """The table of the handbook, in Markdown."""
-    lines = ["| a new | traced before: other files that named it | now: files of its own | now: lines elsewhere |"]
-    lines.append("| --- | --- | --- | --- |")
+    lines = ["| a new | files of its own | lines elsewhere |", "| --- | --- | --- |"]
     for one in touches:
         own = str(len(one.own)) if one.own else "1"
-        lines.append(f"| {one.kind} | {one.traced}: {one.before} | {own} | {len(one.elsewhere)} |")
+        lines.append(f"| {one.kind} | {own} | {len(one.elsewhere)} |")
     return "\n".join(lines) + "\n"
 
 

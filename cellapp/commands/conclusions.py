@@ -13,7 +13,7 @@ from cellapp.commands.run_results import StageResults
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CheckResult
-from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Conformity, overall
 from cellapp.ground.results import (
     CALIBRATE,

@@ -9,11 +9,13 @@ import hashlib
 import inspect
 import json
 import logging
+import math
 import multiprocessing
 import os
 import platform
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
@@ -348,3 +350,33 @@ def _keep(path: Path | None, key: str, found: Any) -> None:
             file.write(json.dumps({"key": key, "found": found}) + "\n")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; choose a file that can be written") from None
+
+
+# -- How long a job may last ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """``minutes`` from ``began_s`` by the clock ``now`` [s]; None: as long as it needs."""
+
+    minutes: float | None = None
+    began_s: float = 0.0
+    now: Callable[[], float] = time.monotonic
+
+    @classmethod
+    def from_now(cls, minutes: float | None) -> TimeLimit:
+        """That begins now."""
+        return cls(minutes, time.monotonic())
+
+    @property
+    def left_s(self) -> float:
+        """Time that is left [s]; infinite without a limit, negative beyond it."""
+        return math.inf if self.minutes is None else 60.0 * self.minutes - (self.now() - self.began_s)
+
+    def allowed(self, each_s: float, most: int) -> int:
+        """How many further trials of a duration [s] fit, at most ``most``."""
+        return int(max(min(self.left_s / max(each_s, 1e-6), most), 0.0))
+
+    def words(self) -> str:
+        """For a progress bar."""
+        return "no time limit" if self.minutes is None else f"at most {self.minutes:g} min"

@@ -28,9 +28,8 @@ from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.estimation.calibration.identification import identify
-from cellapp.estimation.calibration.network_training import Perceptron, train_network
-from cellapp.estimation.design.block_choice import Candidates, choose_blocks
-from cellapp.estimation.design.block_design import BlockDesign, Criterion, reference_errors
+from cellapp.estimation.calibration.learning import Perceptron, train_network
+from cellapp.estimation.design.block_design import BlockDesign, Candidates, Criterion, choose_blocks, reference_errors
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.chain import JointAngles, flange_poses, jacobian, smr_positions

@@ -14,7 +14,7 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery, Profile
-from cellapp.ground.profile.acceptance import Tolerances, Traceability, TraceableArm
+from cellapp.ground.profile.sections import Tolerances, Traceability, TraceableArm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION, true_geometry

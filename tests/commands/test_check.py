@@ -31,7 +31,7 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker

@@ -23,7 +23,7 @@ from cellapp.estimation.iso9283.evaluate import orientation_characteristics
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Outputs
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from tests.cell.planning.planned_cells import one_arm
 from tests.commands.test_iso9283 import asked, left_alone
 from tests.estimation.iso9283.test_driving import only_paths

@@ -47,7 +47,7 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection, Reference
+from cellapp.ground.profile.sections import Collection, Reference
 from cellapp.ground.progress import Cancelled
 from drivers.arms.simulated import SimulatedArm
 from tests.cell.planning.hand_made import drivable_stops, same_stops, some_stops

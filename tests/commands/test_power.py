@@ -22,9 +22,8 @@ from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_t
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
-from cellapp.ground.executors import Gathered, Work
+from cellapp.ground.executors import Gathered, TimeLimit, Work
 from cellapp.ground.profile import Profile
-from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.twin import PROFILES, whole_twin

@@ -41,7 +41,7 @@ from cellapp.ground.asking import JOB_FILE
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Traceability, TraceableArm
+from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.kinematics.chain import smr_positions

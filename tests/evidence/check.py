@@ -1,11 +1,9 @@
-"""How often the check of a calibration finds a change, names it, and finds one where there is none. Simulated cells are
-drawn and calibrated from 400 stops. They are checked as they are, with other noise, and with one change in the plant:
-each visible parameter of the geometry by 0.05 mm or 50 µrad; stiffness, play and eccentricity of joints so that the SMR
-moves by 0.05 mm; tracker, bases and SMRs by 0.1 to 10 mm. A change is *visible* if it moves the SMR by at least one
-standard deviation of a coordinate, beyond the best motion of the tracker. *Named*: it is the first that is stated;
-*listed*: that, or stated as one that the stops cannot tell from it. `--real C,D,UR5` checks measured series against
-rows of their own that the calibration did not see; `--mix` hides compliance, curves and backlash on the arms; with
-`--anew` the tracker was set up anew before each check."""
+"""How often a check finds a change, names it, and finds one where there is none: simulated cells, calibrated from 400
+stops, are checked as they are, with other noise, and with one change: each parameter of the geometry by 0.05 mm or 50
+µrad; stiffness, play and eccentricity so that the SMR moves by 0.05 mm; tracker, bases and SMRs by 0.1 to 10 mm. A
+change is *visible* if it moves the SMR by at least one standard deviation of a coordinate. *Named*: stated first;
+*listed*: that, or stated as inseparable from it. `--real C,D,UR5` checks measured series, `--mix` hides effects on the
+arms, with `--anew` the tracker was set up anew."""
 
 from __future__ import annotations
 
@@ -22,17 +20,15 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.monitoring.check import CheckBelief, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.conclusion import judgement
-from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
-from cellapp.estimation.monitoring.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
+from cellapp.estimation.monitoring.check.belief import LENGTH_M, TRACKER, TURN_RAD
+from cellapp.estimation.monitoring.check.linear import StopRows, stop_rows
 from cellapp.estimation.monitoring.check.naming import Cause, Design, with_station
-from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
-from cellapp.estimation.monitoring.check.statistics import MinPValueTest
+from cellapp.estimation.monitoring.check.sequential import design_of, judgement
 from cellapp.estimation.prior.belief import is_own
-from cellapp.estimation.prior.changes import parameter_words
+from cellapp.estimation.prior.update import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -43,6 +39,7 @@ from cellapp.robot.model import CellModel
 from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN, calibrated_alone, drawn_cell, measured_by, measured_stops
 from tests.evidence.shared.changes import PlantChange, effect_changes, parameter_plant, rigid_changes
+from tests.evidence.shared.estimates import decided_prefix
 from tests.evidence.shared.series import load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
 
@@ -152,13 +149,6 @@ class _Trial:
         """Positions (m, 3) [m] of all SMRs at the stops before any change, without noise."""
         return self.points(build_plant(self.profile))
 
-    @cached_property
-    def last(self) -> MinPValueTest:
-        """The test after all stops; it depends on the stops only, not on their measurements."""
-        readings = self._readings(build_plant(self.profile), 0)
-        stops = stop_rows(self.belief, readings, self.design.directions)
-        return MinPValueTest.of(Moments.of(stops), self.design.alternatives)
-
     @property
     def belief(self) -> CheckBelief:
         return self.design.belief
@@ -199,8 +189,6 @@ class _Trial:
             change.arm,
             what,
         )
-        moments = Moments.of(with_station(self.design, stops)[0])
-        p_values = self.last.p_values(moments.white[:, None])[:, 0]
         return dict[str, Any](
             group=change.group,
             what=what,
@@ -212,8 +200,6 @@ class _Trial:
             named=named,
             listed=named or (first is not None and what in first.rivals),
             solved_mm=None if first is None or not named else _solved_mm(self.design, change, first, stops),
-            by_chi_squared=float(p_values[-1]) <= FALSE_ALARM,
-            by_directions=self.last.significant(float(p_values.min()), FALSE_ALARM),
         )
 
     def _readings(self, plant: Plant, number: int) -> dict[str, Readings]:
@@ -266,19 +252,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     figures = {"false": f"{false.hits} of {false.n}", "found": f"{found.hits} of {found.n}"}
     figures["stops"] = f"{np.mean(changed):.1f}" if changed else ""
     columns = ["changed", "detected (95 %)", "named", "listed", "cannot say", "mean stops", "largest error of a motion"]
-    statistics = {
-        "stop by stop": "alarm",
-        "all directions, after all": "by_directions",
-        "chi-squared": "by_chi_squared",
-    }
-    compared = [
-        [title, *(str(Share.of(one.get(key) for one in checks if one["group"] == group)) for group in GROUPS)]
-        for title, key in statistics.items()
-    ]
-    tables = [Table("", columns, rows)]
-    if not asked.real:
-        tables.append(Table("Found by", ["statistic", *GROUPS.values()], compared))
-    return Evidence(figures, tables, limits)
+    return Evidence(figures, [Table("", columns, rows)], limits)
 
 
 def _row(title: str, some: Sequence[dict[str, Any]]) -> list[str]:

@@ -1,5 +1,5 @@
-"""Simulated arms, each with its own true geometry and noise, are identified from the same 100 stops: how often do the
-stated 95 % intervals of their parameters hold the truth?"""
+"""How often the stated 95 % intervals of the parameters hold the truth, of simulated arms with geometry and noise of
+their own, from the same 100 stops."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.robot.model.nominal import nominal_arm
 from tests.evidence.shared.cells import TWIN, bare, bare_stops
+from tests.evidence.shared.estimates import merged_values
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
 
 TITLE = "Confidence intervals"
@@ -51,7 +52,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     exactly = identify(start, q, exact, parameter_set="full", tolerance=1e-12)
     if np.abs(exactly.residuals).max() > 1e-8:
         raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
-    truth = estimate.parameter_set.merged_values(exactly.geometry, start)
+    truth = merged_values(estimate.parameter_set, exactly.geometry, start)
     limit = stdtrit(estimate.degrees_of_freedom, 0.975)
     held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
     return {"arm": arm, "held": held.tolist(), "scatter": float(estimate.scale)}

@@ -1,6 +1,6 @@
-"""What wrong readings cost a calibration. 1, 3 or 5 % of the readings are moved by one length in random directions, or
-exchanged between stops; the table has the mean held-out error of the good readings over that from clean readings, the
-largest of the three shares. 400 readings of each real series, 300 of each simulated arm, a quarter held out."""
+"""What wrong readings cost: 1, 3 or 5 % are moved by one length in random directions, or exchanged between stops. The
+table has the mean held-out error of the good readings over that from clean readings, the largest of the three shares;
+400 readings of each real series, 300 of each simulated arm, a quarter held out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel

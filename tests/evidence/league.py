@@ -1,9 +1,7 @@
 """Real robots that others measured: series C and D, one UR10 four months apart (Landgraf et al., CASE 2021), and a UR5
-(Jacobi 2025); data, sources and MIT licences are in `tests/fixtures`. Rows to learn from are drawn by seed, the others
-are held out; base and tool are not given, approach and step follow from the order of the rows. Errors are means over
-the draws. Published for the UR5: 0.155 mm at the 20 random poses, D-H calibration and a graph neural network learned
-from all 1000 poses on the grid. Tried without gain on all three series: heavy tails of the noise, other spectra of the
-curves, one spectrum for all joints, a random function of all joints together."""
+(Jacobi 2025); sources and MIT licences are in `tests/fixtures`. Rows to learn from are drawn by seed, the others are
+held out; base and tool are not given, approach and step follow from the order of the rows. Errors are means over the
+draws. Published for the UR5: 0.155 mm at the 20 random poses, from all 1000 poses on the grid."""
 
 from __future__ import annotations
 
@@ -15,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped

@@ -1,7 +1,7 @@
 """Two emulated UR controllers that brake like real ones, under the real client, both arms moving at once; one in some
-motions meets a random fault at a random moment, then is repaired as an operator would. Measured at the controllers: the
-time from the first doubt about the cell to the stop received by every other arm, and to its rest, less its ideal
-braking time. No real arm was braked: delays and ramps follow Universal Robots' manuals."""
+motions meets a random fault, then is repaired as an operator would. Measured at the controllers, from the first doubt
+about the cell: the stop received by the other arm, and its rest, less its ideal braking time. No real arm was
+braked."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""More readings never make it worse: mean held-out position errors over the number of readings to learn from, of real
-robots (all rows but those that are drawn are held out) and of simulated arms with hidden effects. The search takes
-400 readings at most; its terms are then fitted to all. Configurations of the simulated arms are drawn within the
-ranges of a plan, not planned, and 500 of them are held out. The standard error is that of the mean over the draws."""
+"""More readings never make it worse: mean held-out errors over the number of readings to learn from, of real robots
+(all other rows are held out) and of simulated arms with hidden effects (500 configurations are held out). The search
+takes 400 readings at most; its terms are then fitted to all. The standard error is that of the mean over the draws."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped

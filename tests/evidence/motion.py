@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
-from cellapp.estimation.motion.records import MotionFit
+from cellapp.estimation.motion.identify import MotionFit, RecordedArm, identify_from_motion
 from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry
 from tests.estimation.motion.simulated import UR10, Arm, record, sweep, true_arm

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.evidence.skeleton import ROOT, program, stated_results, words
+from tests.evidence.skeleton import ROOT, Limit, program, stated_results, words
 
 README_ROWS: tuple[tuple[str, str, str], ...] = (
     (
@@ -84,11 +84,16 @@ def figures_part() -> str:
 
 
 def _section(name: str, stated: dict[str, Any]) -> str:
-    measured = f"Measured on {stated['date']}, commit {stated['commit']}: {stated['cases']} cases"
-    seeds = f", seeds {stated['seeds']}" if stated["seeds"] else ""
+    missed = [limit for limit in stated["limits"] if not Limit(**limit).met]
+    facts = [f"Date: {stated['date']}", f"commit: {stated['commit']}"]
+    facts += [f"{stated['cases']} cases"] if stated["cases"] > 1 else []
+    facts += [f"seeds: {stated['seeds']}"] if stated["seeds"] else []
+    if stated["limits"]:
+        facts.append(f"{len(missed)} of {len(stated['limits'])} limits missed" if missed else "all limits kept")
     about = " ".join((program(name).__doc__ or "").split())
     block = f"```sh dev\n{stated['command']}\n```"
-    return "\n\n".join([f"## {stated['title']}", about, block, f"{measured}{seeds}.", words(stated)])
+    shown = words({**stated, "limits": missed})
+    return "\n\n".join([f"## {stated['title']}", about, block, "; ".join(facts) + ".", shown])
 
 
 def _anchor(name: str) -> str:

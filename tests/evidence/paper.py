@@ -1,7 +1,6 @@
-"""The comparison of Bai et al., ROBOT 45(3), 2023, over simulated cells. Every seed is another cell: other true arms,
-bases, plan, noise and splits; joint compliance is sized so that geometry alone ends near the paper's 0.23 mm between
-the arms. Each seed also moves the tracker to another station, laid on its side: there the network in the base frame
-must still help, that in the tracker frame must not."""
+"""The comparison of Bai et al., ROBOT 45(3), 2023. Every seed is another simulated cell, with joint compliance so large
+that geometry alone ends near the paper's 0.23 mm between the arms. Then the tracker moves to another station, laid on
+its side: there the network in the base frame must still help, that in the tracker frame must not."""
 
 from __future__ import annotations
 

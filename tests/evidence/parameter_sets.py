@@ -1,7 +1,7 @@
 """Redundant against reduced parameter sets, as in Bai et al., ROBOT 45(3), 2023, from 100 stops of simulated arms.
-*plain* is the paper's solver: unscaled Gauss-Newton least squares without regularisation, stopped at a step below 1e-5
-or after 1000 iterations; on the redundant model its steps along unobservable directions never end. *cellapp* takes the
-minimum-norm step where the normal matrix is singular. Medians over the seeds."""
+*plain* is the paper's solver: unscaled Gauss-Newton least squares, at most 1000 iterations; its steps along
+unobservable directions of the redundant model never end. *cellapp* takes the minimum-norm step there. Medians over the
+seeds."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
+from cellapp.estimation.calibration.quantities import position_errors, summarise
 from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array

@@ -1,7 +1,6 @@
 """A person at a real pseudo terminal, in front of an emulated cell whose arms all move: from the act, a key or a fault,
 to the stop command at the last controller. Presses are spread over screens, a text field, the palette, a question and
-the handbook. Emulated controllers and the thread that presses run before all other programs, as controllers are
-computers of their own."""
+the handbook. Emulated controllers and the thread that presses run before all other programs."""
 
 from __future__ import annotations
 

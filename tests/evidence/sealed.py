@@ -1,10 +1,9 @@
-"""Simulated cells hide effects by physics of their own (statics solved to equilibrium, segmented beams, glass
-refraction, eccentric gears), which shares no code with the models. Sizes are drawn at random, masses are 5 % off, laws
-are of another shape than the library's. The truth is in a sealed file that only the judge opens, after calibration and
-search. *Clean*: nothing hidden; *outside*: laws that the library lacks; *narrow*: joints move over 10 to 50 degrees;
-*unstated*: readings state no uncertainty; *few*: 15 to 60 readings to learn from; *hard*: what once got a false
-additional name. False names are counted in arms that hide nothing; exact and second names in runs whose effects are all
-above the noise."""
+"""Simulated cells hide effects by physics of their own (statics solved to equilibrium, segmented beams, eccentric
+gears), which shares no code with the models; sizes are drawn, masses are 5 % off, laws are of another shape than the
+library's. Only the judge opens the sealed truth, after calibration and search. *Outside*: laws that the library lacks;
+*narrow*: joints move over 10 to 50 degrees; *unstated*: readings state no uncertainty; *few*: 15 to 60 readings to
+learn from; *hard*: what once got a false additional name. False names are counted in arms that hide nothing; exact and
+second names in runs whose effects are all above the noise."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ import numpy as np
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun
-from cellapp.commands.trials.posteriors import ACCEPTED, EVERY, posterior_scores
+from cellapp.commands.trials.posteriors import ACCEPTED, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
 from cellapp.commands.trials.sealed_cases import HARD, MIXED, NONE, ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup
@@ -98,7 +97,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
         {"exact": f"{exact.hits} of {exact.n}", "false": f"{false.hits} of {false.n}"},
         [
             Table("", [*columns, "Brier score"], rows),
-            *(_reliability(scores[about]) for about in (EVERY, ACCEPTED) if about in scores),
+            *([_reliability(scores[ACCEPTED])] if ACCEPTED in scores else []),
             *([Table("Visible effects that were not named exactly", ["hidden", "accepted"], wrong)] if wrong else []),
         ],
         limits,

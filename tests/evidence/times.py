@@ -1,8 +1,6 @@
-"""What the commands of the whole simulated cell take, each in a process of its own, as a user starts it: by the clock,
-of processor time, in *loops* (a million rounds of a loop in Python, before and after the command, so that other
-computers can be compared), and the largest memory with all children. `run` does in one process what those below it do
-one after the other. Times depend on the computer: use them as a range of a factor of three, and measure yours. Needs
-Linux."""
+"""What the commands of the simulated cell take, each in a process of its own: by the clock, of processor time, in
+*loops* (a million rounds of a loop in Python, so that computers can be compared), and the largest memory. `run` does
+all that those below it do. Use them as a range of a factor of three, and measure yours. Needs Linux."""
 
 from __future__ import annotations
 

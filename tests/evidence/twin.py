@@ -1,7 +1,7 @@
-"""The whole chain on the simulated cell of two arms. Its true geometry deviates by 0.3 mm and 0.05 degrees (one
-standard deviation); joint compliance and an eccentric encoder are hidden in the left arm (UR10), backlash in the right
-arm (UR5). One command plans 400 stops, drives and measures them, calibrates, discovers, compensates new targets, drives
-to them and measures how far they are missed."""
+"""The simulated cell of two arms, whose geometry deviates by 0.3 mm and 0.05 degrees (one standard deviation);
+compliance and an eccentric encoder are hidden in the left arm (UR10), backlash in the right arm (UR5). One command
+plans 400 stops, drives and measures them, calibrates, discovers, compensates new targets, drives to them and measures
+how far they are missed."""
 
 from __future__ import annotations
 

@@ -25,8 +25,16 @@ from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, Work, gather, local_cores
-from cellapp.ground.pace import eta_words, in_lines, with_eta
-from cellapp.ground.progress import Cancelled, CancelToken, Progress, SharedProgress, StateChange
+from cellapp.ground.progress import (
+    Cancelled,
+    CancelToken,
+    Progress,
+    SharedProgress,
+    StateChange,
+    eta_words,
+    in_lines,
+    with_eta,
+)
 from cellapp.ground.results import Record
 from tests.waiting import within
 

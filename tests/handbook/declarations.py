@@ -44,12 +44,11 @@ def keys_part() -> str:
 
 
 def states_part() -> str:
-    """Every state of a run with what the screens say in it: a Markdown table with its markers."""
+    """Every state of a run with what the screen Collect says in it: a Markdown table with its markers."""
     headings, *states = states_table()
-    rows = [f"| {' | '.join(' '.join(cell.split()) for cell in row)} |" for row in (headings, *states)]
-    return "\n".join(
-        ["<!-- declared: states -->", rows[0], "| --- " * len(headings) + "|", *rows[1:], "<!-- end -->", ""]
-    )
+    shown = [headings.index(name) for name in ("state", "Collect")]
+    rows = [f"| {' | '.join(' '.join(row[place].split()) for place in shown)} |" for row in (headings, *states)]
+    return "\n".join(["<!-- declared: states -->", rows[0], "| --- | --- |", *rows[1:], "<!-- end -->", ""])
 
 
 def results_part() -> str:

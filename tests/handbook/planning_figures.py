@@ -17,7 +17,7 @@ from cellapp.commands.plan.charts_obstacles import (
 )
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import Obstacles
+from cellapp.ground.profile.sections import Obstacles
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import pose_matrix
 from tests.handbook.chart import Chart, Series, chart_svg

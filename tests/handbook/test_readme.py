@@ -17,7 +17,7 @@ import cellapp.docs
 from cellapp.cell.profile import load_profile
 from cellapp.commands.docs.handbook import CHAPTERS, PARTS, chapter_text, effect_sections, topic_text, topics
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.obstacles import Obstacle
+from cellapp.ground.profile.sections import Obstacle
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.evidence import more_readings

@@ -12,7 +12,7 @@ from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.report.sections import SECTIONS
 from cellapp.ground.chromium import find_chromium
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 from tests.handbook.chapters import blocks
 from tests.handbook.page_pictures import PICTURES, PagePicture, write_pictures
 

@@ -20,7 +20,7 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, JointLimits

@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.cell.driving.motion import Mover, Vector
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.ground.errors import HardwareError
-from cellapp.ground.profile.collection import Repeat
+from cellapp.ground.profile.sections import Repeat
 from cellapp.robot.kinematics.transforms import mean_rotation, quaternions_of, rotations_of
 from drivers.trackers.protocol import (
     NotReady,

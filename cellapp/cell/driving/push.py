@@ -16,7 +16,7 @@ from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summa
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
-from cellapp.estimation.uncertainty.decision import Judge
+from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped

@@ -14,7 +14,7 @@ from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CellappError, HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Suspend, Suspension
+from cellapp.ground.profile.sections import Suspend, Suspension
 from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
 from drivers.clock import slept_s
 

@@ -13,7 +13,7 @@ from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.paths.timing import Trajectory
+from cellapp.robot.paths.joint_path import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TargetLost, Track, TrackerError, WrongTarget, stream_of
 

@@ -14,9 +14,8 @@ from cellapp.cell.driving.motion import Mover
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, MeasuredTurn
 from cellapp.cell.targets.targets import target_record
-from cellapp.estimation.calibration.evaluation import summarise
-from cellapp.estimation.uncertainty.decision import Judge
-from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
+from cellapp.estimation.calibration.quantities import summarise
+from cellapp.estimation.uncertainty.budget import Judge, expanded_mrad, turn_budget
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.effects import MeasurementConditions

@@ -44,9 +44,8 @@ from cellapp.estimation.discovery.plan_forecast import (
     planned_effects,
 )
 from cellapp.ground.errors import InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 

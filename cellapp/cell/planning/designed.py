@@ -19,15 +19,18 @@ from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_alone, sample_spacing
-from cellapp.estimation.design.block_choice import (
+from cellapp.estimation.design.block_design import (
     Candidates,
+    Criterion,
+    Rows,
     choose_blocks,
     close_gaps,
     gap_limits,
+    information_of,
     most_informative_first,
+    reference_errors,
     without_turns,
 )
-from cellapp.estimation.design.block_design import Criterion, Rows, information_of, reference_errors
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -22,10 +22,9 @@ from cellapp.cell.planning.candidates import CandidatePool, random_configuration
 from cellapp.cell.planning.design_records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.least_squares import inverse_psd
 from cellapp.estimation.calibration.parameters import determined_set
-from cellapp.estimation.design.block_choice import largest_gaps, without_turns
-from cellapp.estimation.design.block_design import information_of
+from cellapp.estimation.design.block_design import information_of, largest_gaps, without_turns
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import one_blas_thread

@@ -27,8 +27,8 @@ from cellapp.estimation.calibration.parameters import (
     typical_spreads,
 )
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
-from cellapp.estimation.motion.forecast import Expected, forecast_motion, foreseen_laws, motion_information
 from cellapp.estimation.motion.joint_path import joint_path
+from cellapp.estimation.motion.steps import Expected, forecast_motion, foreseen_laws, motion_information
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointState,

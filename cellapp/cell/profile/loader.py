@@ -26,7 +26,7 @@ from cellapp.cell.profile.messages import (
 )
 from cellapp.ground.errors import InputError
 from cellapp.ground.plain_data import plain_data
-from cellapp.ground.profile.arm_types import ARM_TYPES
+from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
 

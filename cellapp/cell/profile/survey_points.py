@@ -7,7 +7,7 @@ from typing import Self
 from pydantic import model_validator
 
 from cellapp.ground.profile.schema import CellPoint
-from cellapp.ground.profile.smr import ArmPoint
+from cellapp.ground.profile.sections import ArmPoint
 from drivers.quantities import Turn
 from drivers.settings import Section
 

@@ -35,8 +35,7 @@ from cellapp.cell.run.stations import (
 )
 from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
-from cellapp.estimation.readings.readings import Readings
-from cellapp.estimation.readings.several_smrs import one_pose_a_stop, smr_names
+from cellapp.estimation.readings.readings import Readings, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings

@@ -13,8 +13,8 @@ import numpy as np
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.cell.run.rows import select_document
+from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.stations import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, rotations_of

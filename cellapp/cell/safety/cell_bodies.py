@@ -15,7 +15,7 @@ from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape, load_mesh
 from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.profile.obstacles import (
+from cellapp.ground.profile.sections import (
     AnyObstacle,
     BoxObstacle,
     CapsuleObstacle,

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectContext, MeasurementConditions, displacement
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian

@@ -21,8 +21,17 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import joint_rates
 from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
-from cellapp.robot.paths.joint_path import Branch, Conditions, JointPath, PathError, follow_branches, joint_path
-from cellapp.robot.paths.timing import Rates, Trajectory, timed
+from cellapp.robot.paths.joint_path import (
+    Branch,
+    Conditions,
+    JointPath,
+    PathError,
+    Rates,
+    Trajectory,
+    follow_branches,
+    joint_path,
+    timed,
+)
 
 RUN_UP_RAD = 5e-3
 """Run-up of every joint before the path [rad], in its direction of motion there: several times a usual backlash."""

@@ -14,13 +14,13 @@ from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import PredictedTurn
 from cellapp.cell.targets.unknown_conditions import OneUnknown, from_home, unknown_conditions, unknown_records
 from cellapp.cell.targets.working_conditions import conditions_payload
-from cellapp.estimation.uncertainty.decision import TARGET_WORDS, decided
+from cellapp.estimation.uncertainty.budget import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 AT_ONCE = 1000
 """Number of configurations per batch: their posterior draws take some tens of MB."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from cellapp.cell.targets.other_payload import OpenElasticity
 from cellapp.cell.targets.working_conditions import conditions_payload
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import Array

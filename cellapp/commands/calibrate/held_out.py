@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.results import STAGES

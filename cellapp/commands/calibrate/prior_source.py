@@ -15,7 +15,7 @@ from cellapp.commands.stages import StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult
 from cellapp.estimation.prior.belief import Belief
-from cellapp.estimation.prior.earlier import Earlier, believed
+from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, ModelStage
 from cellapp.ground.times import day_of

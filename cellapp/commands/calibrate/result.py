@@ -6,9 +6,8 @@ import math
 from typing import cast
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.estimation.calibration.inter_base_transform import PAIR_NAMES
-from cellapp.estimation.calibration.network_training import Batches, Shape, Training
-from cellapp.estimation.calibration.pair_calibration import PairCalibration, PairMethod
+from cellapp.estimation.calibration.learning import Batches, Shape, Training
+from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     BatchesResult,

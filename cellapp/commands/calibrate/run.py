@@ -19,14 +19,12 @@ from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.prior.calibrate import calibrate_with_prior
-from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel

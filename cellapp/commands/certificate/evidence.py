@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.commands.run_results import StageResults
-from cellapp.estimation.uncertainty.budget import Evidence
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.budget import Evidence, MeasuredConditions
 from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
 
 

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 
 from cellapp.commands.certificate.result import CertifiedArm, CertifiedInstrument
-from cellapp.estimation.uncertainty.budget import not_given
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.budget import MeasuredConditions, not_given
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Instrument
+from cellapp.ground.profile.sections import Instrument
 from cellapp.ground.times import day_of
 
 TRACKER_ROLE = "laser tracker"

@@ -14,10 +14,10 @@ from cellapp.estimation.iso9283.norm import (
     wanted_cycles,
 )
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PairIso9283
-from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.counting import counted
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 
 TEST_OF: Mapping[Characteristic, IsoTest] = {
     "pose_accuracy": "pose",

@@ -22,20 +22,26 @@ from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
-from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
-from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.budget import (
+    MeasuredConditions,
+    conformity,
+    distance_budget,
+    expanded_mm,
+    expanded_mrad,
+    not_given,
+    position_budget,
+    turn_budget,
+)
 from cellapp.estimation.uncertainty.records import (
     Characteristic,
     Judgement,
     TurnContribution,
     UncertaintyContribution,
 )
-from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.profile.sections import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, COMPENSATE, ISO9283, VERIFY, ErrorSummary, StageName
 
 Budget = Sequence[UncertaintyContribution]

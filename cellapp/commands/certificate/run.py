@@ -25,7 +25,7 @@ from cellapp.commands.out_of_date import CERTIFICATE_FILE
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import RunStages, append_stage, read_history, read_stages
-from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs

@@ -21,10 +21,8 @@ from cellapp.commands.certificate.result import (
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
-from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.budget import MeasuredConditions, expanded_mm, expanded_mrad, position_budget
 from cellapp.estimation.uncertainty.records import Characteristic
-from cellapp.estimation.uncertainty.turn_budget import expanded_mrad
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY

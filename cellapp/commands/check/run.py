@@ -28,7 +28,8 @@ from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
 from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS
+from cellapp.estimation.monitoring.check.belief import FALSE_ALARM, MISS
+from cellapp.estimation.monitoring.check.naming import SPENT_EARLY
 from cellapp.estimation.monitoring.check.records import (
     CHANGES_OF_ARMS,
     CheckedPoint,
@@ -37,14 +38,12 @@ from cellapp.estimation.monitoring.check.records import (
     CheckVerdict,
     WeakChange,
 )
-from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel

@@ -16,8 +16,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.rehearse.record_file import keep_log
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import listed_numbers
-from cellapp.ground.pace import with_eta
-from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread
 
 

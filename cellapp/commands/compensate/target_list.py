@@ -13,7 +13,7 @@ from cellapp.commands.compensate.words import Measured, arms_words, shown_tolera
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
 

@@ -40,9 +40,8 @@ from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS

@@ -46,7 +46,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "emulator": "the emulated cell: real protocols, faults at will",
         "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
         "house": "how the code is laid out, how to add to it, tests",
-        "decisions": "decisions that shaped the house, with what was measured",
+        "decisions": "decisions that shaped the house, with their reasons",
     },
 }
 """Name and subject of each chapter, a Markdown file of ``cellapp.docs``, by part of the handbook."""

@@ -9,7 +9,7 @@ from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.view.table import Column, Table
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Pose, Profile
-from cellapp.ground.profile.obstacles import (
+from cellapp.ground.profile.sections import (
     AnyObstacle,
     BoxObstacle,
     CapsuleObstacle,

@@ -24,7 +24,7 @@ from cellapp.commands.plan.run import export_plan
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile

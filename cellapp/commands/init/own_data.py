@@ -23,7 +23,7 @@ from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
 from cellapp.cell.run.stream_columns import POINT, UNITS_OF_TIME, time_unit
 from cellapp.cell.run.written_orientation import written_orientation
 from cellapp.commands.init.dh_rows import arm_type_text
-from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
+from cellapp.estimation.calibration.registration import Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs

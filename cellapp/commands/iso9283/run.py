@@ -29,16 +29,15 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
 from cellapp.estimation.iso9283.coverage import coverage
+from cellapp.estimation.iso9283.evaluate import HEADER, raw_rows
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
-from cellapp.estimation.iso9283.raw_points import HEADER, raw_rows
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import ISO9283
 
 _NO_ORIENTATION = (

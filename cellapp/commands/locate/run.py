@@ -23,9 +23,8 @@ from cellapp.commands.stored_model import arms_stage, model_of
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import Listener, ignore
+from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable

@@ -14,7 +14,7 @@ from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.profile.obstacles import (
+from cellapp.ground.profile.sections import (
     AnyObstacle,
     BoxObstacle,
     CapsuleObstacle,

@@ -42,9 +42,8 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "

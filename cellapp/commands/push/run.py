@@ -23,14 +23,12 @@ from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
-from cellapp.estimation.uncertainty.conditions import measured_conditions
-from cellapp.estimation.uncertainty.decision import Judge
+from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import PUSH, VERIFY
 
 

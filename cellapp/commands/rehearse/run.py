@@ -20,8 +20,8 @@ from cellapp.commands.rehearse.record_file import missing_rungs, read_log, write
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult
 from cellapp.ground.errors import InputError
-from cellapp.ground.pace import with_eta
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import with_eta
 
 
 def run(request: RehearseRequest, work: Work) -> RehearseResult:

@@ -11,8 +11,8 @@ from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.ground.profile import Arm
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import hayati_rows

@@ -17,11 +17,11 @@ from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.stages import RunStages, read_stages
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

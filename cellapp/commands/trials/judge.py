@@ -26,9 +26,8 @@ from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, Ju
 from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.motion.discovery import SearchWithRecordings

@@ -32,7 +32,7 @@ from cellapp.commands.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
 from cellapp.commands.trials.sealed_sweeps import SweepPlan
 from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile, Sensors

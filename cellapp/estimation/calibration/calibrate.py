@@ -1,10 +1,11 @@
 """Calibrate from readings: identify the arms, train residual networks, find the inter-base transform, evaluate all on
-held-out readings."""
+held-out readings.
+"""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -13,33 +14,251 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess, refused_by_arm, robust_loss
-from cellapp.estimation.calibration.evaluation import evaluate, evaluate_quantities, repeatability
-from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
-from cellapp.estimation.calibration.identification import Identification, start_from_nominal
-from cellapp.estimation.calibration.learning import learn, learning_steps, require_learner
-from cellapp.estimation.calibration.network_training import Training, train_network, training_steps
+from cellapp.estimation.calibration.identification import (
+    Identification,
+    identify,
+    identify_with_excess,
+    refused_by_arm,
+    robust_loss,
+    start_from_nominal,
+)
+from cellapp.estimation.calibration.learning import (
+    Training,
+    learn,
+    learning_steps,
+    require_learner,
+    train_network,
+    training_steps,
+)
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     Quantities,
+    evaluate,
+    evaluate_quantities,
     measured_quantities,
     refuse_odd_orientations,
+    repeatability,
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.splits import draw_splits
-from cellapp.estimation.calibration.station_change import station_change
+from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, apply, register, turned_rows
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.robot.plugins import program_of
+
+# Detection of gross errors: a broken beam, a wrong SMR, a disturbed arm, swapped rows. They are left out and reported.
+#
+# A reading has a gross error if its residual is longer than ``_MOST`` times a typical length. This is taken from the
+# median length, which a few gross errors do not move. Noise with heavy tails, or a local error of an arm, stays below.
+
+_MOST = 10.0
+"""Length of a gross error, in standard deviations of a coordinate. Of Student's t with 4 degrees of freedom one reading
+in several thousand is beyond; of a normal distribution none."""
+_LEAST_TYPICAL_M = 5e-5
+"""Length below which a residual is no gross error [m], however small the typical one."""
+_LEAST_READINGS = 40
+"""Number of readings from which they are judged: with fewer, some 30 parameters of geometry leave most residuals far
+below the noise, and an effect that the model lacks looks like a gross error."""
+_LARGEST_SHARE = 0.08
+"""Share of readings above which long residuals are no gross errors but an effect that acts on some stops only. With 5 %
+of gross errors, parts of the readings may hold some more by chance; these must still be found."""
+_PLAINLY_NONE = 4.0
+"""Ratio of the longest residual to the median one up to which a least-squares fit of enough readings hides no gross
+error: of a normal distribution one in a million is longer. Measured series of clean readings reach 3.7."""
+_ENOUGH_FITTED = 100
+"""Number of fitted readings from which none has the leverage to hide its own error: it would have to determine nine
+tenths of its own residual."""
+ROUNDS = 3
+"""Maximum number of searches: gross errors that the first ones hid show in the next."""
+_MOST_LISTED = 8
+"""Number of configurations with gross errors that a sentence lists; more are counted."""
+
+
+def gross_errors(left_M: Array, turned: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the residuals (n, 3) [m] that are gross errors; all False if there are few readings.
+
+    Orientations, masked by ``turned`` (n,), are judged separately [rad].
+    """
+    if turned is not None:
+        wrong = np.zeros(len(left_M), dtype=np.bool_)
+        for rows in (turned, ~turned):
+            wrong[rows] = gross_errors(left_M[rows])
+        return wrong
+    lengths = np.linalg.norm(left_M, axis=1)
+    if len(lengths) < _LEAST_READINGS:
+        return np.zeros(len(lengths), dtype=np.bool_)
+    wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_TYPICAL_M))
+    return wrong if wrong.mean() <= _LARGEST_SHARE else np.zeros_like(wrong)
+
+
+def gross_errors_of_geometry(
+    start: Geometry, nominal: Geometry, q: Array, p_M: Array, fitted: int = 0, R_M_S: Array | None = None
+) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the readings that are gross errors by a robust fit, which gives them no weight.
+
+    Parameters
+    ----------
+    start : Geometry
+        Start of the identification; ``nominal`` is used if that fits most readings better.
+    nominal : Geometry
+        Mean of the priors.
+    q : array, shape (n, N) [rad]
+    p_M : array, shape (n, 3) [m]
+    fitted : int
+        Number of readings that ``start`` was fitted to by least squares. If there are enough, clean readings need no
+        further fit. 0 if ``start`` may hide gross errors.
+    R_M_S : array, shape (n, 3, 3), optional
+        Measured orientations, NaN at positions.
+    """
+    none = np.zeros(len(q), dtype=np.bool_)
+    if len(q) < _LEAST_READINGS:
+        return none
+    turned = turned_rows(R_M_S)
+
+    def lengths(geometry: Geometry) -> list[Array]:
+        """Compute the lengths of the residuals of positions, and of orientations."""
+        found = np.linalg.norm(p_M - smr_positions(geometry, q, R_M_S), axis=1)
+        return [found] if turned is None else [found[~turned], found[turned]]
+
+    if fitted >= _ENOUGH_FITTED:
+        clean = (one.max() <= _PLAINLY_NONE * float(np.median(one)) for one in lengths(start))
+        if all(clean):
+            return none
+    # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
+    begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
+    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    found = found.settled("robust fit that finds gross errors")
+    return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
+
+
+def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the readings whose position or orientation is a gross error by a model."""
+    its = measured_quantities(readings, conditions)
+    computed = model.predict(its.readings.q, conditions=its.conditions)
+    return its.readings_with(gross_errors(its.readings.p_M - computed, its.turned))
+
+
+def without(readings: Readings, configurations: Sequence[int]) -> Readings:
+    """Return the readings of one arm without those at some configurations."""
+    if not configurations:
+        return readings
+    return readings.take(~np.isin(readings.configuration, configurations))
+
+
+def left_out_words(configurations: Sequence[int]) -> str:
+    """Say how many readings were left out, and which: samples of recordings have no number that a person knows."""
+    count = len(configurations)
+    stops = [one for one in configurations if one < FIRST_SAMPLE]
+    named = ", ".join(map(str, stops[:_MOST_LISTED])) + (", ..." if len(stops) > _MOST_LISTED else "")
+    places = [f"configuration{'s' if len(stops) > 1 else ''} {named}"] if stops else []
+    places += [f"{counted(count - len(stops), 'sample')} of recordings"] if count > len(stops) else []
+    what = "1 reading with a gross error was" if count == 1 else f"{count} readings with gross errors were"
+    return f"{what} left out ({', '.join(places)})"
+
+
+# -- Random assignment of stops to identification, training and validation, reproducible by the profile's seed --------
+
+
+@dataclass(frozen=True)
+class SplitSizes:
+    """Number of stops in each split; ``notes`` report if there are fewer stops than the profile requires."""
+
+    identify: int
+    train: int
+    validate: int
+    notes: tuple[str, ...]
+
+
+def split_sizes(n: int, identify: int, train: int, validate: int | None) -> SplitSizes:
+    """Compute split sizes of ``n`` stops; ``validate`` None takes the rest. Too few stops reduce all in proportion."""
+    wanted = max(1, n // 5) if validate is None else validate
+    if identify + train + (1 if validate is None else validate) <= n:
+        return SplitSizes(identify, train, n - identify - train if validate is None else validate, ())
+    share = n / (identify + train + wanted)
+    less_identify = max(1, int(identify * share))
+    less_train = min(int(train * share), n - less_identify - 1)
+    less_validate = n - less_identify - less_train
+    note = (
+        f"{counted(n, 'stop is', 'stops are')} too few for identify {identify}, train {train}, validate"
+        f" {validate or 'rest'}: used {less_identify}, {less_train}, {less_validate} instead"
+    )
+    return SplitSizes(less_identify, less_train, less_validate, (note,))
+
+
+def draw_splits(
+    configurations: NDArray[np.int64], identify: int, train: int, validate: int | None, seed: int
+) -> tuple[dict[int, str | None], tuple[str, ...]]:
+    """Draw a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
+
+    The draw depends on the set of numbers and the seed, not on the order of ``configurations``.
+    """
+    numbers = np.unique(configurations)
+    sizes = split_sizes(len(numbers), identify, train, validate)
+    order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
+    words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
+    drawn: dict[int, str | None] = {int(number): None for number in numbers}
+    drawn.update({int(number): word for number, word in zip(order, words)})
+    return drawn, sizes.notes
+
+
+# -- Detection of a tracker station or robot base that was moved during the run: this would invalidate every fit ------
+
+_COARSE_TRIALS = 24
+"""Number of split points that are tried first, evenly over the readings; then all points around the best one."""
+_FEWEST = 6
+"""Least number of readings before and after a split point: registration needs three, twice as many leave residuals."""
+_RATIO = 3.0
+"""Ratio of the rms residual of one registration to that of two from which a move is reported. Unmodelled geometry
+leaves a ratio near 1."""
+_LEAST_M = 2e-3
+"""Rms residual of one station below which no move is searched for: smaller steps are drift, which discovery finds."""
+
+
+def station_change(p_B: Array, p_M: Array) -> int | None:
+    """Find the first row measured after the station was moved; None if it was not moved.
+
+    Register the points before and after a split point separately. The station was moved at the split point with the
+    smallest residual, if that is far smaller than the residual of one registration of all points.
+
+    Parameters
+    ----------
+    p_B : array, shape (n, 3)
+        SMR positions in the base frame by the nominal geometry [m], in the order of measurement.
+    p_M : array, shape (n, 3)
+        Measured SMR positions in the tracker frame [m].
+    """
+    n = len(p_B)
+    if n < 2 * _FEWEST:
+        return None
+    together = _registration_rms(p_B, p_M)
+    if together < _LEAST_M:
+        return None
+
+    def separate(k: int) -> float:
+        before, after = _registration_rms(p_B[:k], p_M[:k]), _registration_rms(p_B[k:], p_M[k:])
+        return float(np.sqrt((k * before**2 + (n - k) * after**2) / n))
+
+    step = max(1, (n - 2 * _FEWEST) // _COARSE_TRIALS)
+    row = min(range(_FEWEST, n - _FEWEST + 1, step), key=separate)
+    row = min(range(max(_FEWEST, row - step), min(n - _FEWEST, row + step) + 1), key=separate)
+    return row if together > _RATIO * separate(row) else None
+
+
+def _registration_rms(p_B: Array, p_M: Array) -> float:
+    """Compute the rms distance [m] of the points after registration."""
+    off = p_M - apply(register(p_M, p_B), p_B)
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
 
 _HARDLY_BETTER = 0.9
 """Ratio of held-out errors, identified to nominal, from which the operator is warned: the geometry is hardly better."""

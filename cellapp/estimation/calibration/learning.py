@@ -17,19 +17,392 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.network_training import (
-    MARGIN,
-    WORTH,
-    Batches,
-    Training,
-    train_network,
-    training_steps,
-)
+from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model.network import Layers, ResidualNetwork, network_inputs, rotate_about_z
+from cellapp.robot.model.model import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
+
+# -- Training of the residual network by Levenberg-Marquardt, selected by cross-validation ----------------------------
+#
+# A few hundred configurations are few data. Therefore:
+#
+# - The network is a committee with one member per fold. Each member is trained without its fold and stopped where it
+#   predicts that fold best (Krogh, Vedelsby, NIPS 7 (1995) 231).
+# - Weight decay follows from the evidence of the data in training (MacKay, Neural Computation 4 (1992) 415; Foresee,
+#   Hagan, ICNN 1997, 1930), with one decay for the inputs of each joint.
+# - The inputs and the frame of the output are selected by the error on the left-out folds.
+#
+# The validation split is not used.
+
+# -- Perceptron with one hidden layer, and its least-squares normal equations in closed form --------------------------
+#
+#     h = tanh(W a),  y = V b,  a = (x, 1),  b = (h, 1)
+#
+# The derivative of output k by ``W[o, i]`` is ``V[k, o] (1 - h_o^2) a_i`` and by ``V[k, j]`` it is ``b_j``. All outputs
+# share ``(1 - h_o^2) a_i`` and ``b_j``; therefore one product over the rows gives the normal matrix of all outputs.
+
+_BENT = 2.0
+"""Scale of the first hidden signals. Errors of gears have many cycles a turn; from small weights, which bend the units
+little, most iterations only make them grow."""
+
+
+@dataclass(frozen=True)
+class Perceptron:
+    """Sizes of a perceptron; its parameters p are the rows of W, then those of V."""
+
+    inputs: int
+    hidden: int
+    outputs: int
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Number of parameters in W and in V."""
+        return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Draw random parameters that give signals of scale ``_BENT`` to the hidden layer, about 1 to the outputs."""
+        scales = np.repeat([_BENT * (self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
+        return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
+
+    def predict(self, p: Array, x: Array) -> Array:
+        """Compute the outputs (n, outputs) for rows ``x`` (n, inputs)."""
+        W, V = self._matrices(p)
+        return np.asarray(_with_one(np.tanh(_with_one(x) @ W.T)) @ V.T)
+
+    def normal_equations(self, p: Array, x: Array, e: Array) -> tuple[Array, Array]:
+        """Compute ``J^T J`` (P, P) and ``J^T e`` (P,): J is the Jacobian of the outputs at ``x`` (n, inputs), ``e`` the
+        errors (n, outputs)."""
+        W, V = self._matrices(p)
+        a = _with_one(x)
+        h = np.tanh(a @ W.T)
+        b, slope, n_W = _with_one(h), 1.0 - h**2, W.size
+        shared = np.concatenate([(slope[:, :, None] * a[:, None, :]).reshape(len(x), n_W), b], axis=1)
+        product = shared.T @ shared
+        to_outputs = V[:, :-1]
+        gram = np.zeros((len(p), len(p)))
+        W_by_W = product[:n_W, :n_W].reshape(self.hidden, a.shape[1], self.hidden, a.shape[1])
+        gram[:n_W, :n_W] = (W_by_W * (to_outputs.T @ to_outputs)[:, None, :, None]).reshape(n_W, n_W)
+        W_by_V = np.repeat(to_outputs.T, a.shape[1], axis=0)[:, :, None] * product[:n_W, None, n_W:]
+        gram[:n_W, n_W:] = W_by_V.reshape(n_W, -1)
+        gram[n_W:, :n_W] = gram[:n_W, n_W:].T
+        gram[n_W:, n_W:] = np.kron(np.eye(self.outputs), product[n_W:, n_W:])
+        return gram, np.concatenate([(((e @ to_outputs) * slope).T @ a).ravel(), (e.T @ b).ravel()])
+
+    def layers(self, p: Array) -> Layers:
+        """Return the weights and offsets of each layer."""
+        return tuple((matrix[:, :-1].copy(), matrix[:, -1].copy()) for matrix in self._matrices(p))
+
+    def decay_groups(self, kind: Inputs) -> Array:
+        """Return the weight-decay group (P,) of each parameter: one for the inputs of each joint, one for the rest.
+
+        The evidence then switches off joints that the residual does not depend on: automatic relevance determination
+        (MacKay, ASHRAE Transactions 100 (1994) 1053; Neal, Bayesian Learning for Neural Networks, 1996).
+        """
+        joints = self.inputs // (2 if kind == "sincos" else 1)
+        of_row = np.append(1 + np.arange(self.inputs) % joints, 0)  # the offset belongs to no joint
+        return np.concatenate([np.tile(of_row, self.hidden), np.zeros(self.sizes[1], dtype=of_row.dtype)])
+
+    def _matrices(self, p: Array) -> tuple[Array, Array]:
+        n_W = self.sizes[0]
+        return p[:n_W].reshape(self.hidden, -1), p[n_W:].reshape(self.outputs, -1)
+
+
+def _with_one(rows: Array) -> Array:
+    return np.concatenate([rows, np.ones((len(rows), 1))], axis=1)
+
+
+MARGIN = 0.1
+"""Width over which the correction fades to zero outside the trained joint range, as a share of that range."""
+WORTH = 0.98
+"""Largest ratio of the rms errors on left-out folds, with and without a network, at which the network is used."""
+_DAMPING = 1e-2
+"""Initial damping, as a share of the diagonal of the Hessian."""
+_DAMPING_LIMITS = (1e-9, 1e9)
+_DAMPING_DOWN, _DAMPING_UP = 10.0, 5.0
+"""Damping factors: divisor after a step that lowers the objective, multiplier after one that does not."""
+_TRIES = 6
+"""Maximum number of steps tried with one Jacobian: together they raise the damping by a factor of 15 000."""
+_DECAY = 0.1
+"""Initial weight decay, in units of the noise precision; the evidence adjusts it."""
+_DECAY_LIMITS = (1e-6, 1e6)
+_EVIDENCE_EVERY = 3
+"""Iterations between two updates of the decay: the formula holds at a minimum, and costs an inverse."""
+_IMPROVED = 0.998
+"""Ratio to a member's best squared error on its fold below which an iteration counts as an improvement."""
+_PATIENCE = 8
+"""Number of iterations without improvement after which the training of a member ends."""
+_SCREENED, _SCREENING = 2, 15
+"""Number of members, and of iterations of each, after which candidates are compared; only the best one is trained
+further."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A candidate network: inputs, size of the hidden layer, and whether its output frame rotates with joint 1."""
+
+    inputs: Inputs
+    hidden: int
+    rotates_with_joint_1: bool = False
+
+
+_READINGS_A_UNIT = 16
+"""Readings per hidden unit: an arm of 6 joints then has 3 measured coordinates for each parameter."""
+_FEWEST_UNITS, _MOST_UNITS = 10, 20
+"""Limits of the hidden layer. Fewer units do worse even from 50 readings; more are not worth their cubic time."""
+_MOST_READINGS = 1200
+"""Maximum number of readings to train on. Twice as many lower the held-out error by some 6 % and double the time."""
+_CANDIDATES = 3
+"""Number of shapes that ``candidate_shapes`` returns."""
+
+
+def candidate_shapes(readings: int) -> tuple[Shape, ...]:
+    """Return the candidate shapes for a number of readings.
+
+    The output is in a frame that rotates with joint 1, or in one that does not. Angles as inputs suit errors that grow
+    along the range of a joint, for example by play: a joint at the upper end of its range most often came from below.
+    """
+    hidden = int(np.clip(readings // _READINGS_A_UNIT, _FEWEST_UNITS, _MOST_UNITS))
+    return (
+        Shape("sincos", hidden, rotates_with_joint_1=True),
+        Shape("sincos", hidden),
+        Shape("angles", hidden, rotates_with_joint_1=True),
+    )
+
+
+@dataclass(frozen=True)
+class Training:
+    """Result of training.
+
+    Attributes
+    ----------
+    network : ResidualNetwork or None
+        None if no candidate predicts left-out folds clearly better than no network (``WORTH``).
+    shape : Shape
+        The best candidate.
+    left_out_rms, without_rms : float
+        Rms length of the residual on left-out folds, with the best candidate and without a network [m].
+    tried : tuple
+        (shape, left-out rms [m]) of every candidate at the time of the comparison.
+    batches : Batches or None
+        Comparison with a training from all readings; None if none was requested.
+    """
+
+    network: ResidualNetwork | None
+    shape: Shape
+    left_out_rms: float
+    without_rms: float
+    tried: tuple[tuple[Shape, float], ...]
+    batches: Batches | None = None
+
+
+@dataclass(frozen=True)
+class Batches:
+    """Comparison of a network trained in batches from all readings with the committee, on the same left-out blocks.
+
+    Attributes
+    ----------
+    used : bool
+        Whether it replaces the committee.
+    readings, blocks : int
+        Number of readings that it learnt from, and of blocks of time that they were cut into.
+    hidden : tuple of int
+    device : str
+        Device that trained it.
+    left_out_rms, committee_rms : float
+        Rms length of the residual on left-out blocks of all readings [m], of the batches and of the committee; the
+        latter is without a network if the committee is not better than none.
+    sigmas : float
+        Decrease of the mean square from the committee's, in standard errors over the blocks.
+    """
+
+    used: bool
+    readings: int
+    blocks: int
+    hidden: tuple[int, ...]
+    device: str
+    left_out_rms: float
+    committee_rms: float
+    sigmas: float
+
+
+def train_network(
+    q: Array,
+    residual: Array,
+    *,
+    seed: int,
+    folds: int = 5,
+    iterations: int = 150,
+    shapes: Sequence[Shape] | None = None,
+    fold: NDArray[np.int64] | None = None,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> Training:
+    """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
+
+    Parameters
+    ----------
+    q : array, shape (n, N)
+        Joint positions [rad].
+    residual : array, shape (n, 3)
+        Measured minus computed positions in the frame of the correction, the base frame [m].
+    seed : int
+    folds : int
+        Number of folds and of members.
+    iterations : int
+        Maximum number of iterations of a member.
+    shapes : sequence of Shape, optional
+        Candidates; the default depends on the number of readings.
+    fold : array of int, shape (n,), optional
+        Fold of each reading; drawn by ``seed`` if not given.
+    cancel : CancelToken, optional
+    report : callable
+        Callback that takes the number of steps done, of ``training_steps(len(shapes))``, and a text.
+    """
+    cancel = cancel or CancelToken()
+    shapes = candidate_shapes(len(q)) if shapes is None else shapes
+    low, high = q.min(axis=0), q.max(axis=0)
+    if len(q) > _MOST_READINGS:
+        sample = np.random.default_rng([seed, 0x5A3]).permutation(len(q))[:_MOST_READINGS]
+        q, residual, fold = q[sample], residual[sample], None if fold is None else fold[sample]
+    scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
+    fold = np.random.default_rng([seed, 0xF01D]).permutation(len(q)) % folds if fold is None else fold
+    outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
+    inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
+    candidates = [
+        _Committee(shape, inputs[shape.inputs], outputs[shape.rotates_with_joint_1], fold, seed) for shape in shapes
+    ]
+    for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
+        report(number, f"network {number + 1} of {len(shapes)}")
+        candidate.train(_SCREENED, min(_SCREENING, iterations), cancel)
+    tried = tuple((candidate.shape, candidate.left_out() * scale) for candidate in candidates if candidate.members)
+    committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
+    report(len(shapes), "best network")
+    committee.train(int(fold.max()) + 1, iterations, cancel)
+    report(len(shapes) + 1, "network trained")
+    shape, left_out = committee.shape, committee.left_out()
+    without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
+    margin = MARGIN * np.maximum(high - low, 1e-3)
+    members = tuple(committee.net.layers(member.best) for member in committee.members)
+    network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
+    return Training(
+        network=network if left_out < WORTH * without else None,
+        shape=shape,
+        left_out_rms=left_out * scale,
+        without_rms=without * scale,
+        tried=tried,
+    )
+
+
+def training_steps(shapes: int = _CANDIDATES) -> int:
+    """Return the number of steps that a training reports: one for each candidate, one for the best."""
+    return shapes + 1
+
+
+class _Committee:
+    """One member for each fold, trained without it.
+
+    Attributes
+    ----------
+    members : list of _Member
+        Those trained so far, of the first folds.
+    """
+
+    def __init__(self, shape: Shape, x: Array, y: Array, fold: NDArray[np.int64], seed: int) -> None:
+        self.shape, self.net = shape, Perceptron(x.shape[1], shape.hidden, y.shape[1])
+        self.members: list[_Member] = []
+        self._x, self._y, self._fold, self._seed = x, y, fold, seed
+
+    def train(self, count: int, iterations: int, cancel: CancelToken) -> None:
+        """Train the members of the first ``count`` folds, each for at most ``iterations`` in all."""
+        for number in range(count):
+            if number == len(self.members):
+                start = self.net.start(np.random.default_rng([self._seed, number]))
+                groups = self.net.decay_groups(self.shape.inputs)
+                self.members.append(_Member(self.net, self._x, self._y, self._fold == number, groups, start))
+            self.members[number].train(iterations, cancel)
+
+    def left_out(self) -> float:
+        """Compute the rms length of the errors on the folds that the members were trained without."""
+        rows = np.count_nonzero(self._fold < len(self.members))
+        return float(np.sqrt(sum(member.error for member in self.members) / rows))
+
+
+class _Member:
+    """Member in training, which minimises ``beta sum e^2 + sum alpha_g p^2`` over the readings that are not left out.
+
+    Attributes
+    ----------
+    best : array, shape (P,)
+        Parameters that predicted the left-out readings best, and ``error``, their sum of squares there.
+    """
+
+    def __init__(
+        self, net: Perceptron, x: Array, y: Array, left_out: NDArray[np.bool_], groups: Array, p: Array
+    ) -> None:
+        self._net, self._x, self._y, self._groups = net, x[~left_out], y[~left_out], groups
+        self._left_out = x[left_out], y[left_out]
+        self._counts = np.bincount(groups)
+        self._alpha = np.full(len(self._counts), _DECAY)  # precision of each group of parameters
+        self._beta = 1.0  # precision of the noise
+        self._damping = _DAMPING
+        self._iteration = self._stale = 0
+        self._p, self._e = p, self._y - net.predict(p, self._x)
+        self._gram, self._slope = net.normal_equations(p, self._x, self._e)
+        self.best, self.error = p, self._error(p)
+
+    def train(self, iterations: int, cancel: CancelToken) -> None:
+        """Iterate until there were ``iterations`` in all, or ``_PATIENCE`` without improvement."""
+        while self._iteration < iterations and self._stale < _PATIENCE:
+            cancel.check()
+            self._step(with_evidence=self._iteration % _EVIDENCE_EVERY == 0)
+            self._iteration += 1
+            now = self._error(self._p)
+            self._stale = 0 if now < _IMPROVED * self.error else self._stale + 1
+            if now < self.error:
+                self.best, self.error = self._p, now
+
+    def _error(self, p: Array) -> float:
+        x, y = self._left_out
+        return float(np.sum((y - self._net.predict(p, x)) ** 2))
+
+    def _step(self, *, with_evidence: bool) -> None:
+        """Take the first damped step that lowers the objective; none if ``_TRIES`` steps fail."""
+        decay = self._alpha[self._groups] / self._beta
+        hessian = self._gram  # of half the objective, divided by the precision of the noise
+        diagonal = hessian.diagonal() + decay
+        moved = self._move(hessian, diagonal, self._slope - decay * self._p, decay)
+        if with_evidence:
+            np.fill_diagonal(hessian, diagonal)
+            self._update_evidence(inverse_diagonal(hessian) / self._beta)
+        if moved:
+            self._gram, self._slope = self._net.normal_equations(self._p, self._x, self._e)
+        else:
+            np.fill_diagonal(hessian, diagonal - decay)
+
+    def _move(self, hessian: Array, diagonal: Array, descent: Array, decay: Array) -> bool:
+        """Try steps with ``diagonal``, damped, in the place of that of ``hessian``, which is changed."""
+        objective = np.sum(self._e**2) + np.sum(decay * self._p**2)
+        for _ in range(_TRIES):
+            np.fill_diagonal(hessian, (1.0 + self._damping) * diagonal)
+            p = self._p + solve_psd(hessian, descent)
+            e = self._y - self._net.predict(p, self._x)
+            if np.sum(e**2) + np.sum(decay * p**2) < objective:
+                self._p, self._e = p, e
+                self._damping = max(self._damping / _DAMPING_DOWN, _DAMPING_LIMITS[0])
+                return True
+            self._damping = min(self._damping * _DAMPING_UP, _DAMPING_LIMITS[1])
+        return False
+
+    def _update_evidence(self, variance: Array) -> None:
+        """Set decay and noise to maximise the evidence, given the number of parameters that the data determine."""
+        determined = np.maximum(self._counts - self._alpha * np.bincount(self._groups, variance), 1e-3)
+        squares = np.maximum(np.bincount(self._groups, self._p**2), 1e-12)
+        self._alpha = np.clip(determined / squares, *_DECAY_LIMITS)
+        freedom = max(self._y.size - float(determined.sum()), 1.0)
+        self._beta = float(np.clip(freedom / max(float(np.sum(self._e**2)), 1e-12), 1e-6, 1e9))
+
 
 _BLOCKS_A_FOLD = 8
 _SURE = 2.0
@@ -197,7 +570,7 @@ def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array
 
 # -- Training of the residual network from all readings, in batches, by torch -----------------------------------------
 #
-# The committee of ``network_training`` solves normal equations, whose time limits it to some thousand readings; its
+# The committee above solves normal equations, whose time limits it to some thousand readings; its
 # evidence and its few units generalise well to configurations that were never measured. Training in batches starts from
 # it: each member of the committee gets two more hidden layers that learn its residuals, by Adam (Kingma, Ba, ICLR 2015)
 # from batches drawn from all readings outside its fold. They start at zero correction and keep the weights that
@@ -217,7 +590,7 @@ _GAIN = 2.0
 _BATCH = 512
 _RATE = 1e-2
 """Largest learning rate of Adam. A third of it leaves errors of eight cycles a turn unlearnt."""
-_DECAY = 1e-4
+_BATCHES_DECAY = 1e-4
 """Weight decay of a step, as a share of the learning rate."""
 _EPOCHS = 12
 _FEWEST_STEPS, _MOST_STEPS = 1000, 2500
@@ -322,7 +695,7 @@ class _Trainer:
         """Train; return for each layer the weights (M, in, out) and offsets (M, 1, out) that predict the folds best."""
         torch, parameters = self._torch, [p for layer in self._layers for p in layer]
         steps = int(np.clip(_EPOCHS * len(self._x) // _BATCH, _FEWEST_STEPS, _MOST_STEPS))
-        adam = torch.optim.AdamW(parameters, lr=_RATE, weight_decay=_DECAY)
+        adam = torch.optim.AdamW(parameters, lr=_RATE, weight_decay=_BATCHES_DECAY)
         schedule = torch.optim.lr_scheduler.OneCycleLR(adam, max_lr=_RATE, total_steps=steps, pct_start=0.1)
         best, least = [p.detach().clone() for p in parameters], self._left_out()
         for step in range(1, steps + 1):

@@ -5,7 +5,7 @@ squares. A renewal linearises all readings again at the present estimate. Renewa
 at once if the estimate has left the range in which the linear model holds.
 
 Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
-weights are those of ``arm_identification``: stated covariance plus the excess variance from unmodelled physics.
+weights are those of ``identification``: stated covariance plus the excess variance from unmodelled physics.
 A gross error (a wrong target) gets no weight.
 
 Predictions come from a second model. It adds to the geometry the joints' compliance under gravity and an error of one
@@ -22,8 +22,8 @@ from functools import partial
 
 import numpy as np
 
-from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.least_squares import shortened
 from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
 from cellapp.estimation.calibration.online_model import (
     GROSS,
@@ -36,7 +36,6 @@ from cellapp.estimation.calibration.online_model import (
 from cellapp.estimation.calibration.parameters import (
     ParameterSet,
     SetName,
-    auto_set,
     estimated_parameters,
     gram_matrix,
     prior_sds,
@@ -199,7 +198,6 @@ class OnlineFit:
             self._parameters, priors = estimated_parameters(parameter_set, typical, given)
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
-        self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
         # The base has no prior: four points determine it.
         tool = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
         weak = {**weak_priors(nominal.joints), **tool}
@@ -285,7 +283,6 @@ class OnlineFit:
             arm=self.arm,
             residual_mm=1e3 * float(np.linalg.norm(residual)),
             standard_error_mm=1e3 * math.sqrt(mean_square),
-            parameter_errors=self._parameter_errors(model.covariance),
         )
 
     def residuals(self) -> Residuals | None:
@@ -307,15 +304,6 @@ class OnlineFit:
         P, J = self._rows.of(models.origin, q)
         left_M: Array = p_M - P.T - (J[:, : len(step)].transpose(2, 0, 1) @ step)
         return left_M
-
-    def _parameter_errors(self, covariance: Array) -> dict[str, float]:
-        """Compute standard errors of the parameters that the planned stops determine, with the others at nominal."""
-        determined = np.isin(self._parameters.columns, self._table.columns)
-        kept, rest = covariance[determined][:, determined], covariance[~determined]
-        by_rest = np.linalg.solve(rest[:, ~determined], rest[:, determined])
-        variances = np.diag(kept) - np.sum(rest[:, determined] * by_rest, axis=0)
-        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave negative values
-        return dict(zip(self._table.names, errors, strict=True))
 
     def _estimate(self, models: _Models, step: Array | None = None) -> Geometry:
         vector = models.origin.vector()

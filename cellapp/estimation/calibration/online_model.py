@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.least_squares import inverse_psd
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, excess_variance
 from cellapp.robot.kinematics.transforms import Array
 

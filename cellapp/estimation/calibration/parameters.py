@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.robot.kinematics.chain import (
     Geometry,
     JointAngles,
@@ -125,11 +125,6 @@ class ParameterSet:
             }
             for place, column in enumerate(self.dropped)
         }
-
-    def merged_values(self, geometry: Geometry, nominal: Geometry) -> Array:
-        """Compute the values (k,) that act like ``geometry`` with the dropped parameters at ``nominal``."""
-        vector, columns, dropped = geometry.vector(), list(self.columns), list(self.dropped)
-        return np.asarray(vector[columns] + self.shares @ (vector - nominal.vector())[dropped])
 
     def from_estimated(self, estimated: ParameterSet) -> tuple[Array, NDArray[np.intp]]:
         """Return the matrix (k, K) from deviations of all ``estimated`` parameters to those of this set, and the

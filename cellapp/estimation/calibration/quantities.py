@@ -8,16 +8,21 @@ Whitening, robust weights, folds, residuals and effects work alike for both.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
-from cellapp.robot.effects import MeasurementConditions
+from cellapp.ground.results import ErrorSummary, StageErrors
+from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
+from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
     Array,
     mean_rotation,
@@ -26,6 +31,7 @@ from cellapp.robot.kinematics.transforms import (
     rotations_of,
     turned_rows,
 )
+from cellapp.robot.model import ArmModel
 
 NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of a kind that states none while the other does: all of its scatter is estimated."""
@@ -181,3 +187,197 @@ _FRAMES: dict[str, Callable[[Array], Array]] = {
         _of_quaternions((0, 1, 2, 3), (1.0, -1.0, -1.0, 1.0))
     ),
 }
+
+
+# -- Measurement conditions that effects depend on: last steps, other arm, times, temperatures ------------------------
+
+_LEAST_AGREEMENT = 0.95
+"""Least share of the logged approach signs that match the steps between successive stops, for these to serve as last
+steps. Below it the arms took detours; a few logged signs may be wrong, as controllers report tiny corrections."""
+
+
+def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] | None = None) -> MeasurementConditions:
+    """Collect the conditions of one arm's readings; ``other`` is the model and the readings of the other arm, if any.
+
+    Steps that were not logged are derived from the order of the stops in time, if they match the approach signs. The
+    other arm's values are NaN at stops where it has no reading.
+    """
+    time_s = readings.time_s if np.isfinite(readings.time_s).any() else None
+    approach = readings.approach if np.any(readings.approach) else None
+    moment = other_q = None
+    if other is not None and len(other[1]):
+        model, theirs = other
+        rows = {number: row for row, number in enumerate(theirs.configuration.tolist())}
+        match = np.array([rows.get(number, -1) for number in readings.configuration.tolist()], dtype=np.intp)
+        at = np.full((len(readings), theirs.joints), np.nan) if readings.other_q is None else readings.other_q.copy()
+        at[match >= 0] = theirs.q[match[match >= 0]]
+        present = np.isfinite(at).all(axis=1)
+        if present.any():
+            other_q, payload = at, None
+            if theirs.payload_kg is not None:  # stops beside recordings have one load
+                payload = np.where(match >= 0, theirs.payload_kg[match], theirs.payload_kg[0])[present]
+            moment = np.full((len(readings), 3), np.nan)
+            moment[present] = base_moment(model.geometry, model.bodies, at[present], model.up_M, payload)
+    return MeasurementConditions(
+        approach=approach,
+        step=_with_derived_steps(readings.step, _steps(readings)),
+        dwell_s=readings.dwell_s,
+        time_s=time_s,
+        order=_order(readings),
+        payload_kg=readings.payload_kg,
+        payload_center_F=readings.payload_center_F,
+        air_c=readings.temperature_c,
+        joints_c=readings.joint_temperature_c,
+        other_moment_M=moment,
+        other_q=other_q,
+        record=_record(readings),
+    )
+
+
+def conditions_of_arms(
+    models: Mapping[str, ArmModel], readings: Mapping[str, Readings]
+) -> dict[str, MeasurementConditions]:
+    """Collect the conditions of every arm's readings; in a cell of two arms, with the other arm's pose and load."""
+    found = {}
+    for name, own in readings.items():
+        others = [other for other in readings if other != name]
+        other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
+        found[name] = measurement_conditions(own, other)
+    return found
+
+
+def _order(readings: Readings) -> Array | None:
+    """Return ranks (n,) in the order of measurement [stops], by sequence, else by time; None if that is incomplete."""
+    known = readings.time_s if readings.sequence is None else readings.sequence
+    if not len(known) or not np.isfinite(known).all():
+        return None
+    return np.argsort(np.argsort(known, kind="stable")).astype(np.float64)
+
+
+def _with_derived_steps(logged: Array | None, derived: Array | None) -> Array | None:
+    """Fill rows without logged steps with derived ones (readings of a version that did not log steps)."""
+    if logged is None or derived is None:
+        return derived if logged is None else logged
+    return np.where(np.isnan(logged), derived, logged)
+
+
+def _record(readings: Readings) -> TemperatureRecord | None:
+    """Return the temperature history of the run; None unless times and joint temperatures are complete."""
+    joints_c, time_s = readings.joint_temperature_c, readings.time_s
+    if joints_c is None or not np.isfinite(joints_c).all() or not np.isfinite(time_s).all():
+        return None
+    air_c = readings.temperature_c
+    if air_c is None or not np.isfinite(air_c).all():
+        air_c = joints_c.mean(axis=1)
+    return TemperatureRecord(time_s, joints_c, air_c)
+
+
+def _steps(readings: Readings) -> Array | None:
+    """Compute steps (n, N) [rad] between successive stops; None if times or approach signs are missing or disagree."""
+    if len(readings) < 2 or not np.isfinite(readings.time_s).all() or not np.any(readings.approach):
+        return None
+    order = np.argsort(readings.time_s, kind="stable")
+    steps = np.zeros_like(readings.q)
+    steps[order[1:]] = np.diff(readings.q[order], axis=0)
+    known = (readings.approach != 0) & (steps != 0.0)
+    known[order[0]] = False
+    if not known.any() or np.mean(np.sign(steps[known]) == readings.approach[known]) < _LEAST_AGREEMENT:
+        return None
+    return steps
+
+
+# -- Error statistics of a model on held-out readings: position errors, ISO 9283 distance errors, repeatability -------
+
+_SAMPLES = 400
+"""Number of bootstrap samples: they fix the ends of a 95 % interval to a few per cent of its width."""
+_SAME_JOINTS_RAD = 1e-4
+"""Joint difference below which two stops are the same: above a controller's repeatability, below any planned step."""
+
+
+def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
+    """Compute statistics in mm of errors (n,) [m], or in mrad of errors [rad].
+
+    ``means`` (samples,) [m] are bootstrapped means, needed if the errors are not independent.
+    """
+    mm = np.abs(errors) * 1e3
+    if means is None:
+        weights = _resampled(len(mm))
+        means = weights @ np.abs(errors) / len(mm)
+    low, high = np.quantile(means, [0.025, 0.975]) * 1e3
+    p50, p95 = np.quantile(mm, [0.5, 0.95])
+    return ErrorSummary(
+        mean=float(mm.mean()),
+        rms=float(np.sqrt(np.mean(mm**2))),
+        std=float(mm.std(ddof=1)) if len(mm) > 1 else 0.0,
+        max=float(mm.max()),
+        p50=float(p50),
+        p95=float(p95),
+        mean_ci95=(float(low), float(high)),
+        n=len(mm),
+    )
+
+
+@lru_cache(maxsize=1)
+def _resampled(n: int) -> Array:
+    """Draw bootstrap weights (samples, n): how often each of n is drawn in each sample; kept for the next stage."""
+    return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
+
+
+def position_errors(measured: Array, computed: Array) -> Array:
+    """Compute the absolute error of each point, ``|P_M - P_C|``, shape (n,) [m]."""
+    return np.asarray(np.linalg.norm(measured - computed, axis=1))
+
+
+def distance_errors(measured: Array, computed: Array) -> Array:
+    """Compute the ISO 9283 error ``|d_M - d_C|`` (n (n - 1) / 2,) [m] of every pair of points (n, 3) of one arm."""
+    return np.asarray(np.abs(scipy.spatial.distance.pdist(measured) - scipy.spatial.distance.pdist(computed)))
+
+
+def distance_summary(measured: Array, computed: Array, weights: Array | None = None) -> ErrorSummary:
+    """Compute statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points.
+
+    ``weights`` are the bootstrap weights of the points; drawn if None.
+    """
+    errors = distance_errors(measured, computed)
+    n = len(measured)
+    weights = _resampled(n) if weights is None else weights
+    # Single precision is enough for the ends of an interval from 400 samples.
+    whole = scipy.spatial.distance.squareform(errors.astype(np.float32))
+    total = np.einsum("sn,sn->s", weights.astype(np.float32) @ whole, weights)
+    different = n * n - np.einsum("sn,sn->s", weights, weights)
+    means = total / np.maximum(different, 1.0)
+    return summarise(errors, means)
+
+
+def repeatability(q: Array, p_M: Array) -> Repeatability | None:
+    """Compute the position repeatability of repeated stops (same joints to 0.1 mrad); None if no stop was repeated.
+
+    ISO 9283: mean distance from the barycentre plus three standard deviations, here over all groups of repeats.
+    """
+    _, group = np.unique(np.round(q / _SAME_JOINTS_RAD).astype(np.int64), axis=0, return_inverse=True)
+    group = group.ravel()
+    sizes = np.bincount(group)
+    repeated = sizes[group] > 1
+    if not repeated.any():
+        return None
+    centers = np.stack([np.bincount(group, p_M[:, k]) / sizes for k in range(3)], axis=1)
+    off = np.linalg.norm(p_M - centers[group], axis=1)[repeated] * 1e3
+    return Repeatability(mean=float(off.mean()), rp=float(off.mean() + 3.0 * off.std(ddof=1)), n=len(off))
+
+
+def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
+    """Compute the errors of one model, ``computed`` (m, 3), at positions [m] and orientations [rad]."""
+    p_M, turned = measured.readings.p_M, measured.turned
+    if turned is None:
+        return evaluate(p_M, computed)
+    errors = evaluate(p_M[~turned], computed[~turned])
+    return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[turned], axis=1))})
+
+
+def evaluate(measured: Array, computed: Array) -> StageErrors:
+    """Compute absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance."""
+    errors, weights = position_errors(measured, computed), _resampled(len(measured))
+    return StageErrors(
+        position_mm=summarise(errors, weights @ errors / len(errors)),
+        distance_mm=distance_summary(measured, computed, weights) if len(measured) > 1 else None,
+    )

@@ -18,7 +18,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
-from cellapp.robot.model.network import Inputs
+from cellapp.robot.model.model import Inputs
 
 
 class Scatter(Record):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.model import ReadingsNoise
 
 RobustName = Literal["none", "huber", "tukey"]
 
@@ -68,15 +69,15 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -
     chance = _CHANCE * math.sqrt(2.0 * degrees_of_freedom)  # chi-square has variance 2 f
     if float(np.sum(squares / variance)) - degrees_of_freedom <= chance:
         return 0.0
-    return added_variance(squares, variance, degrees_of_freedom)
+    return _added_variance(squares, variance, degrees_of_freedom)
 
 
-def added_variance(squares: Array, variance: Array, degrees_of_freedom: float, least: float = 0.0) -> float:
-    """Find v [m^2] with ``sum(squares / (variance + v)) = degrees_of_freedom``; return at least ``least``.
+def _added_variance(squares: Array, variance: Array, degrees_of_freedom: float) -> float:
+    """Find v [m^2] with ``sum(squares / (variance + v)) = degrees_of_freedom``, at least 0.
 
     One over that sum is concave in v and nearly linear: Newton's steps for it from below end below the root.
     """
-    v = least
+    v = 0.0
     for _ in range(_MOST_STEPS):
         inverse = 1.0 / (variance + v)
         total = float(np.sum(squares * inverse))
@@ -118,3 +119,28 @@ def with_excess(
     if sigma.ndim == 1:
         return np.sqrt(sigma**2 + added)
     return np.asarray(sigma + np.multiply.outer(added, np.eye(3)))
+
+
+# -- Noise of positions and of orientations, from the uncertainties that weigh the readings ---------------------------
+
+_ALIKE_AXES = 0.01
+"""Relative spread of an orientation's noise over its axes from which it is stated axis by axis."""
+
+
+def readings_noise(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> ReadingsNoise:
+    """Compute the rms noise, times ``scale``, of readings with uncertainties ``sigma`` (n,) or covariances (n, 3, 3);
+    ``turned`` (n,) masks orientations."""
+    if turned is None:
+        return ReadingsNoise(math.sqrt(mean_variance(sigma)) * scale)
+    m, rad = (math.sqrt(mean_variance(own)) * scale for own in (sigma[~turned], sigma[turned]))
+    if sigma.ndim == 1:
+        return ReadingsNoise(m, rad)
+    axes_rad = np.sqrt(np.linalg.eigvalsh(sigma[turned]).mean(axis=0)) * scale
+    return ReadingsNoise(m, rad, None if np.ptp(axes_rad) <= _ALIKE_AXES * axes_rad[-1] else axes_rad)
+
+
+def mean_variance(sigma: Array) -> float:
+    """Compute the mean variance of a coordinate [m^2] from standard uncertainties (n,) or covariances (n, 3, 3)."""
+    if sigma.ndim == 1:
+        return float(np.mean(sigma**2))
+    return float(np.mean(np.trace(sigma, axis1=1, axis2=2))) / 3.0

@@ -15,19 +15,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.gauss_newton import minimise
+from cellapp.estimation.calibration.least_squares import minimise
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
-from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     LinearModel,
+    NormalMatrix,
     fit_terms,
     noise_of,
     refit,
     uncertainty_with_scatter,
     with_posterior,
 )
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process import (
     Component,
     Hyperparameters,
@@ -38,14 +37,14 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of, whitened_displacements
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 _CHUNK = 1024
 """Readings in a chunk: 2000 columns of them take 50 MB."""
@@ -182,7 +181,7 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class _AllReadings:
-    """Least squares over all readings with priors, for ``gauss_newton.minimise``: a step is in standard errors."""
+    """Least squares over all readings with priors, for ``least_squares``: a step is in standard errors."""
 
     nominal: Array
     start: JointFit

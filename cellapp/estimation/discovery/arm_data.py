@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import whitener, with_excess

@@ -12,26 +12,28 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.gross_errors import (
+from cellapp.estimation.calibration.calibrate import (
     ROUNDS,
     gross_errors_of_geometry,
     gross_errors_of_model,
     left_out_words,
+    rms_length_mm,
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
-from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
-from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
+from cellapp.estimation.calibration.quantities import (
+    conditions_of_arms,
+    measured_quantities,
+    measurement_conditions,
+    states_nothing,
+)
+from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.detectability import detectability
-from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
-from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
-from cellapp.estimation.discovery.pictures import pictures
+from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
+from cellapp.estimation.discovery.plan_forecast import detectability
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import (
     ArmDiscoveryResult,
@@ -40,12 +42,10 @@ from cellapp.estimation.discovery.records import (
     HeldOutBeforeAfter,
     Noise,
 )
-from cellapp.estimation.discovery.search.comparison import scatter
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
-from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
-from cellapp.estimation.discovery.verdict import verdict
+from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted

@@ -7,30 +7,239 @@ parameters and to those of the terms. The residual y and these rows are the line
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import excess_of
-from cellapp.estimation.calibration.identification import Identification, identify
+from cellapp.estimation.calibration.identification import Identification, excess_of, identify
+from cellapp.estimation.calibration.least_squares import PIVOT, cholesky, inverse_psd, solve_psd
 from cellapp.estimation.calibration.normal_equations import EffectColumns
-from cellapp.estimation.calibration.readings_noise import readings_noise
-from cellapp.estimation.calibration.weights import with_excess
-from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.calibration.weights import readings_noise, with_excess
+from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
 from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
-from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.terms import Excess, ModelTerms, TermLayout, prior_sd, smoothness_of
+from cellapp.estimation.discovery.terms import (
+    CandidateLaw,
+    Excess,
+    ModelTerms,
+    TermLayout,
+    blocks_beyond_bounds,
+    prior_sd,
+    smoothness_of,
+    whitened_displacements,
+)
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise
+
+# -- Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated ---------
+#
+#     (X^T X + P) b = X^T y
+#
+# X are whitened columns, P prior precisions. Used by fits to all readings, the evidence of free functions and the
+# folds of the cross-validation.
+
+_SMALLEST = 1e-300
+"""Guards divisions by a norm of zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalMatrix:
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual plus the present prediction."""
+
+    gram: Array
+    moment: Array
+    square: float
+
+    @classmethod
+    def of(cls, rows: Array, target: Array) -> NormalMatrix:
+        """Compute the products from columns as rows X^T (p, d) and y (d,)."""
+        return cls(rows @ rows.T, rows @ target, float(target @ target))
+
+    def __add__(self, other: NormalMatrix) -> NormalMatrix:
+        """Add further readings."""
+        return NormalMatrix(self.gram + other.gram, self.moment + other.moment, self.square + other.square)
+
+    def __sub__(self, other: NormalMatrix) -> NormalMatrix:
+        """Remove some of the readings."""
+        return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
+
+    def take(self, places: NDArray[np.intp] | NDArray[np.bool_]) -> NormalMatrix:
+        """Return the equations of some of the columns."""
+        return NormalMatrix(self.gram[places][:, places], self.moment[places], self.square)
+
+    def about(self, values: Array) -> NormalMatrix:
+        """Add what ``values`` (p,) predict to the residual: priors about zero concern the sum of both."""
+        of_values = self.gram @ values
+        square = self.square + float(values @ (2.0 * self.moment + of_values))
+        return NormalMatrix(self.gram, self.moment + of_values, square)
+
+    def log_occam(self, variance: Array) -> float:
+        """Return ``ln det(I + V^1/2 X^T X V^1/2)`` for prior variances V (p,): the Occam factor of the columns."""
+        root = np.sqrt(variance)
+        gram = self.gram * (root[:, None] * root)
+        gram.flat[:: len(gram) + 1] += 1.0
+        try:
+            return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
+        except np.linalg.LinAlgError:  # without noise, rounding exceeds the share of the priors
+            return float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(gram), 1.0))))
+
+    @property
+    def scale(self) -> Array:
+        """Scale (p,) of each parameter that gives its column unit norm."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST)))
+
+    def with_priors(self, precision: Array, scale: Array | None = None) -> Solver:
+        """Return the equations with prior precisions (p,).
+
+        For a subset of the readings pass the ``scale`` of all: what it does not determine is then zero up to rounding.
+        """
+        scale = self.scale if scale is None else scale
+        return Solver(self, precision, scale)
+
+    def determined(self, precision: Array) -> float:
+        """Return the effective number of parameters that the readings determine beside prior precisions (p,)."""
+        return len(precision) - float(np.sum(precision * np.diag(self.with_priors(precision).covariance)))
+
+    def behind(self, flat: int, precision: Array) -> tuple[NormalMatrix, float]:
+        """Eliminate the first ``flat`` columns, with prior precisions (flat,); return the equations of the others.
+
+        The second value is the effective number of the eliminated parameters that the readings determine.
+        """
+        first = NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square).with_priors(precision)
+        inverse = first.covariance
+        cross, moment = self.gram[:flat, flat:], self.moment[:flat]
+        explained = inverse @ cross
+        behind = NormalMatrix(
+            self.gram[flat:, flat:] - cross.T @ explained,
+            self.moment[flat:] - explained.T @ moment,
+            self.square - float(moment @ inverse @ moment),
+        )
+        return behind, flat - float(np.sum(precision * np.diag(inverse)))
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """Normal equations with prior precisions (p,); ``scale`` (p,) makes the parameters comparable."""
+
+    normal: NormalMatrix
+    precision: Array
+    scale: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Inverse of X^T X + P."""
+        return inverse_psd(self._scaled()) * (self.scale[:, None] * self.scale)
+
+    @cached_property
+    def solution(self) -> Array:
+        """Values (p,) of all parameters under the priors."""
+        return self.solve(self.normal.moment)
+
+    def solve(self, rhs: Array) -> Array:
+        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
+        return self.factored.solve(rhs)
+
+    def in_standard_errors(self, step: Array) -> Array:
+        """Return a vector (p,) as long as a step (p,) in standard errors: its square is the change of the objective."""
+        scaled, factored = step / self.scale, self.factored
+        if factored.is_factor:
+            return np.asarray(factored.matrix.T @ scaled)
+        return np.sqrt(np.abs(scaled * (factored.matrix @ scaled)))
+
+    @cached_property
+    def factored(self) -> Factored:
+        """What solves without X^T X."""
+        scaled = self._scaled()
+        factor = cholesky(scaled)
+        return Factored(scaled if factor is None else factor, self.scale, is_factor=factor is not None)
+
+    def _scaled(self) -> Array:
+        """Return X^T X + P with each parameter in its scale; not cached, as it is large."""
+        A = self.normal.gram * (self.scale[:, None] * self.scale)
+        A.flat[:: len(A) + 1] += self.precision * self.scale**2
+        return A
+
+
+@dataclass(frozen=True, eq=False)
+class Factored:
+    """X^T X + P, each parameter in its ``scale`` (p,): its Cholesky factor (p, p), or itself if that is inaccurate."""
+
+    matrix: Array
+    scale: Array
+    is_factor: bool
+
+    def solve(self, rhs: Array) -> Array:
+        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
+        scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
+        if not self.is_factor:
+            return np.asarray(scale * solve_psd(self.matrix, scale * rhs))
+        return np.asarray(scale * scipy.linalg.lapack.dpotrs(self.matrix, scale * rhs, lower=1)[0])
+
+
+# -- Share of a residual explained by columns in the complement of a model's parameters: R^2 and gain of the BIC ------
+#
+# With M as in ``estimation.design.information``, residual y (d,) and columns B (m, d),
+#
+#     explained = (B M y)^T (B M B^T)^-1 (B M y),     R^2 = explained / y^T M y,
+#     BIC gain  = -f ln(1 - R^2) - k ln f,            k parameters (Schwarz, Ann. Stat. 6 (1978) 461),
+#
+# f = d less the parameters of the model that the data determine. With d in place of f, a scatter estimated from few
+# readings would count as known better than it is.
+
+MOST_SHARE = 1.0 - 1e-12
+"""Cap on R^2: an exact fit of noise-free data has a finite score."""
+
+
+def bic_gain(share: float, coordinates: float, parameters: int) -> float:
+    """Return the gain of the BIC (Bayesian information criterion) by ``parameters`` that explain a ``share``."""
+    return -coordinates * math.log1p(-min(share, MOST_SHARE)) - parameters * math.log(coordinates)
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedResidual:
+    """A whitened residual (d,) in the complement of a model's nuisance parameters."""
+
+    projector: NuisanceProjector
+    residual: Array
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    @cached_property
+    def freedom(self) -> float:
+        """Number of coordinates less the parameters that they determine, f; at least 1."""
+        return self.projector.freedom
+
+    @cached_property
+    def projected(self) -> Array:
+        """M y, (d,)."""
+        return self.projector.project(self.residual)
+
+    @cached_property
+    def square(self) -> float:
+        """y^T M y."""
+        return float(self.residual @ self.projected)
+
+    def explained(self, rows: Array) -> float:
+        """Return the part of ``square`` that rows (m, d) explain."""
+        gram = rows @ self.projector.project(rows).T
+        return float(visible_squares(gram, np.linalg.norm(rows, axis=1), rows @ self.projected)[0])
+
+    def explained_share(self, rows: Array) -> float:
+        """Return R^2 of rows (m, d), at most ``MOST_SHARE``."""
+        return min(self.explained(rows) / self.square, MOST_SHARE)
+
+    def bic_gain(self, rows: Array) -> float:
+        """Return the gain of the BIC by rows (m, d), all of them counted as parameters."""
+        return bic_gain(self.explained_share(rows), self.freedom, len(rows))
+
 
 _WEIGHING_ROUNDS = 3
 """Most rounds of fitting and estimating the excess variance: the fit depends on its root only, and weakly."""
@@ -454,3 +663,79 @@ def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layou
         identified=tuple(found.names[i] for i in kept),
         covariance=found.covariance[np.ix_(kept, kept)],
     )
+
+
+# -- K-fold cross-validation of a new term, linear about a joint fit --------------------------------------------------
+#
+# Each fold is predicted by the least-squares solution of the other folds (with priors),
+#
+#     beta = (X_in X_in^T + P)^-1 X_in y_in,
+#
+# from the normal matrix of all readings less that of the fold. The hat matrix of the fit would save these solutions,
+# but I - H is nearly singular if few readings are left: a direction that they do not determine would then count as
+# predicted.
+
+_FOLD_SEED = 0xF01D
+"""Combined with the profile's seed, so that the folds are independent of all other draws."""
+
+
+def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:
+    """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit."""
+    folds = data.profile.discovery.folds
+    generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
+    readings = len(data) if data.reading is None else int(data.reading.max()) + 1
+    fold = generator.permutation(readings) % folds
+    fold = np.tile(fold if data.reading is None else fold[data.reading], 3)
+    return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
+
+
+def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterator[tuple[Array, Array]]:
+    """Yield for each fold the residuals of the left-out coordinates without and with the new columns."""
+    scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
+    new, target = new_rows * scale[:, None], fit.target
+    for one in _folds(fit, fold):
+        learnt = ~one.out
+        B = new[:, learnt]
+        cross, gram = fit.rows[:, learnt] @ B.T, B @ B.T
+        taken = one.learnt.solve(cross)
+        factor = cholesky(gram - cross.T @ taken)
+        if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
+            # the new columns are not independent of each other or of the fit
+            rows = np.concatenate([fit.rows, new])
+            precision = np.concatenate([fit.precision, np.zeros(len(new))])
+            of_all = np.concatenate([fit.normal.scale, np.ones(len(new))])
+            solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, of_all).solution
+            yield one.left, target[one.out] - solution @ rows[:, one.out]
+            continue
+        moment = B @ target[learnt] - taken.T @ one.moment
+        values = scipy.linalg.lapack.dpotrs(factor, moment, lower=1)[0]
+        yield one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A fit without the readings of one fold: the mask ``out`` (3 n,) of these, and their residuals ``left``.
+
+    ``learnt`` and ``moment`` are its factored equations: one matrix a fold, not three.
+    """
+
+    out: NDArray[np.bool_]
+    learnt: Factored
+    moment: Array
+    left: Array
+
+
+def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
+    """Return the fits without each fold, cached in the whole fit: many columns are tried beside it."""
+    key = fold.tobytes()
+    if key not in fit.derived:
+        rows, target, found = fit.rows, fit.target, []
+        whole = fit.normal
+        for number in range(int(fold.max()) + 1):
+            out = fold == number
+            solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)
+            left = target[out] - solver.solution @ rows[:, out]
+            found.append(_Fold(out, solver.factored, solver.normal.moment, left))
+        fit.derived[key] = found
+    kept: list[_Fold] = fit.derived[key]
+    return kept

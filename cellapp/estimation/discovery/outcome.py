@@ -2,15 +2,121 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+
+from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.pair_calibration import PairCalibration
-from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, HeldOutBeforeAfter
-from cellapp.robot.effects import EffectTerm
+from cellapp.estimation.calibration.quantities import (
+    Quantities,
+    evaluate_quantities,
+    measured_quantities,
+    position_errors,
+)
+from cellapp.estimation.discovery.records import (
+    ArmDiscoveryResult,
+    BeforeAfter,
+    HeldOutBeforeAfter,
+    HeldOutPosition,
+    PredictedUncertainty,
+)
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.results import StageErrors
+from cellapp.robot.effects import EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+
+# -- Held-out readings (the validate split), on which the error of a model is evaluated -------------------------------
+
+_SAMPLING_ERRORS = 2.5
+"""Standard errors of the mean difference of squares beyond which a model predicts worse: a probability of 0.6 %."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Held-out readings of one arm and their measurement conditions."""
+
+    readings: Readings
+    conditions: MeasurementConditions
+
+    @classmethod
+    def of(cls, readings: Readings, conditions: MeasurementConditions) -> HeldOut:
+        """Take the validate split."""
+        rows = readings.in_split("validate")
+        return cls(readings.take(rows), conditions.take(rows))
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def rms_mm(self, model: ArmModel) -> float:
+        """Return the rms position error of a model [mm]."""
+        return self.position_mm(model).rms
+
+    def position_mm(self, model: ArmModel) -> HeldOutPosition:
+        """Return statistics of the position error of a model [mm]."""
+        return _statistics(self.errors_m(model) * 1e3)
+
+    def predicts_worse(self, model: ArmModel, other: ArmModel) -> bool:
+        """Return whether a model predicts worse than another one by more than sampling explains, reading by reading."""
+        more = self.errors_m(model) ** 2 - self.errors_m(other) ** 2
+        return bool(more.mean() > _SAMPLING_ERRORS * more.std() / math.sqrt(len(more)))
+
+    def errors_m(self, model: ArmModel) -> Array:
+        """Return the position errors (n,) of a model [m]."""
+        computed = model.predict(self.readings.q, conditions=self.conditions)
+        return position_errors(self.readings.p_M, computed)
+
+    def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
+        """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""
+        its = self._quantities
+        if its.turned is None:
+            return None
+        rows = np.flatnonzero(its.turned)
+        turns = model.predict(its.readings.q[rows], conditions=its.conditions.take(rows))
+        return _statistics(np.linalg.norm(turns, axis=1) * 1e3)
+
+    def turned_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
+        """Return ``orientation_mrad`` of two models; None if no orientation was measured."""
+        errors = [self.orientation_mrad(model) for model in (before, after)]
+        if errors[0] is None or errors[1] is None:
+            return None
+        return HeldOutBeforeAfter(before=errors[0], after=errors[1])
+
+    @cached_property
+    def _quantities(self) -> Quantities:
+        return measured_quantities(self.readings, self.conditions)
+
+    def evaluate(self, model: ArmModel) -> StageErrors:
+        """Return the position, orientation and distance errors of a model."""
+        its = self._quantities
+        return evaluate_quantities(its, model.predict(its.readings.q, conditions=its.conditions))
+
+    def noise_floor_mm(self) -> float:
+        """Return the rms length of the stated noise [mm]; NaN if the readings state none."""
+        sigma = stated_uncertainty(self.readings)
+        return math.nan if sigma is None else rms_length_mm(sigma)
+
+    def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
+        """Return the median and largest uncertainty that a model predicts here [mm]; None if it predicts none."""
+        predicted = model.uncertainty(self.readings.q, self.conditions)
+        if not predicted.any():
+            return None
+        return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)
+
+
+def _statistics(errors: Array) -> HeldOutPosition:
+    """Return mean, rms, median and maximum of errors (n,)."""
+    return HeldOutPosition(
+        mean=float(errors.mean()),
+        rms=float(np.sqrt(np.mean(errors**2))),
+        median=float(np.median(errors)),
+        max=float(errors.max()),
+    )
 
 
 @dataclass(frozen=True)

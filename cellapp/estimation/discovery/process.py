@@ -18,14 +18,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.readings_noise import mean_variance
+from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, uncertainty_with_scatter
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import JointFit, NormalMatrix, fit_terms, uncertainty_with_scatter
 from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
-from cellapp.robot.effects.data_driven import FIELD, position_in_base
-from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_variances
+from cellapp.robot.effects.data_driven import (
+    FIELD,
+    FIELD_LENGTH,
+    box_of,
+    field_frequencies,
+    field_variances,
+    position_in_base,
+)
 from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, TransmissionError
 from cellapp.robot.kinematics.transforms import Array

@@ -3,14 +3,287 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
-from cellapp.estimation.discovery.records import AcceptedEffect, RemainingStructure
-from cellapp.estimation.discovery.search.comparison import FLOOR_CHANCE, Scatter
-from cellapp.estimation.discovery.structure import has_structure
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.records import AcceptedEffect, RemainingStructure, StructureKind, StructureTest
+from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, Scatter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.results import Verdict
-from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects import EFFECTS, enumeration
+from cellapp.robot.effects.context import varies
+from cellapp.robot.effects.time_functions import times_known
+from cellapp.robot.kinematics.transforms import Array
+
+# Tests whether the residuals of a model still have structure: whether neighbouring readings have similar residuals.
+#
+# With residuals y_i, the sum of products y_i y_k over pairs of neighbours is large if y depends on the quantity in
+# which they are neighbours (Moran, Biometrika 37 (1950) 17). It is compared with its distribution under random signs
+# of whole residual vectors (Fisher's randomisation test). Noise is symmetric, and each vector keeps its length and its
+# place; so a scatter that varies over the workspace is not taken for structure. Under random signs the mean is zero
+# and the variance is the sum of squared products. The skewness is simulated. The tail is that of the Pearson type III
+# distribution with these moments, which needs few simulations (Winkler et al., NeuroImage 141 (2016) 502). A fit makes
+# neighbouring residuals slightly less alike, so the one-sided test is conservative.
+
+CHANCE = 0.01
+"""Probability that pure noise is reported as structure, over all tests."""
+_SIGNS = 200
+"""Number of draws of random signs: they determine the skewness to 0.17, enough for the tail."""
+_SIGN_SEED = 0x516
+"""Combined with the profile's seed, so that the signs are independent of all other draws."""
+_NEIGHBOURS = 6
+"""Neighbours of each reading: fewer lose power against smooth structure, more lose power against short periods."""
+_MOST_PAIRS = 20_000
+"""Largest number of pairs in one test, drawn at random. It bounds time and memory for many readings."""
+_LONGEST = 3.0
+"""Residual vectors are shortened to this multiple of their median length: an outlier says nothing about structure."""
+_LEAST_SKEWNESS = 1.6e-5
+"""Skewness below which the gamma distribution is normal to double precision and its shape would lose digits."""
+_LEAST_READINGS = 20
+"""Least number of readings to test: the tail of a sum of fewer products is not known."""
+
+Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Indices of the first and second reading of each pair."""
+
+
+def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
+    """Test a fit's residuals against all that the readings state; return the outcome in words.
+
+    Each kind has several tests; its p-value is the smallest times their number (Bonferroni), at most 1.
+    """
+    if len(data) < _LEAST_READINGS:
+        return remaining_structure({}, CHANCE)
+    found: dict[StructureKind, list[float]] = {}
+    every = np.ones(len(data), dtype=np.bool_)
+    for rows in (every,) if data.turned is None else (~data.turned, data.turned):
+        if np.count_nonzero(rows) < _LEAST_READINGS:
+            continue
+        tests = _Tests.of(data, fit, rows)
+        kinds: dict[StructureKind, Callable[[], list[float]]] = {
+            "joints": tests.against_joints,
+            "order": tests.against_order,
+            "time": tests.against_time,
+            "approach": tests.against_approach,
+        }
+        if rows is not data.turned:
+            kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
+        for kind, test in kinds.items():
+            found.setdefault(kind, []).extend(test())
+    p_values = {kind: min(min(own) * len(own), 1.0) for kind, own in found.items() if own}
+    return remaining_structure(p_values, CHANCE)
+
+
+def has_structure(found: RemainingStructure) -> bool:
+    """Return whether any test shows structure, corrected for their number."""
+    return any(test.p_value <= CHANCE / len(found.tests) for test in found.tests)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tests:
+    """Residuals of a fit and the quantities they are tested against.
+
+    Attributes
+    ----------
+    data : ArmData
+    residuals : array, shape (n, 3)
+        Whitened, with outliers shortened.
+    about_axes : array, shape (N, n)
+        Components along the SMR motion by each joint, times the lever.
+    generator : numpy Generator
+    signs : array, shape (n, s)
+        Random signs.
+    """
+
+    data: ArmData
+    residuals: Array
+    about_axes: Array
+    generator: np.random.Generator
+    signs: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, data: ArmData, fit: JointFit, rows: NDArray[np.bool_]) -> _Tests:
+        """Prepare the rows in a mask (n,), all of them positions or all orientations."""
+        generator = np.random.default_rng([data.profile.seed, _SIGN_SEED])
+        residuals, by_joint = fit.residual.reshape(3, len(data)).T, fit.by_joint
+        if not rows.all():
+            data, residuals, by_joint = data.take(np.flatnonzero(rows)), residuals[rows], by_joint[:, :, rows]
+        n = len(data)
+        lengths = np.linalg.norm(residuals, axis=1)
+        longest = _LONGEST * float(np.median(lengths))
+        residuals = residuals * np.minimum(1.0, longest / np.maximum(lengths, longest))[:, None]
+        about_axes = np.einsum("cjn,nc->jn", by_joint, residuals)
+        signs = generator.choice(np.array([-1.0, 1.0], dtype=np.float32), (n, _SIGNS))
+        return cls(data, residuals, about_axes, generator, signs)
+
+    def against_joints(self) -> list[float]:
+        """Test the motion about each joint against angles and pairs of angles, and vectors in joint space."""
+        q = _standardised(self.data.readings.q)
+        moved = np.flatnonzero(np.ptp(q, axis=0) > 0.0).tolist()
+        if not moved:
+            return []
+        found = self._of_vectors(_nearest(q[:, moved]))
+        for first, joint in enumerate(moved):
+            found += self._of_components(_along(q[:, joint]), self.about_axes)
+            for other in moved[:first]:
+                found += self._of_components(_nearest(q[:, [joint, other]]), self.about_axes)
+        return found
+
+    def against_order(self) -> list[float]:
+        """Test in the order of the stops, by number if unknown; no test if that is the order of time."""
+        order, times = self.data.conditions.order, self._times
+        if order is None:
+            order = self.data.readings.configuration.astype(np.float64)
+        if times is not None and bool(np.all(np.diff(times[np.argsort(order, kind="stable")]) >= 0.0)):
+            return []
+        return self._against_sequence(order)
+
+    def against_time(self) -> list[float]:
+        """Test readings that are neighbours in time."""
+        return [] if self._times is None else self._against_sequence(self._times)
+
+    def against_approach(self) -> list[float]:
+        """Test the mean motion about each joint's axis in the direction of that joint's last motion.
+
+        Under random signs the sum is nearly normal, as no summand dominates.
+        """
+        if not varies(self.data.conditions.approach):
+            return []
+        towards = self.data.context.approach.T * self.about_axes
+        size = np.sqrt(np.sum(towards**2, axis=1))
+        moved = size > 0.0
+        found: list[float] = (2.0 * scipy.special.ndtr(-np.abs(towards[moved].sum(axis=1)) / size[moved])).tolist()
+        return found
+
+    def against_position(self) -> list[float]:
+        """Test residual vectors of neighbours in space."""
+        return self._of_vectors(_nearest(self.data.readings.p_M))
+
+    def against_tracker(self) -> list[float]:
+        """Test components along and across the beam against distance, azimuth and elevation."""
+        context = self.data.context
+        distance, beam = context.beam
+        azimuth, elevation, horizontal, upward = context.across
+        components = np.stack([np.sum(self.residuals * one, axis=1) for one in (beam, horizontal, upward)])
+        return [
+            p
+            for driver in (distance, azimuth, elevation)
+            if np.ptp(driver) > 0.0
+            for p in self._of_components(_along(driver), components)
+        ]
+
+    @property
+    def _times(self) -> Array | None:
+        return self.data.conditions.time_s if times_known(self.data.context) else None
+
+    def _against_sequence(self, values: Array) -> list[float]:
+        pairs = _along(values)
+        return [*self._of_components(pairs, self.about_axes), *self._of_vectors(pairs)]
+
+    def _of_vectors(self, pairs: Pairs) -> list[float]:
+        """Test the scalar products of whole residual vectors."""
+        i, k = self._some(pairs)
+        return self._p_values((i, k), np.einsum("pc,pc->p", self.residuals[i], self.residuals[k])[None])
+
+    def _of_components(self, pairs: Pairs, components: Array) -> list[float]:
+        """Test the products of each component (m, n)."""
+        i, k = self._some(pairs)
+        return self._p_values((i, k), components[:, i] * components[:, k])
+
+    def _some(self, pairs: Pairs) -> Pairs:
+        count = len(pairs[0])
+        if count <= _MOST_PAIRS:
+            return pairs
+        chosen = self.generator.choice(count, _MOST_PAIRS, replace=False)
+        return pairs[0][chosen], pairs[1][chosen]
+
+    def _p_values(self, pairs: Pairs, products: Array) -> list[float]:
+        """Return one-sided p-values of the sums of products (m, pairs)."""
+        size = np.sqrt(np.sum(products**2, axis=1))
+        scaled = products[size > 0.0] / size[size > 0.0, None]
+        simulated = scaled.astype(np.float32) @ (self.signs[pairs[0]] * self.signs[pairs[1]])
+        skewness = np.maximum(np.mean(simulated.astype(np.float64) ** 3, axis=1), 0.0)
+        found: list[float] = pearson3_tail(scaled.sum(axis=1), skewness).tolist()
+        return found
+
+
+def pearson3_tail(values: Array, skewness: Array) -> Array:
+    """Return upper tail probabilities (m,) of a Pearson type III variable: mean 0, variance 1, ``skewness`` >= 0.
+
+    It is a shifted and scaled gamma variable of shape 4 / skewness^2, and normal for zero skewness.
+    """
+    skewed = np.maximum(skewness, _LEAST_SKEWNESS)
+    shape = (2.0 / skewed) ** 2
+    of_gamma = scipy.special.gammaincc(shape, np.maximum(2.0 / skewed * values + shape, 0.0))
+    return np.asarray(np.where(skewness < _LEAST_SKEWNESS, scipy.special.ndtr(-values), of_gamma))
+
+
+def _along(values: Array) -> Pairs:
+    """Return pairs of neighbours in the order of values (n,)."""
+    order = np.argsort(values, kind="stable")
+    lags = range(1, min(_NEIGHBOURS, len(order) - 1) + 1)
+    return np.concatenate([order[:-lag] for lag in lags]), np.concatenate([order[lag:] for lag in lags])
+
+
+def _nearest(points: Array) -> Pairs:
+    """Return pairs of nearest neighbours among points (n, d), each pair once."""
+    _, near = scipy.spatial.KDTree(points).query(points, k=_NEIGHBOURS + 1)
+    first = np.repeat(np.arange(len(points)), _NEIGHBOURS)
+    second = np.asarray(near[:, 1:], dtype=np.intp).ravel()
+    code = np.unique(np.minimum(first, second) * len(points) + np.maximum(first, second))
+    low, high = np.divmod(code, len(points))
+    different = low != high  # among identical points a reading may be its own neighbour
+    return low[different], high[different]
+
+
+def _standardised(points: Array) -> Array:
+    """Scale points (n, d) to unit standard deviation along each axis."""
+    spread = points.std(axis=0)
+    return np.asarray(points / np.where(spread > 0.0, spread, 1.0))
+
+
+# -- Outcomes of structure tests of the residuals, in words -----------------------------------------------------------
+
+
+_KIND_WORDS: Mapping[StructureKind, str] = {
+    "joints": "the joint angles",
+    "order": "the order of the readings",
+    "time": "time",
+    "approach": "the side of approach",
+    "position": "the position in the workspace",
+    "tracker": "the tracker's distance and angles",
+}
+
+
+def remaining_structure(p_values: Mapping[StructureKind, float], chance: float) -> RemainingStructure:
+    """Return the tests of the residuals and their outcome in words.
+
+    Structure is reported if a p-value is at most ``chance`` divided by the number of tests (Bonferroni). The
+    probability that pure noise is reported as structure is then at most ``chance``.
+    """
+    tests = tuple(StructureTest(against=kind, p_value=p) for kind, p in p_values.items())
+    if not tests:
+        return RemainingStructure(tests=(), sentence="what is left was not tested for structure")
+    found = [test for test in tests if test.p_value <= chance / len(tests)]
+    if found:
+        words = enumeration([f"{_KIND_WORDS[test.against]} ({_p_in_words(test.p_value)})" for test in found])
+        return RemainingStructure(tests=tests, sentence=f"what is left still depends on {words}")
+    tested = enumeration([_KIND_WORDS[test.against] for test in tests])
+    smallest = min(test.p_value for test in tests)
+    return RemainingStructure(
+        tests=tests,
+        sentence=f"what is left shows no structure against {tested} (smallest {_p_in_words(smallest)})",
+    )
+
+
+def _p_in_words(p_value: float) -> str:
+    return "p below 0.001" if p_value < 0.001 else f"p = {p_value:.2g}"
+
 
 _FLOOR = 1.05
 """Ratio of held-out rms error to noise floor up to which the gap counts as closed: with the twin's plan of a hundred

@@ -8,10 +8,14 @@ orientation need three points on the flange; one SMR gives none of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import stdtrit
 
+from cellapp.estimation.iso9283.records import IsoValue
 from cellapp.robot.kinematics.transforms import Array
 
 FEWEST_CYCLES = 2
@@ -148,3 +152,168 @@ def _upper_limit(lengths: Array) -> Array:
 def _require_cycles(values: Array) -> None:
     if values.shape[-1] < FEWEST_CYCLES:
         raise ValueError(f"a repeatability needs at least {FEWEST_CYCLES} cycles, not {values.shape[-1]}")
+
+
+# -- Characteristics with their expanded uncertainties, by Monte Carlo simulation (JCGM 101:2008) ---------------------
+#
+# Cycles are drawn from the mean and the covariance of the measured ones. Each draw is widened for the uncertainty of a
+# scatter from n cycles (t distribution of n - 1 degrees of freedom, JCGM 101:2008, 6.4.9), and the formula of the
+# characteristic is applied to it. Errors of the tracker and of the base frame are drawn once for all cycles of a
+# position: the tracker's stated covariance does not say which part of it scatters from cycle to cycle, so all of it
+# counts as common. A repeatability may also contain it: its uncertainty includes the change from removing that
+# scatter. The expanded uncertainty is the half-width about the median that holds 95.45 % of the draws: for a normal
+# distribution this is the coverage factor 2.
+
+_COVERAGE = 0.9545
+_DRAWS = 1000
+"""Number of draws: they give a standard deviation to 2 %."""
+_PATH_DRAWS = 200
+"""Number of draws for a path, which has hundreds of times as many coordinates; its uncertainty is known to 5 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cycles:
+    """One position that was attained n times.
+
+    Attributes
+    ----------
+    attained : array, shape (n, 3)
+        Measured positions [m].
+    commanded : array, shape (3,)
+        Commanded position [m].
+    tracker : array, shape (3, 3)
+        Covariance of one measured position as the tracker states it [m^2].
+    frame : array, shape (3, 3)
+        Covariance of the commanded position if base and SMR were found by measuring [m^2]; else zero.
+    """
+
+    attained: Array
+    commanded: Array
+    tracker: Array
+    frame: Array
+
+    @property
+    def n(self) -> int:
+        """Number of cycles."""
+        return len(self.attained)
+
+    @property
+    def scatter(self) -> Array:
+        """Covariance (3, 3) of the attained positions [m^2]."""
+        return np.atleast_2d(np.cov(self.attained, rowvar=False))
+
+    def draws(self, rng: np.random.Generator) -> Array:
+        """Draw simulated cycles (D, n, 3) [m], without errors that all cycles share."""
+        noise = rng.multivariate_normal(np.zeros(3), self.scatter, size=(_DRAWS, self.n), method="eigh")
+        return np.asarray(self.attained.mean(axis=0) + _widened(rng, self.n, (_DRAWS, 1, 1)) * noise)
+
+    def common(self, rng: np.random.Generator) -> Array:
+        """Draw simulated errors (D, 1, 3) [m] that all cycles share."""
+        drawn = rng.multivariate_normal(np.zeros(3), self.tracker + self.frame, size=_DRAWS, method="eigh")
+        return np.asarray(drawn[:, None])
+
+
+def accuracy_value(cycles: Cycles, rng: np.random.Generator) -> IsoValue:
+    """Compute AP of one pose."""
+    drawn = pose_accuracy(cycles.draws(rng) + cycles.common(rng), cycles.commanded)
+    return _value(float(pose_accuracy(cycles.attained, cycles.commanded)), _expanded(drawn), cycles.n)
+
+
+def repeatability_value(cycles: Cycles, rng: np.random.Generator) -> tuple[IsoValue, float]:
+    """Compute RP of one pose, and the RP [m] that the tracker's stated uncertainty alone would show."""
+    value = float(pose_repeatability(cycles.attained))
+    sampling = _expanded(pose_repeatability(cycles.draws(rng)))
+    alone = rng.multivariate_normal(np.zeros(3), cycles.tracker, size=(_DRAWS, cycles.n), method="eigh")
+    tracker = float(pose_repeatability(alone).mean())
+    return _value(value, _with_tracker(value, sampling, tracker), cycles.n), tracker
+
+
+def directional_value(directions: Sequence[Cycles], rng: np.random.Generator) -> IsoValue:
+    """Compute vAP of one pose from its directions of approach; the tracker's error is the same for all of them."""
+    drawn = np.stack([one.draws(rng).mean(axis=1, keepdims=True) for one in directions], axis=1)
+    means = np.stack([one.attained.mean(axis=0, keepdims=True) for one in directions])
+    return _value(float(directional_variation(means)), _expanded(directional_variation(drawn)), _fewest(directions))
+
+
+def distance_values(first: Cycles, second: Cycles, rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
+    """Compute AD and RD of two positions that were attained in the same cycles."""
+    wanted = float(np.linalg.norm(second.commanded - first.commanded))
+    drawn = [one.draws(rng) for one in (first, second)]
+    shared = [one.common(rng) for one in (first, second)]
+    found = distances(first.attained, second.attained)
+    accuracy = float(distance_accuracy(first.attained, second.attained, wanted))
+    off = _expanded(distance_accuracy(drawn[0] + shared[0], drawn[1] + shared[1], wanted))
+    repeatability = float(distance_repeatability(first.attained, second.attained))
+    along = second.attained.mean(axis=0) - first.attained.mean(axis=0)
+    along = along / max(float(np.linalg.norm(along)), 1e-12)
+    tracker = 3.0 * float(np.sqrt(along @ (first.tracker + second.tracker) @ along))
+    again = found.std(ddof=1) * _widened(rng, len(found), (_DRAWS, 1)) * rng.standard_normal((_DRAWS, len(found)))
+    sampling = _expanded(3.0 * again.std(axis=1, ddof=1))
+    return (
+        _value(accuracy, off, first.n),
+        _value(repeatability, _with_tracker(repeatability, sampling, tracker), first.n),
+    )
+
+
+def drift_values(groups: Sequence[Cycles], rng: np.random.Generator) -> tuple[IsoValue, IsoValue]:
+    """Compute dAP and dRP of groups of cycles in order of time; the tracker's error is the same in all of them."""
+    drawn = [one.draws(rng) for one in groups]
+    shared = groups[0].common(rng)
+    accuracy = partial(pose_accuracy, commanded=groups[0].commanded)
+    values = []
+    for formula, offset in ((accuracy, shared), (pose_repeatability, np.zeros((1, 1, 3)))):
+        measured = drift(np.array([formula(one.attained) for one in groups]))
+        simulated = drift(np.stack([formula(one + offset) for one in drawn], axis=-1))
+        values.append(_value(float(measured), _expanded(simulated), _fewest(groups)))
+    return values[0], values[1]
+
+
+def path_values(
+    attained: Array, commanded: Array, tracker: Array, frame: Array, rng: np.random.Generator
+) -> tuple[IsoValue, IsoValue]:
+    """Compute AT and RT of a path that n cycles attained at m points.
+
+    Parameters
+    ----------
+    attained : array, shape (m, n, 3)
+        Measured positions [m].
+    commanded : array, shape (m, 3)
+        Commanded positions [m].
+    tracker, frame : arrays, shape (3, 3)
+        Covariances as in ``Cycles``, the same at all points; the errors are the same at all points too.
+    """
+    m, n = attained.shape[:2]
+    mean = attained.mean(axis=1, keepdims=True)
+    left = attained - mean
+    root = np.sqrt(np.einsum("mna,mna->ma", left, left) / (n - 1))
+    widened = _widened(rng, n, (_PATH_DRAWS, 1, 1, 1))
+    drawn = mean + widened * root[:, None] * rng.standard_normal((_PATH_DRAWS, m, n, 3))
+    shared = rng.multivariate_normal(np.zeros(3), tracker + frame, size=(_PATH_DRAWS, 1, 1), method="eigh")
+    accuracy, repeatability = float(path_accuracy(attained, commanded)), float(path_repeatability(attained))
+    alone = rng.multivariate_normal(np.zeros(3), tracker, size=(_PATH_DRAWS, n), method="eigh")
+    sampling = _expanded(path_repeatability(drawn))
+    inflated = _with_tracker(repeatability, sampling, float(pose_repeatability(alone).mean()))
+    return _value(accuracy, _expanded(path_accuracy(drawn + shared, commanded)), n), _value(repeatability, inflated, n)
+
+
+def _with_tracker(value: float, sampling: float, tracker: float) -> float:
+    """Compute the expanded uncertainty [m] of a repeatability that may contain the scatter ``tracker`` [m]."""
+    without = np.sqrt(max(value**2 - tracker**2, 0.0))
+    return float(np.hypot(sampling, value - without))
+
+
+def _widened(rng: np.random.Generator, n: int, shape: tuple[int, ...]) -> Array:
+    """Draw factors from the standard deviation of n cycles to possible values of the true one."""
+    return np.asarray(np.sqrt((n - 1) / rng.chisquare(n - 1, shape)))
+
+
+def _expanded(drawn: Array) -> float:
+    return float(np.quantile(np.abs(drawn - np.median(drawn)), _COVERAGE))
+
+
+def _value(value: float, expanded: float, n: int) -> IsoValue:
+    return IsoValue(value_mm=value * 1e3, expanded_mm=expanded * 1e3, n=n)
+
+
+def _fewest(cycles: Sequence[Cycles]) -> int:
+    return min(one.n for one in cycles)

@@ -3,38 +3,43 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from cellapp.estimation.iso9283.characteristics import (
     FEWEST_CYCLES,
+    Cycles,
+    accuracy_value,
     accuracy_vector,
     coverage_of_mean,
+    directional_value,
+    distance_values,
     distances,
+    drift_values,
+    path_values,
+    plane_crossings,
     pose_accuracy,
     pose_repeatability,
+    repeatability_value,
+    speeds,
+    velocity_accuracy,
+    velocity_fluctuation,
+    velocity_repeatability,
 )
-from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.norm import DIRECTIONAL_POSES, DIRECTIONS, POSES, IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,
     DriftCharacteristics,
     DriftGroup,
     OrientationCharacteristics,
+    PathCharacteristics,
+    PathVelocity,
     PoseCharacteristics,
 )
-from cellapp.estimation.iso9283.uncertainty import (
-    Cycles,
-    accuracy_value,
-    directional_value,
-    distance_values,
-    drift_values,
-    repeatability_value,
-)
-from cellapp.robot.kinematics.transforms import Array, rotation_vectors, rotations_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, quaternions_of, rotation_vectors, rotations_of, xyz_of
 
 _MINUTE_S = 60.0
 _COVERAGE = 2.0
@@ -333,3 +338,232 @@ def _group(cycles: Cycles, visits: Sequence[Measured], began_s: float, base_M: A
 
 def _mm(vector: Array) -> tuple[float, float, float]:
     return xyz_of(vector * 1e3)
+
+
+# -- Compute the characteristics of a path, AT, RT and velocity, from points measured along it ------------------------
+
+_SAME_STRETCH_M = 0.02
+"""Distance up to which a crossing belongs to its point: no arm is farther off, but the far side of a closed path is."""
+_MIDDLE = (0.25, 0.75)
+"""Shares of a path's length between which the velocity is evaluated: no ramp reaches there."""
+_DRAWS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class PathTrack:
+    """Measured points of one cycle along a path: times (k,) [s] and positions (k, 3) [m], in order.
+
+    ``lost_beams`` is the number of earlier attempts at the cycle that ended because the beam broke.
+    """
+
+    time_s: Array
+    p_M: Array
+    lost_beams: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class PathRuns:
+    """Path that was driven several times.
+
+    Attributes
+    ----------
+    arm, commands, name : str
+    speed : float
+        Commanded speed [m/s].
+    length : float
+        Length of the path [m].
+    commanded_M, tangents_M : array, shape (m, 3)
+        Points on the commanded path [m], and its unit tangents there.
+    s : array, shape (m,)
+        Arc lengths of these points [m].
+    tracks : list of PathTrack
+        One for each cycle.
+    tracker, frame : array, shape (3, 3)
+        Covariances as in ``Cycles`` [m^2].
+    wanted : int
+        Requested number of cycles.
+    slowed : str
+        Why the planned motion does not keep the commanded speed; empty if it does.
+    series : float
+        Share of the profile's speed if the test is repeated at another speed, else 0.
+    problems : list of str
+        Why fewer cycles were driven.
+    """
+
+    arm: str
+    commands: IsoCommands
+    name: str
+    speed: float
+    length: float
+    commanded_M: Array
+    tangents_M: Array
+    s: Array
+    tracks: list[PathTrack]
+    tracker: Array
+    frame: Array
+    wanted: int
+    slowed: str = ""
+    series: float = 0.0
+    problems: list[str] = field(default_factory=list)
+
+
+def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
+    """Compute velocity, and AT and RT over the points whose planes every cycle crossed; None with fewer than
+    two cycles."""
+    if len(runs.tracks) < FEWEST_CYCLES:
+        return None
+    crossed = np.stack([_crossings(runs, one) for one in runs.tracks], axis=1)
+    kept = np.isfinite(crossed).all(axis=(1, 2))
+    if not kept.any():
+        return None
+    places = crossed[kept, :, :3]
+    accuracy, repeatability = path_values(places, runs.commanded_M[kept], runs.tracker, runs.frame, rng)
+    return PathCharacteristics(
+        path=runs.name,
+        speed_mm_s=runs.speed * 1e3,
+        length_mm=runs.length * 1e3,
+        points=int(kept.sum()),
+        accuracy=accuracy,
+        repeatability=repeatability,
+        velocity=_velocity(runs, crossed[:, :, 3].T, rng),
+        slowed=runs.slowed,
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _crossings(runs: PathRuns, track: PathTrack) -> Array:
+    """Compute where and when one cycle crosses the planes at the points, (m, 4) [m, s]; NaN where it does not."""
+    return plane_crossings(
+        np.column_stack([track.p_M, track.time_s]), runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M
+    )
+
+
+def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:
+    """Compute AV, RV and FV over the middle half of a path; None if a plane there was not crossed."""
+    middle = (runs.s >= _MIDDLE[0] * runs.length) & (runs.s <= _MIDDLE[1] * runs.length)
+    if middle.sum() < 3 or not np.isfinite(times[:, middle]).all():
+        return None
+    n, s = len(times), runs.s[middle]
+    found = speeds(times[:, middle], s)
+    sigma_m = float(np.sqrt(np.einsum("ma,ab,mb->m", runs.tangents_M, runs.tracker, runs.tangents_M).mean()))
+    noise_s = sigma_m / runs.speed * rng.standard_normal((_DRAWS, 1, len(s)))
+    even = (s - s[0]) / runs.speed
+    alone = [velocity_fluctuation(speeds(even + noise, s)) for noise in noise_s]
+    scatter = velocity_repeatability(found, runs.speed) / 3.0
+    return PathVelocity(
+        accuracy_percent=1e2 * velocity_accuracy(found, runs.speed),
+        expanded_percent=1e2 * coverage_of_mean(n) * scatter,
+        repeatability_percent=3e2 * scatter,
+        fluctuation_mm_s=1e3 * velocity_fluctuation(found),
+        tracker_fluctuation_mm_s=1e3 * float(np.mean(alone)),
+        n=n,
+    )
+
+
+# Table of every measured point of the tests with its time, from which another program can compute the same results.
+#
+# A row is ``commanded``, the target position of an SMR, or ``measured``. Commanded positions appear once for each
+# place of a test. Those of a path are its evaluation points, in order, with the direction of the path: the normal of
+# the plane whose crossing is evaluated. Measured points of a path are all points of each cycle in order of time.
+
+HEADER = (
+    "row",
+    "test",
+    "commands",
+    "arm",
+    "place",
+    "approach",
+    "speed_percent",
+    "group",
+    "cycle",
+    "time_s",
+    "x_m",
+    "y_m",
+    "z_m",
+    "direction_x",
+    "direction_y",
+    "direction_z",
+    "quat_w",
+    "quat_x",
+    "quat_y",
+    "quat_z",
+)
+"""Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
+``speed_percent`` is the share of the profile's speed if a test was repeated at another speed, else empty.
+Quaternions are those of a 6-D probe in the tracker frame; empty without a measured orientation."""
+_NO_DIRECTION = ("", "", "")
+_NOT_TURNED = ("", "", "", "")
+
+Row = tuple[str, ...]
+
+
+def raw_rows(
+    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
+    measured: Measurements,
+    paths: Sequence[PathRuns],
+) -> Iterator[Row]:
+    """Yield all rows: commanded and measured positions at rest, then paths."""
+    for place in dict.fromkeys(one.place for one in measured.visits):
+        for name, pose in zip(place.arms, place.poses, strict=True):
+            where = _place_cells(place, name)
+            yield (
+                "commanded",
+                *where,
+                "",
+                "",
+                "",
+                *_numbers(programmes[name, place.commands].position_M[pose]),
+                *_NO_DIRECTION,
+                *_commanded_turn(programmes[name, place.commands], pose),
+            )
+    for one in measured.visits:
+        for name, p_M in one.p_M.items():
+            counted = (str(one.group + 1), str(one.cycle + 1), repr(float(one.time_s)))
+            turned = _numbers(one.turned[name][0]) if name in one.turned else _NOT_TURNED
+            yield ("measured", *_place_cells(one.place, name), *counted, *_numbers(p_M), *_NO_DIRECTION, *turned)
+    for runs in paths:
+        yield from _of_path(runs)
+
+
+def _of_path(runs: PathRuns) -> Iterator[Row]:
+    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
+    for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
+        yield ("commanded", *where, "", "", "", *_numbers(place_M), *_numbers(tangent_M), *_NOT_TURNED)
+    yield from _of_tracks(where, runs.tracks)
+
+
+def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
+    for number, track in enumerate(tracks, start=1):
+        for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
+            yield (
+                "measured",
+                *where,
+                "1",
+                str(number),
+                repr(float(time_s)),
+                *_numbers(p_M),
+                *_NO_DIRECTION,
+                *_NOT_TURNED,
+            )
+
+
+def _place_cells(place: Place, name: str) -> tuple[str, ...]:
+    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:g}" if share else ""
+
+
+def _commanded_turn(arm: ArmProgramme, pose: str) -> Row:
+    """Return the cells of a probe's commanded orientation as a quaternion; empty if there is none."""
+    if pose not in arm.rotation_M:
+        return _NOT_TURNED
+    return _numbers(quaternions_of(arm.rotation_M[pose]))
+
+
+def _numbers(vector: Array) -> Row:
+    """Return the cells of numbers with all their digits."""
+    return tuple(repr(float(value)) for value in vector)

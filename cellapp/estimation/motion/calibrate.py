@@ -15,11 +15,11 @@ from cellapp.estimation.calibration.calibrate import (
     calibrate_readings,
     rms_length_mm,
     with_networks,
+    without,
 )
-from cellapp.estimation.calibration.evaluation import evaluate, repeatability
-from cellapp.estimation.calibration.gross_errors import without
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
+from cellapp.estimation.calibration.quantities import evaluate, repeatability
 from cellapp.estimation.calibration.records import (
     ClockResult,
     ClockSegmentResult,
@@ -27,10 +27,16 @@ from cellapp.estimation.calibration.records import (
     RecordingResult,
     TriggerResult,
 )
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, no_gross_errors
+from cellapp.estimation.motion.identify import (
+    ClockFit,
+    MotionFit,
+    RecordedArm,
+    RecordingFit,
+    identify_from_motion,
+    no_gross_errors,
+)
 from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.observe import Stops
-from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty
 from cellapp.ground.errors import InputError

@@ -16,11 +16,10 @@ from functools import cache, cached_property
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.estimation.calibration.quantities import conditions_of_arms, measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
-from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,

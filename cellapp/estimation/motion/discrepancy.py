@@ -27,10 +27,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution
-from cellapp.estimation.motion.noise import Bands, Modelled, NoiseModel, bands_of, noise_model
-from cellapp.estimation.motion.observe import stop_averages, track_averages
+from cellapp.estimation.motion.observe import (
+    Bands,
+    Modelled,
+    NoiseModel,
+    bands_of,
+    noise_model,
+    stop_averages,
+    track_averages,
+)
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.kinematics.transforms import Array
 

@@ -3,7 +3,7 @@
     minimise  sum_s w_s sum_i c_i |p_i - P(q(u_i) - h d_i; g)|^2 + priors
 
 over the recordings (and the stops) s. The weight w_s of a source is the information in one of its points: the inverse
-of the residuals' variance at the frequencies at which the parameters move the points (``noise``). So 100 000 points
+of the residuals' variance at the frequencies at which the parameters move the points (``observe``). So 100 000 points
 that are worth a thousand independent ones weigh as a thousand beside stops and priors. c_i is one, or zero for gross
 errors. A first fit of a subset with robust weights comes so close that one or two steps with all points suffice.
 """
@@ -19,9 +19,8 @@ from statistics import median_high, median_low
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.gauss_newton import shortened
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.linear import inverse_diagonal, solve_psd
+from cellapp.estimation.calibration.least_squares import inverse_diagonal, shortened, solve_psd
 from cellapp.estimation.calibration.parameters import (
     PriorSpread,
     SetName,
@@ -30,12 +29,13 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
-from cellapp.estimation.motion.noise import NoiseModel, noise_model
 from cellapp.estimation.motion.observe import (
     Layout,
     Model,
+    NoiseModel,
     Stops,
     Sums,
+    noise_model,
     residuals,
     stop_residuals,
     stop_sums,

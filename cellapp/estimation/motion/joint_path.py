@@ -16,8 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.motion.stamps import Stamps, read_stamps
-from cellapp.estimation.motion.streams import JointStream
+from cellapp.estimation.motion.streams import JointStream, Stamps, read_stamps
 from cellapp.robot.kinematics.transforms import Array, rows_at
 
 _WINDOW_S = 0.2
@@ -69,8 +68,6 @@ class JointPath:
     Attributes
     ----------
     stamps : Stamps
-    recorded_speeds : bool
-        Whether the slopes are the recorded speeds.
     direction : array, shape (m, N)
         Output of a play operator of small gap, -1 to 1, at the samples: a joint with lost motion lags against it.
     inertia : callable, optional
@@ -80,7 +77,6 @@ class JointPath:
     """
 
     stamps: Stamps
-    recorded_speeds: bool
     direction: Array = field(repr=False)
     _position: scipy.interpolate.PPoly = field(repr=False)
     _speed: scipy.interpolate.PPoly = field(repr=False)
@@ -208,13 +204,12 @@ def joint_path(joints: JointStream) -> JointPath:
         raise ValueError("fewer than four joint samples with different stamps")
     t, q = stamps.time_s, stamps.averaged(joints.q)
     qd = None if joints.qd is None else stamps.averaged(joints.qd)
-    recorded = qd is not None and _agree(t, q, qd, stamps)
-    slopes = qd if recorded else _slopes(t, q, stamps)
+    slopes = qd if qd is not None and _agree(t, q, qd, stamps) else _slopes(t, q, stamps)
     position = scipy.interpolate.CubicHermiteSpline(t, q, slopes)
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
     beside = None if joints.other_q is None else stamps.averaged(joints.other_q)
-    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed, beside=beside)
+    return JointPath(stamps, (q - sides) / _PLAY, position, speed, beside=beside)
 
 
 def play(q: Array, half_gap: Array) -> Array:

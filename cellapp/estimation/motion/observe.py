@@ -9,16 +9,270 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.motion.noise import Bands, bands_of
 from cellapp.estimation.motion.terms import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
+
+# -- Information in correlated residuals: band spectra of the noise, and the covariance of the estimate ---------------
+#
+# Neighbouring residuals of a motion are correlated. Their covariance is modelled as stationary within a recording: in
+# the basis of the discrete cosine transform along time it is nearly diagonal, with one variance s_b for each band b of
+# frequencies and each recording. With orthonormal columns Q = X L^-T (``L L^T = X^T X + P``), band grams ``G_b = Q_b^T
+# Q_b`` and band energies ``E_b = |r_b|^2`` of the residuals, least squares leaves
+#
+#     E[E_b] = sum_c K_bc s_c,   K_bc = delta_bc (n_b - 2 tr G_b) + tr(G_b G_c),
+#
+# which is solved for s (Rao, J. Multivar. Anal. 1 (1971) 257: minimum norm quadratic unbiased estimation), so that the
+# part absorbed by the fit is restored. The covariance of the estimate is ``L^-T (sum_b s_b G_b + L^-1 P L^-T) L^-1``.
+# Intervals use Student's t with the degrees of freedom of Satterthwaite, Biometrics Bull. 2 (1946) 110.
+
+_PER_OCTAVE = 2
+"""Bands of frequency per octave."""
+_LEAST_FREEDOM = 24.0
+"""Least degrees of freedom of a band after the fit; bands with fewer are joined to the next."""
+_MEMORY_S = 0.2
+"""Memory of a whitening filter, and its largest number of samples."""
+_MOST_ORDER = 40
+_LEAST_LEVEL = 1e-6
+"""Least level: residuals a thousand times below the stated ones are those of a fit without degrees of freedom."""
+_LEAST_SHARE = 0.3
+"""Share of the plain variance of a band below which the solution is attributed to chance, and the plain one is used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Residuals and columns of one source in bands of frequency, the slowest first.
+
+    Attributes
+    ----------
+    columns : array of int, shape (k,)
+        Indices of the source's columns among all parameters.
+    count : array, shape (B,)
+        Coordinates in each band, less those removed from it.
+    gram : array, shape (B, k, k)
+        ``X^T X`` of each band.
+    product : array, shape (B, k)
+        ``X^T r``.
+    square : array, shape (B,)
+        ``r^T r``.
+    uneven : array, shape (k,)
+        Mean square of the products of columns and residuals, relative to that for residuals of uniform size: above 1 if
+        points scatter most where, and in the direction in which, a parameter moves them, as by timestamp jitter.
+    """
+
+    columns: NDArray[np.intp] = field(repr=False)
+    count: NDArray[np.intp] | Array = field(repr=False)
+    gram: Array = field(repr=False)
+    product: Array = field(repr=False)
+    square: Array = field(repr=False)
+    uneven: Array = field(repr=False)
+
+    def energy(self, step: Array) -> Array:
+        """Return the sum of squares of the residuals of each band (B,) after a step (K,) of all parameters."""
+        own = step[self.columns]
+        return np.asarray(self.square - 2.0 * self.product @ own + np.einsum("i,bij,j->b", own, self.gram, own))
+
+    def of(self, chosen: NDArray[np.bool_]) -> Bands:
+        """Return the bands for some of the columns, renumbered in order."""
+        gram = self.gram[:, chosen][:, :, chosen]
+        return Bands(
+            np.arange(len(gram[0])), self.count, gram, self.product[:, chosen], self.square, self.uneven[chosen]
+        )
+
+    def normal(self) -> Array:
+        """Return the products of columns and residuals with each other (k + 1, k + 1), summed over all bands."""
+        product = self.product.sum(axis=0)
+        return np.block([[self.gram.sum(axis=0), product[:, None]], [product, self.square.sum()]])
+
+
+def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) -> Bands:
+    """Compute the bands of residuals ``r`` (m, 3) with columns ``X`` (m, 3, k), both times the root of their weight.
+
+    Without ``in_time`` all rows are independent and form one band.
+    """
+    m = len(r)
+    edges = [0, m]
+    uneven = np.sum(np.einsum("mak,ma->mk", X, r) ** 2, axis=0) / np.maximum(
+        np.mean(r**2) * np.sum(X**2, axis=(0, 1)), 1e-300
+    )
+    if in_time:
+        X, r = scipy.fft.dct(X, axis=0, norm="ortho"), scipy.fft.dct(r, axis=0, norm="ortho")
+        octaves = np.arange(0.0, np.log2(max(m, 2)), 1.0 / _PER_OCTAVE)
+        edges = np.unique(np.concatenate([[0], np.round(2.0**octaves), [m]])).astype(np.intp).tolist()
+    parts = [slice(first, last) for first, last in pairwise(edges)]
+    flat = [(X[part].reshape(-1, X.shape[2]), r[part].ravel()) for part in parts]
+    return Bands(
+        columns,
+        np.array([len(its_r) for _, its_r in flat]),
+        np.stack([its_X.T @ its_X for its_X, _ in flat]),
+        np.stack([its_X.T @ its_r for its_X, its_r in flat]),
+        np.array([float(its_r @ its_r) for _, its_r in flat]),
+        np.maximum(uneven, 1.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Modelled:
+    """Residuals with a covariance from elsewhere, in no band: their ``X^T X`` (K, K), the covariance of their ``X^T r``
+    (K, K), and the degrees of freedom of its estimate."""
+
+    information: Array
+    spread: Array
+    freedom: float
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Covariance of an estimate from residuals that are correlated in time.
+
+    Attributes
+    ----------
+    covariance : array, shape (k, k)
+    freedom : array, shape (k,)
+        Degrees of freedom of each parameter's variance.
+    level : tuple of float
+        Variance of a weighted residual of each source as it affects the parameters: the mean of the band variances,
+        weighted by the information in each band. It is 1 if weights are right.
+    """
+
+    covariance: Array = field(repr=False)
+    freedom: Array = field(repr=False)
+    level: tuple[float, ...]
+
+    def half_width(self) -> Array:
+        """Return the half widths (k,) of the 95 % intervals, in standard errors."""
+        return np.asarray(scipy.special.stdtrit(self.freedom, 0.975))
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """One band with enough degrees of freedom: its gram (K, K) of orthonormal columns, and its energy."""
+
+    source: int
+    count: float
+    gram: Array
+    energy: float
+
+
+def noise_model(
+    sources: Sequence[Bands],
+    worths: Sequence[float],
+    step: Array,
+    precision: Array,
+    information: Array,
+    modelled: Modelled | None = None,
+) -> NoiseModel:
+    """Estimate the noise model of the residuals after ``step``.
+
+    Parameters
+    ----------
+    sources : sequence of Bands
+    worths : sequence of float
+        Factor of the weights of each source.
+    step : array, shape (K,)
+    precision : array, shape (K,)
+        Precision of the priors; zero without a prior.
+    information : array, shape (K, K)
+        ``X^T X`` with the weights and worths.
+    modelled : Modelled, optional
+        Residuals that are in no band.
+    """
+    unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
+    H = information * unit * unit[:, None] + np.diag(precision * unit**2)
+    L = np.linalg.cholesky(H + 1e-12 * np.eye(len(H)))
+    root = scipy.linalg.solve_triangular(L, np.diag(unit), lower=True)  # L^-1 in the parameters' units
+    bands = [
+        band
+        for number, (source, worth) in enumerate(zip(sources, worths, strict=True))
+        for band in _joined_bands(number, source, worth, step, root)
+    ]
+    s, freedom = _variances(bands)
+    by_prior = (root * precision) @ root.T
+    inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands]))
+    # the part of the columns lost by averaging over neighbours is faster than all bands
+    averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
+    if modelled is not None:
+        averaged_out = averaged_out - (root @ modelled.information) @ root.T
+    fastest = max(s[number] for number, band in enumerate(bands) if _is_last(number, bands))
+    inner = inner + fastest * averaged_out
+    uneven = np.ones(len(H))
+    for source in sources:
+        uneven[source.columns] = np.maximum(uneven[source.columns], source.uneven)
+    covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven)) + root.T @ by_prior @ root
+    shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None] * uneven
+    own = np.sum(shares**2 / freedom[:, None], axis=0)
+    if modelled is not None:
+        by_step = root.T @ root
+        more = by_step @ modelled.spread @ by_step
+        covariance = covariance + more
+        own = own + np.diag(more) ** 2 / modelled.freedom
+    variance = np.diag(covariance)
+    return NoiseModel(
+        covariance,
+        np.clip(variance**2 / np.maximum(own, 1e-300), 1.0, 1e6),
+        tuple(_level(number, bands, s) for number in range(len(sources))),
+    )
+
+
+def whitening_filter(r: Array, period_s: float) -> Array:
+    """Return filter coefficients (p + 1,), the first 1, that whiten residuals ``r`` (n, 3) in order of time: those of
+    an autoregressive model by the Yule-Walker equations."""
+    order = int(np.clip(_MEMORY_S / period_s, 2, _MOST_ORDER))
+    size = scipy.fft.next_fast_len(len(r) + order, real=True)
+    power = np.abs(scipy.fft.rfft(r, size, axis=0)) ** 2
+    covariance = scipy.fft.irfft(power.sum(axis=1), size)[: order + 1]
+    covariance[0] *= 1.0 + 1e-9
+    return np.concatenate([[1.0], -scipy.linalg.solve_toeplitz(covariance[:-1], covariance[1:])])
+
+
+def _is_last(number: int, bands: Sequence[_Band]) -> bool:
+    """Return whether a band is the fastest of its source."""
+    return number + 1 == len(bands) or bands[number + 1].source != bands[number].source
+
+
+def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:
+    """Return the bands of one source; those with few degrees of freedom are joined to the next faster one."""
+    own = root[:, source.columns]
+    grams = worth * (own @ source.gram @ own.T)
+    energies = np.maximum(worth * source.energy(step), 0.0)  # rounding makes them negative if a fit leaves nothing
+    found: list[_Band] = []
+    first = 0
+    for place in range(len(grams)):
+        gram, count = grams[first : place + 1].sum(axis=0), float(source.count[first : place + 1].sum())
+        if count - np.trace(gram) >= _LEAST_FREEDOM or (place + 1 == len(grams) and not found):
+            found.append(_Band(number, count, gram, float(energies[first : place + 1].sum())))
+            first = place + 1
+    if first < len(grams):
+        last = found[-1]
+        rest = grams[first:].sum(axis=0), float(source.count[first:].sum()), float(energies[first:].sum())
+        found[-1] = _Band(number, last.count + rest[1], last.gram + rest[0], last.energy + rest[2])
+    return found
+
+
+def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
+    """Return the variance of each band, and its degrees of freedom."""
+    count = np.array([band.count for band in bands], dtype=np.float64)
+    absorbed = np.array([np.trace(band.gram) for band in bands])
+    grams = np.stack([band.gram for band in bands]).reshape(len(bands), -1)
+    energy = np.array([band.energy for band in bands])
+    freedom = np.maximum(count - absorbed, 1.0)
+    s = np.linalg.lstsq(np.diag(count - 2.0 * absorbed) + grams @ grams.T, energy, rcond=None)[0]
+    plain = energy / freedom
+    return np.asarray(np.where(s > _LEAST_SHARE * plain, s, plain)), freedom
+
+
+def _level(number: int, bands: Sequence[_Band], s: Array) -> float:
+    tells = np.array([np.trace(band.gram) if band.source == number else 0.0 for band in bands])
+    return max(float(tells @ s / tells.sum()), _LEAST_LEVEL) if tells.sum() > 0.0 else 1.0
+
 
 _BLOCK_RATE = 25.0
 """Averaged residuals per second for estimating the noise: motion and its correlation are slower."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
 from cellapp.estimation.motion.joint_path import JointPath, joint_path
-from cellapp.estimation.motion.stamps import Stamps, TriggeredClock, read_stamps, triggered_clock
-from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.streams import Recording, Stamps, TriggeredClock, read_stamps, triggered_clock
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array

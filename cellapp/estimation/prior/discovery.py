@@ -13,10 +13,8 @@ import numpy as np
 
 from cellapp.estimation.calibration.quantities import measured_orientations
 from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.prior.calibrate import learned, stated_model
-from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.discovery.outcome import Discovery, HeldOut
+from cellapp.estimation.prior.calibrate import Earlier, learned, stated_model
 from cellapp.estimation.prior.update import update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

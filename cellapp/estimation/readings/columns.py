@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.ground.units import first_in_degrees
+from cellapp.robot.model.arguments import first_in_degrees
 
 Shape = Literal["scalar", "joints", "point", "symmetric", "quaternion"]
 Values: TypeAlias = NDArray[Any] | tuple[str | None, ...]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
+from cellapp.ground.counting import counted
+from cellapp.ground.errors import NotConverged
+from cellapp.robot.kinematics.transforms import Array, quaternions_of, twist_columns
 
 FIRST_SAMPLE = 1_000_000_000
 """Configuration numbers from here on belong to samples of recordings: no plan has as many stops."""
@@ -296,3 +300,209 @@ def coordinate_uncertainty(readings: Readings) -> _Floats | None:
     if stated is None or stated.ndim == 1:
         return stated
     return np.asarray(np.sqrt(np.trace(stated, axis1=1, axis2=2) / 3.0))
+
+
+# -- Several SMRs on a flange, measured one after another at a stop: of three or more one position and one rotation ---
+#
+# At a stop p_k = p + R s_k, with the places s of the SMRs in a rigid figure. It is found from all stops: laid onto
+# each and averaged in turn, without stops that it does not fit (generalised Procrustes analysis; Gower, Psychometrika
+# 40 (1975) 33). Position p of the first SMR and rotation R then follow by weighted least squares, with full
+# covariances: a rotation is several times less certain about the beam than across it. The correlation of p and R is
+# neglected.
+
+_SAME_STOP_RAD = 1e-3
+"""Largest difference of joint positions within one stop: encoders read 0.04 mrad more or less."""
+_ROUNDS = 200
+"""Most rounds of registration and averaging; few are enough, as the first figure is within the noise already."""
+_SETTLED_M = 1e-8
+"""Motion of an SMR in the last round [m]."""
+_FLAT = 1e-3
+"""Ratio of the figure's width to its length below which the SMRs are on one line."""
+_OUTLYING, _LEAST_M = 8.0, 1e-6
+"""Multiple of the median misfit, which counts at least as 1 µm, above which the figure does not fit a stop."""
+_USUAL_NOISE_M = 1e-5
+"""Noise of a coordinate where neither the readings state one nor the figure shows it."""
+
+Fault = tuple[int, str, str]
+"""Row, column and text of a contradiction."""
+
+
+def smr_names(readings: Readings) -> tuple[str, ...]:
+    """Return the names of the SMRs that were measured, in the order of the rows; empty for one without a name."""
+    return tuple(dict.fromkeys(word or "" for word in readings.smr or ()))
+
+
+def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
+    """Make of the SMRs at each stop one reading: the first one's position, and the rotation of a frame S of all.
+
+    S has its origin at the first SMR; x points to the second, y to the side of the one furthest from that line. A stop
+    with fewer than three SMRs has no rotation; without the first one it is left out.
+
+    Parameters
+    ----------
+    readings : Readings
+        Rows of three SMRs or more, of one arm.
+
+    Returns
+    -------
+    readings : Readings
+        One row a stop, in the order of the stops.
+    sentence : str
+        What was made.
+    faults : list of Fault
+        Contradictions; the readings are not to be used if there are any.
+    """
+    names = smr_names(readings)
+    stops, group = np.unique(readings.configuration, return_inverse=True)
+    row = np.full((len(stops), len(names)), -1, dtype=np.intp)
+    row[group, [names.index(word or "") for word in readings.smr or ()]] = np.arange(len(readings))
+    seen = row >= 0
+    first = np.where(seen, row, len(readings)).min(axis=1)
+    faults = list(_not_one_stop(readings, first[group]))
+    p_M = np.where(seen[:, :, None], readings.p_M[row], np.nan)
+    turned = seen.sum(axis=1) >= 3
+    points_S = _figure(p_M[turned])
+    if points_S is None:
+        words = f"no stop has all of {', '.join(names)}, or they stand on one line: no rotation follows"
+        return readings, "", [*faults, (0, "smr", words)]
+    misfit = np.full(len(stops), np.nan)
+    misfit[turned] = _misfit(points_S, p_M[turned])
+    faults += [
+        (
+            int(first[stop]),
+            "smr",
+            f"the SMRs are off their places at other stops by {misfit[stop] * 1e3:.2f} mm: exchanged?",
+        )
+        for stop in np.flatnonzero(_outlying(misfit)).tolist()
+    ]
+    one = _means(readings, row, np.where(seen[:, 0], row[:, 0], first))
+    one, sigma_rad = _with_poses(one, readings, points_S, row, p_M, turned)
+    kept = turned | seen[:, 0]
+    sentence = f"one position (that of SMR {names[0]}) and one rotation of SMRs {', '.join(names)}"
+    sentence += f" at {np.count_nonzero(turned)} of {len(stops)} stops, to {1e3 * sigma_rad:.3f} mrad about the axis"
+    sentence += f" known least; {counted(int(np.count_nonzero(~kept)), 'stop')} left out"
+    return one.take(np.flatnonzero(kept)), sentence, faults
+
+
+def _not_one_stop(rows: Readings, first: NDArray[np.intp]) -> Iterator[Fault]:
+    """Yield rows whose joints or split differ from those of the ``first`` (n,) row of their stop, one of each kind."""
+    apart = np.abs(rows.q - rows.q[first])
+    for row in np.flatnonzero(apart.max(axis=1) > _SAME_STOP_RAD)[:1].tolist():
+        joint = int(np.argmax(apart[row]))
+        text = f"{apart[row, joint]:.4f} rad from another row of the stop; the arm must rest until all are measured"
+        yield row, f"q{joint + 1}", text
+    if rows.split is not None:
+        for row in [row for row, word in enumerate(rows.split) if word != rows.split[first[row]]][:1]:
+            yield row, "split", f"{rows.split[row]}, but {rows.split[first[row]]} in another row of the same stop"
+
+
+def _figure(p_M: Array) -> Array | None:
+    """Return the figure (K, 3) of SMRs at stops (S, K, 3), NaN where not measured; None if it gives no rotation.
+
+    Raise ``NotConverged`` if it does not settle.
+    """
+    complete = p_M[np.isfinite(p_M).all(axis=(1, 2))]
+    if not len(complete):
+        return None
+    apart = np.linalg.norm(complete[:, :, None] - complete[:, None], axis=3)
+    usual = np.abs(apart - np.median(apart, axis=0)).max(axis=(1, 2))
+    points = complete[np.argmin(usual)] - complete[np.argmin(usual), 0]
+    for _ in range(_ROUNDS):
+        rotation, origin = _laid_on(points, p_M)
+        in_S = np.einsum("sba,skb->ska", rotation, p_M - origin[:, None])
+        before, points = points, np.nanmean(in_S[~_outlying(_rms(in_S - points))], axis=0)
+        if np.abs(points - before).max() < _SETTLED_M:
+            break
+    else:
+        raise NotConverged.of("fit of the SMRs on a flange", f"{_ROUNDS} rounds were not enough")
+    points = points - points[0]
+    length = float(np.linalg.norm(points[1]))
+    x = points[1] / length
+    aside = points - (points @ x)[:, None] * x
+    widths = np.linalg.norm(aside, axis=1)
+    if widths.max() < _FLAT * length:
+        return None
+    y = aside[np.argmax(widths)] / widths.max()
+    return np.asarray(points @ np.stack([x, y, np.cross(x, y)], axis=1))
+
+
+def _laid_on(points_S: Array, p_M: Array) -> tuple[Array, Array]:
+    """Register a figure (K, 3) to points (S, K, 3), NaN where not measured; return rotations (S, 3, 3), origins (S, 3).
+
+    Source: Kabsch, Acta Cryst. A32 (1976) 922, for all stops at once; without reflections.
+    """
+    seen = np.isfinite(p_M[:, :, :1])
+    count = np.maximum(seen.sum(axis=1), 1)
+    p = np.where(seen, p_M, 0.0)
+    mean_M, mean_S = p.sum(axis=1) / count, (seen * points_S).sum(axis=1) / count
+    cross = np.einsum("ska,skb->sab", p - seen * mean_M[:, None], seen * (points_S - mean_S[:, None]))
+    u, _, vt = np.linalg.svd(cross)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotation = u @ vt
+    return rotation, mean_M - np.einsum("sab,sb->sa", rotation, mean_S)
+
+
+def _misfit(points_S: Array, p_M: Array) -> Array:
+    """Return the rms distance (S,) of measured points (S, K, 3) from the figure."""
+    rotation, origin = _laid_on(points_S, p_M)
+    return _rms(p_M - origin[:, None] - np.einsum("sab,kb->ska", rotation, points_S))
+
+
+def _rms(vectors: Array) -> Array:
+    """Return the rms length (S,) of those vectors (S, K, 3) that are not NaN."""
+    return np.asarray(np.sqrt(np.nanmean(np.sum(vectors**2, axis=2), axis=1)))
+
+
+def _outlying(misfit: Array) -> NDArray[np.bool_]:
+    """Return a mask (S,) of the stops that the figure does not fit; False for NaN."""
+    return np.asarray(misfit > _OUTLYING * max(float(np.nanmedian(misfit)), _LEAST_M))
+
+
+def _means(readings: Readings, row: NDArray[np.intp], first: Sequence[int] | NDArray[np.intp]) -> Readings:
+    """Return the rows ``first`` (S,); joint positions, times and dwell are means over the rows (S, K) of each stop."""
+    seen, means = row >= 0, dict[str, Any]()
+    for name in ("q", "time_s", "dwell_s", "sequence"):
+        if (values := getattr(readings, name)) is not None:
+            more = (1,) * (values.ndim - 1)
+            total = np.where(seen.reshape(*seen.shape, *more), values[row], 0.0).sum(axis=1)
+            means[name] = total / seen.sum(axis=1).reshape(-1, *more)
+    return replace(readings.take(first), smr=None, **means)
+
+
+def _with_poses(
+    one: Readings, rows: Readings, points_S: Array, row: NDArray[np.intp], p_M: Array, turned: NDArray[np.bool_]
+) -> tuple[Readings, float]:
+    """Set position, rotation and covariances in the readings (S,) in the mask ``turned`` (S,); also return the rms
+    standard deviation [rad] of the rotations about the axes known least."""
+    covariances, of_points = _covariances(rows), dict[str, Any]()
+    if covariances is None:
+        counts = np.isfinite(p_M[turned, :, 0]).sum(axis=1)
+        square = float(np.sum(_misfit(points_S, p_M[turned]) ** 2 * counts))
+        free = 3 * int(counts.sum()) - 6 * len(counts) - 3 * len(points_S) + 6
+        noise_m = max(np.sqrt(square / free), _LEAST_M) if free > 0 else _USUAL_NOISE_M
+        covariances = np.tile(noise_m**2 * np.eye(3), (len(rows), 1, 1))
+    elif (own := _covariances(one)) is not None:
+        of_points = {"sigma_m": None, "covariance_M": own}
+    information = np.where((row >= 0)[:, :, None, None], np.linalg.inv(covariances)[row], 0.0)[turned]
+    rotation, origin = _laid_on(points_S, p_M[turned])
+    arms = np.einsum("sab,kb->ska", rotation, points_S)
+    J, off = twist_columns(arms), np.nan_to_num(p_M[turned] - origin[:, None] - arms)
+    unit = np.array([1.0, 1.0, 1.0, *(1.0 / np.abs(points_S).max(),) * 3])
+    weighed = np.einsum("skab,skbi->skai", information, J)
+    covariance = np.linalg.inv(np.einsum("skai,skaj->sij", J, weighed) * unit * unit[:, None]) * unit * unit[:, None]
+    step = np.einsum("sij,skaj,ska->si", covariance, weighed, off)
+    rotation = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
+    places, quaternion, turning = one.p_M.copy(), np.full((len(one), 4), np.nan), np.full((len(one), 3, 3), np.nan)
+    places[turned], quaternion[turned] = origin + step[:, :3], quaternions_of(rotation)
+    turning[turned] = covariance[:, 3:, 3:]
+    if of_points:
+        of_points["covariance_M"][turned] = covariance[:, :3, :3]
+    least = np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1]
+    posed = replace(one, p_M=places, quaternion_M=quaternion, turning_covariance_M=turning, **of_points)
+    return posed, float(np.sqrt(least.mean()))
+
+
+def _covariances(readings: Readings) -> Array | None:
+    """Return a copy of the stated covariances (n, 3, 3) [m^2] of all readings; None if one has none."""
+    stated = stated_uncertainty(readings)
+    return None if stated is None else stated.copy() if stated.ndim == 3 else stated[:, None, None] ** 2 * np.eye(3)

@@ -10,17 +10,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
-from cellapp.estimation.uncertainty.records import UncertaintyContribution, UncertaintyParts
+from cellapp.estimation.readings.readings import Readings
+from cellapp.estimation.uncertainty.records import (
+    Conformity,
+    ToleranceVerdict,
+    TurnContribution,
+    UncertaintyContribution,
+    UncertaintyParts,
+)
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.ground.profile.schema import ArmType, PermissibleError
+from cellapp.ground.profile.sections import MPE_SHARE, MpeRule
+from cellapp.ground.results import DecisionRule
 from cellapp.robot.effects import EFFECTS
+from cellapp.robot.kinematics.transforms import Array
 
 COVERAGE = 2.0
 """Coverage factor k; about 95 % for a normal distribution (GUM 6.2.1, G.6.6)."""
@@ -257,3 +268,181 @@ def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -
     return UncertaintyContribution.model_validate(
         {"source": source, "standard_mm": standard_mm, "evaluation": evaluation, "basis": basis}
     )
+
+
+# -- Uncertainty budget of a measured orientation error (JCGM 100): independent contributions, for one component ------
+
+
+def turn_budget(
+    profile: Profile, arm: str, model_mrad: float, noise_mrad: float, basis: str = "at the command"
+) -> tuple[TurnContribution, ...]:
+    """Return the contributions to the uncertainty of a flange rotation measured by a probe or several SMRs [mrad].
+
+    With several SMRs only the scatter about the model is known, which includes the arm's repeatability.
+
+    Parameters
+    ----------
+    model_mrad : float
+        Standard uncertainty of a component by the model in force, including the mounting of the probe.
+    noise_mrad : float
+        Scatter of measured orientations about the model.
+    basis : str
+        Words that say to which command ``model_mrad`` belongs.
+    """
+    smr, scatter = profile.arms[arm].smr, f"orientations scatter by {noise_mrad:.4f} mrad about the model"
+    stated = None if smr.probe is None else smr.probe.sigma * 1e3
+    beyond = math.sqrt(max(noise_mrad**2 - (stated or 0.0) ** 2, 0.0))
+    said = "not given: the profile states no probe (smr.probe)"
+    lines = [
+        ("6-D probe", stated, "B", said if stated is None else "stated standard uncertainty about each axis"),
+        ("repeatability of the arm", beyond, "A", f"{scatter}; what exceeds the probe's"),
+        ("calibrated model", model_mrad, "A", f"posterior of the model in force {basis}"),
+    ]
+    return tuple(
+        TurnContribution.model_validate(
+            {"source": source, "standard_mrad": value, "evaluation": kind, "basis": words, "where": arm}
+        )
+        for source, value, kind, words in lines
+    )
+
+
+def expanded_mrad(contributions: Sequence[TurnContribution]) -> float | None:
+    """Return the expanded uncertainty [mrad], k = 2; None if a contribution is missing."""
+    standard_mrad = combined(one.standard_mrad for one in contributions)
+    return None if standard_mrad is None else COVERAGE * standard_mrad
+
+
+# -- Conditions of an arm's measurements: distances from the tracker, temperatures, payload. No I/O -------------------
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MeasuredConditions:
+    """Smallest and largest values over the readings of one arm; None if no reading has the quantity.
+
+    ``distance_m`` is from the tracker to the SMR, ``air_c`` the air or arm temperature of the readings, ``joints_c``
+    that of the joints [degC], ``payload_kg`` the payload.
+    """
+
+    readings: int
+    distance_m: Range | None = None
+    air_c: Range | None = None
+    joints_c: Range | None = None
+    payload_kg: Range | None = None
+
+
+def measured_conditions(readings: Mapping[str, Readings]) -> dict[str, MeasuredConditions]:
+    """Return the conditions of the readings of each arm."""
+    return {name: _of_arm(arm) for name, arm in readings.items()}
+
+
+def _of_arm(readings: Readings) -> MeasuredConditions:
+    return MeasuredConditions(
+        readings=len(readings),
+        distance_m=_range(np.linalg.norm(readings.p_M, axis=1)),
+        air_c=_range(readings.temperature_c),
+        joints_c=_range(readings.joint_temperature_c),
+        payload_kg=_range(readings.payload_kg),
+    )
+
+
+def _range(values: NDArray[np.float64] | None) -> Range | None:
+    known = np.empty(0) if values is None else values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else None
+
+
+# -- The single decision rule: whether an error conforms to its tolerance, given its uncertainty ----------------------
+#
+# Certificate, verification of targets, paths, tests by ISO 9283, predictions and the terminal application all use it.
+
+TARGET_WORDS: Mapping[Conformity, ToleranceVerdict] = {
+    "conforms": "in",
+    "does not conform": "out",
+    "cannot say": "cannot say",
+}
+"""The decision in the words of targets and paths."""
+
+
+def conformity(value: float | None, expanded: float | None, tolerance: float, rule: DecisionRule) -> Conformity:
+    """Decide on an error against an upper limit; all in one unit.
+
+    ``guarded`` is ISO 14253-1: conformity is proven if ``value + expanded <= tolerance``, nonconformity if ``value -
+    expanded > tolerance``, and neither between; without an expanded uncertainty there is no decision. ``simple``
+    compares the value alone (ISO/IEC Guide 98-4, simple acceptance). A missing value gives no decision.
+    """
+    if value is None:
+        return "cannot say"
+    if rule == "simple":
+        return decided(value, value, tolerance)
+    return "cannot say" if expanded is None else decided(value - expanded, value + expanded, tolerance)
+
+
+def decided(low: float, high: float, tolerance: float) -> Conformity:
+    """Decide for an error between two bounds: proven inside, proven outside, or neither."""
+    if high <= tolerance:
+        return "conforms"
+    return "does not conform" if low > tolerance else "cannot say"
+
+
+def target_verdict(
+    value: float | None, expanded: float | None, tolerance: float | None, rule: DecisionRule
+) -> ToleranceVerdict:
+    """Return ``conformity`` in the words of targets; empty without a tolerance or a measurement."""
+    if value is None or tolerance is None:
+        return ""
+    return TARGET_WORDS[conformity(value, expanded, tolerance, rule)]
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Judgement of measured targets and paths against their tolerances, by the single rule and with the same uncertainty.
+#
+# The expanded uncertainty of a distance from a target is that of the certificate: its contributions at the measured
+# place and for the command sent. If one is missing, the uncertainty is unknown and the rule decides nothing.
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judge of errors in one cell.
+
+    ``known`` holds the data of the run on the errors of each arm.
+    """
+
+    profile: Profile
+    known: Mapping[str, Evidence] = field(default_factory=dict)
+
+    @property
+    def rule(self) -> DecisionRule:
+        """Rule chosen in the profile."""
+        return self.profile.tolerances.decision
+
+    def expanded_mm(
+        self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
+    ) -> float | None:
+        """Return the expanded uncertainty [mm] at measured SMRs, arm -> (3,) [m]; for two arms of their distance.
+
+        None if a contribution is missing.
+        """
+        return expanded_mm(self._budget(measured_M, parts))
+
+    def verdict(self, error_mm: float | None, expanded: float | None, tolerance_mm: float | None) -> ToleranceVerdict:
+        """Return the verdict; empty without a tolerance or an error."""
+        return target_verdict(error_mm, expanded, tolerance_mm, self.rule)
+
+    def not_given(self, arms: Sequence[str]) -> tuple[str, ...]:
+        """Return the missing contributions, without which the guarded rule decides nothing."""
+        if self.rule != "guarded":
+            return ()
+        somewhere = {arm: np.array([1.0, 0.0, 0.0]) for arm in arms}
+        return tuple(not_given(self._budget(somewhere, dict.fromkeys(arms))))
+
+    def _budget(
+        self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
+    ) -> list[UncertaintyContribution]:
+        return [
+            line
+            for arm, p_M in measured_M.items()
+            for line in target_budget(
+                self.profile, arm, self.known.get(arm, Evidence()), float(np.linalg.norm(p_M)), parts.get(arm)
+            )
+        ]

@@ -13,13 +13,17 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from cellapp.ground.network_kind import NetworkKind
-from cellapp.ground.profile.acceptance import Tolerances, Traceability
-from cellapp.ground.profile.collection import Collection
-from cellapp.ground.profile.controller_table import ControllerTable
-from cellapp.ground.profile.grown import GrownSection
-from cellapp.ground.profile.obstacles import Obstacles
-from cellapp.ground.profile.plan import Plan
-from cellapp.ground.profile.smr import ArmPoint, Smr
+from cellapp.ground.profile.sections import (
+    ArmPoint,
+    Collection,
+    ControllerTable,
+    GrownSection,
+    Obstacles,
+    Plan,
+    Smr,
+    Tolerances,
+    Traceability,
+)
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.quantities import (

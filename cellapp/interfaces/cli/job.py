@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.pace import eta_words, in_lines
-from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion
+from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
 from cellapp.ground.signals import HANGUP, INTERRUPTS, available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
 

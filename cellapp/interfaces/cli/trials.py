@@ -10,8 +10,8 @@ import typer
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed
+from cellapp.ground.executors import TimeLimit
 from cellapp.ground.outputs import Writes
-from cellapp.ground.time_limit import TimeLimit
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import Jobs, JsonOption, ProfilePath, Scheduler

@@ -30,7 +30,7 @@ from cellapp.commands.discover.run import discover_effects
 from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings

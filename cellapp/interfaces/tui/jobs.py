@@ -19,8 +19,7 @@ from textual.message import Message
 
 from cellapp.commands.record import Request, Verb, View
 from cellapp.ground.control import JobControl
-from cellapp.ground.pace import with_eta
-from cellapp.ground.progress import Listener, Progress
+from cellapp.ground.progress import Listener, Progress, with_eta
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result

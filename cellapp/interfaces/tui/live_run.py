@@ -9,15 +9,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cellapp.ground.asking import (
-    JOB_FILE,
-    JobAddress,
-    JobSeen,
-    Verb,
-    address_of_job,
-    ask_running_job,
-    look_at_job,
-)
+from cellapp.ground.asking import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.progress import Listener, Progress, StateChange

@@ -1,19 +1,32 @@
 """The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
 
-from cellapp.robot.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies
-from cellapp.robot.effects.effect import Effect, Meaning, SizeSource, enumeration, place_in_words
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
-from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
-from cellapp.robot.effects.registry import EFFECTS, registered
-from cellapp.robot.effects.term import (
+from cellapp.robot.effects.context import (
+    Channel,
+    EffectColumn,
+    EffectContext,
+    MeasurementConditions,
+    TemperatureRecord,
+    Wave,
+    joint_column,
+    shift_column,
+    varies,
+)
+from cellapp.robot.effects.effect import (
     Displacement,
+    Effect,
     EffectTerm,
+    Meaning,
+    SizeSource,
     displacement,
     displacement_by,
+    enumeration,
+    place_in_words,
     term_from_json,
     term_to_json,
 )
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
+from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
+from cellapp.robot.effects.registry import EFFECTS, registered
 
 __all__ = [
     "EFFECTS",

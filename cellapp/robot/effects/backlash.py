@@ -6,8 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn, joint_column
-from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.context import EffectColumn, EffectContext, joint_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import (

@@ -9,13 +9,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, TypeVar
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+import numpy as np
+
+from cellapp.robot.effects.context import INDEXED_CHANNELS, EffectColumn, EffectContext, place_name
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm, SmoothLaw
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import (
+    FreeDriver,
+    Modulation,
+    modulation_from_json,
+    modulation_to_json,
+    with_modulations,
+)
+from cellapp.robot.kinematics.transforms import Array
 
 # -- What an effect means for whoever runs the cell -------------------------------------------------------------------
 
@@ -172,3 +180,250 @@ class Effect(ABC):
     def law(self, name: str = "", constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
         """Return a law by the name of its form."""
         return self.form(name).law(constants, tried)
+
+
+# -- Library laws that are borrowed for other causes: what the readings show is reported and not dropped --------------
+#
+# A law that fits only with physically impossible values has another cause, such as a wrong sign convention of the
+# readings or a wrong mass. A law may also describe a part of an unknown effect. Such terms belong to the unknown
+# effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``.
+
+_CONTRADICTION, _IMITATION = "contradiction", "imitation"
+
+
+@dataclass(frozen=True)
+class BorrowedForm(LawForm):
+    """The form ``lent`` of an effect's law, without physical bounds, for something that is not that effect."""
+
+    effect: Effect = field(kw_only=True)
+    lent: LawForm = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class ContradictionForm(BorrowedForm):
+    """A borrowed form that fits only with physically impossible values."""
+
+
+_Form = TypeVar("_Form", bound=BorrowedForm)
+
+
+def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
+    """Return a form of an effect as a contradiction."""
+    return _borrowed(ContradictionForm, _CONTRADICTION, effect, form, ", but with impossible values")
+
+
+def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
+    """Return a form of an effect as a part of an unknown effect."""
+    return _borrowed(BorrowedForm, _IMITATION, effect, form)
+
+
+def _borrowed(kind: type[_Form], prefix: str, effect: Effect, form: LawForm, but: str = "") -> _Form:
+    return kind(
+        name="|".join((prefix, effect.slug, form.name)),
+        words=f"as {effect.title}, {form.words}{but}",
+        constants=form.constants,
+        variables=form.variables or effect.variables,
+        effect=effect,
+        lent=form,
+    )
+
+
+def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedForm | None:
+    """Return the borrowed form named so in JSON, else None; raise ``ValueError`` if the effect lacks the law."""
+    prefix, _, rest = name.partition("|")
+    slug, _, law = rest.partition("|")
+    make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation}.get(prefix)
+    if make is None or slug not in library:
+        return None
+    return make(library[slug], library[slug].form(law))
+
+
+def lent_law(law: Law) -> Law:
+    """Return the library law behind a borrowed one."""
+    assert isinstance(law.form, BorrowedForm)
+    return law.form.lent.law(law.constants, law.tried)
+
+
+def contradicted_effect(law: Law) -> Effect:
+    """Return the library effect that a contradiction behaves like."""
+    assert isinstance(law.form, ContradictionForm)
+    return law.form.effect
+
+
+def is_contradiction(law: Law) -> bool:
+    """Return whether a law is a library law with impossible values."""
+    return isinstance(law.form, ContradictionForm)
+
+
+def is_borrowed(law: Law) -> bool:
+    """Return whether a law is a library law borrowed for another cause."""
+    return isinstance(law.form, BorrowedForm)
+
+
+def contradiction_meaning(effect: Effect) -> Meaning:
+    """Build the meaning of an effect that the readings show with impossible values."""
+    words = effect.impossible
+    checks = dict.fromkeys((words.sign_check, words.size_check))
+    return Meaning(
+        cause=(
+            f"Something behaves like {effect.title}, but with values that cannot be. The first suspects are signs,"
+            " units and conventions of the readings and of the profile."
+        ),
+        size="A value that cannot be has no usual size",
+        size_source="none",
+        check=tuple(f"{check[0].upper()}{check[1:]}." for check in checks),
+        settle=effect.meaning.settle,
+    )
+
+
+def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[float]) -> str:
+    """Say what an effect with impossible values looks like, where, and what to check.
+
+    ``columns``, with their bounds, and ``values`` are those outside the bounds only.
+    """
+    words = effect.impossible
+    places = _places(columns)
+    negative = [value < 0.0 and column.lower == 0.0 for column, value in zip(columns, values, strict=True)]
+    if sum(negative) * 2 >= len(negative):
+        return f"behaves like {words.sign or f'{effect.title} of the opposite sign'} at {places}: {words.sign_check}"
+    sizes = [
+        abs(value) / (words.limit_size or max(abs(column.lower), abs(column.upper)))
+        for column, value in zip(columns, values, strict=True)
+    ]
+    return f"behaves like {effect.title} of {np.max(sizes):.2g} times {words.limit} at {places}: {words.size_check}"
+
+
+def _places(columns: Sequence[EffectColumn]) -> str:
+    """``joint 2``, ``joints 1, 2, 3``, ``base``."""
+    indices = sorted({column.index for column in columns if column.index is not None})
+    channel = columns[0].channel
+    if channel not in INDEXED_CHANNELS or not indices:
+        return place_name(channel, None)
+    if len(indices) == 1:
+        return place_name(channel, indices[0])
+    return f"{place_name(channel, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"
+
+
+# -- Accepted effects as terms of an arm model: their displacement, and the one JSON form of a term -------------------
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """An accepted effect in a model: its law, and name, value, standard error and unit of each parameter.
+
+    The parameters are those of the law, then those of its free part ``modulations``; ``law_misfit`` is the rms
+    displacement by the free part over that by the law. ``note`` describes a data-driven term.
+    """
+
+    slug: str
+    names: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    units: tuple[str, ...]
+    law: Law
+    note: str = ""
+    modulations: tuple[Modulation, ...] = ()
+    law_misfit: float = 0.0
+
+    @property
+    def law_names(self) -> tuple[str, ...]:
+        """Names of the law's parameters."""
+        return self.names[: len(self.names) - len(self.modulations)]
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Joint offsets (n, N) [rad] and SMR shifts (n, 3) [m, tracker frame] at n stops."""
+
+    joints: Array
+    shift_M: Array
+
+    @classmethod
+    def total(cls, parts: Sequence[Displacement], n: int, joints: int) -> Displacement:
+        """Sum of displacements at ``n`` stops of an arm with ``joints`` joints."""
+        return cls(
+            joints=sum((one.joints for one in parts), start=np.zeros((n, joints))),
+            shift_M=sum((one.shift_M for one in parts), start=np.zeros((n, 3))),
+        )
+
+
+def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
+    """Compute the sum of the displacements of all terms."""
+    columns: list[EffectColumn] = []
+    for term in terms:
+        of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
+        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+        columns += [by_name[name] for name in term.names]
+    values = [value for term in terms for value in term.values.tolist()]
+    return displacement_by(columns, values, *context.q.shape)
+
+
+def displacement_by(columns: Sequence[EffectColumn], values: Sequence[float], n: int, joints: int) -> Displacement:
+    """Compute the sum of columns times values at ``n`` stops of an arm with ``joints`` joints."""
+    moved, shift_M = np.zeros((n, joints)), np.zeros((n, 3))
+    for column, value in zip(columns, values, strict=True):
+        if column.joint is not None:
+            assert column.offset is not None
+            moved[:, column.joint] += value * column.offset
+        else:
+            assert column.shift_M is not None
+            shift_M += value * column.shift_M
+    return Displacement(moved, shift_M)
+
+
+def term_to_json(term: EffectTerm) -> dict[str, Any]:
+    """Convert a term to a JSON object: slug, law, constants, parameters, note, and its free part if any."""
+    free = {"modulations": [modulation_to_json(one) for one in term.modulations], "law_misfit": term.law_misfit}
+    return {
+        "effect": term.slug,
+        "law": term.law.name,
+        "constants": dict(term.law.constants),
+        "note": term.note,
+        "parameters": {
+            name: {"value": value, "standard_error": error, "unit": unit}
+            for name, value, error, unit in zip(
+                term.names, term.values.tolist(), term.standard_errors.tolist(), term.units, strict=True
+            )
+        },
+        **(free if term.modulations else {}),
+    }
+
+
+def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) -> EffectTerm:
+    """Parse an object from ``term_to_json``, or an entry of discovery's list of accepted effects.
+
+    Raises
+    ------
+    ValueError
+        If the effect, its law, a constant or a variable is unknown, or a constant is missing.
+    """
+    law = content.get("law", "")
+    if isinstance(law, Mapping):  # discovery's layout: {"name": ..., "constants": {...}}
+        name, constants = law["name"], law["constants"]
+    else:
+        name, constants = law, content.get("constants", {})
+    parameters = content["parameters"]
+    return EffectTerm(
+        slug=content["effect"],
+        names=tuple(parameters),
+        values=np.array([p["value"] for p in parameters.values()], dtype=np.float64),
+        standard_errors=np.array([p["standard_error"] for p in parameters.values()], dtype=np.float64),
+        units=tuple(p["unit"] for p in parameters.values()),
+        law=_law_from_json(content["effect"], name, constants, effects),
+        note=content.get("note", ""),
+        modulations=tuple(modulation_from_json(one) for one in content.get("modulations", ())),
+        law_misfit=float(content.get("law_misfit", 0.0)),
+    )
+
+
+def _law_from_json(slug: str, name: str, constants: Mapping[str, Any], effects: Mapping[str, Effect]) -> Law:
+    if slug not in effects:
+        raise ValueError(
+            f"this version does not know the effect '{slug}'; if a plug-in has it, install that: 'cellapp doctor'"
+            " lists plug-ins and says what keeps one from being used"
+        )
+    law = effects[slug].law(name, {key: float(value) for key, value in constants.items()})
+    missing = law.form.missing(law.constants)
+    if missing:
+        raise ValueError(f"effect {slug}: law '{name}' lacks its constant '{missing[0]}'")
+    return law

@@ -6,8 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.joint_axis_wobble import (

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.robot.effects.column import Channel, EffectColumn, Wave, shift_column
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, Wave, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import (

@@ -11,8 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.kinematics.transforms import Array
 
 AMPLITUDE_NAME = "amplitude"

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.effects.data_driven import PER_JOINT, Quantity, Variable, variable_named, variables
 from cellapp.robot.kinematics.transforms import Array
 

@@ -22,8 +22,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, Tuning
 from cellapp.robot.effects.time_functions import with_default

@@ -8,8 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cellapp.robot.effects.column import EffectColumn, Wave, joint_column
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import EffectColumn, EffectContext, Wave, joint_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import (

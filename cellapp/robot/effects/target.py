@@ -7,8 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from cellapp.robot.effects.base_motion import OnsetEffect
-from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
-from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm

@@ -13,16 +13,9 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext
-from cellapp.robot.effects.contradiction import (
-    BorrowedForm,
-    ContradictionForm,
-    borrowed_form_named,
-    contradiction_meaning,
-    lent_law,
-)
+from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column
 from cellapp.robot.effects.data_driven import (
+    FIELD_LENGTH,
     FIRST_CONSTANTS,
     PERIOD,
     POSITION,
@@ -34,13 +27,24 @@ from cellapp.robot.effects.data_driven import (
     Variable,
     channels,
     data_driven_form,
+    field_frequencies,
+    field_functions,
+    field_variances,
     form_named,
     form_of,
     position_in_base,
     variables,
 )
-from cellapp.robot.effects.effect import Effect, Meaning, enumeration
-from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_functions, field_variances
+from cellapp.robot.effects.effect import (
+    BorrowedForm,
+    ContradictionForm,
+    Effect,
+    Meaning,
+    borrowed_form_named,
+    contradiction_meaning,
+    enumeration,
+    lent_law,
+)
 from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
@@ -172,7 +176,7 @@ class Unknown(Effect):
     the end of the run for time, no step, the run's median dwell, its mean temperature, the nominal payload), ``center``
     of an azimuth; with a ``2`` appended for the second variable.
 
-    Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of
+    Of the position: the smooth field over the workspace of ``robot.effects.data_driven``, a shift along x, y and z of
     the base with one amplitude and one length scale.
 
     A law of the library whose values are impossible, or that imitates a part of something else, is one as well.

@@ -41,13 +41,16 @@ class InverseSolution:
     rotation_error: Array
 
 
+_REACHED = 1e-10
+"""Largest position error [m] and rotation error [rad] that count as reached."""
+
+
 def solve_pose(
     geometry: Geometry,
     position_M: Array,
     rotation_M: Array,
     start: Array,
     *,
-    tolerance: float = 1e-10,
     max_iterations: int = 60,
 ) -> InverseSolution:
     """Find joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
@@ -64,8 +67,6 @@ def solve_pose(
         Wanted rotation of the flange in the tracker frame.
     start : array, shape (n, N)
         Initial joint positions [rad]; they select the branch of the solution.
-    tolerance : float
-        Largest position error [m] and rotation error [rad] that count as reached.
     max_iterations : int
 
     Notes
@@ -79,13 +80,13 @@ def solve_pose(
         largest = np.abs(errors).max(axis=1)
         better = largest < best_error[active]
         best[active[better]], best_error[active[better]] = q[better], largest[better]
-        unsolved = best_error[active] >= 0.1 * tolerance
+        unsolved = best_error[active] >= 0.1 * _REACHED
         if not unsolved.any():
             break
         active, q = active[unsolved], q[unsolved] + damped_step(J[unsolved], errors[unsolved])
     errors, _ = errors_and_jacobian(geometry, position_M, rotation_M, best)
     position_error, rotation_error = (np.linalg.norm(part, axis=1) for part in (errors[:, :3], errors[:, 3:]))
-    reached = (position_error < tolerance) & (rotation_error < tolerance)
+    reached = (position_error < _REACHED) & (rotation_error < _REACHED)
     return InverseSolution(best, reached, position_error, rotation_error)
 
 

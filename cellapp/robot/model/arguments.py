@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.errors import InputError
-from cellapp.ground.units import first_in_degrees
 from cellapp.robot.kinematics.transforms import Array
+
+# -- Units that a caller may have mistaken ----------------------------------------------------------------------------
+
+_WIDEST_RAD = 4.0 * math.pi
+"""Two turns: more than the range of any joint of an industrial arm."""
+
+
+def first_in_degrees(q: NDArray[Any]) -> tuple[int, int] | None:
+    """Row and column of the first joint position that can only be in degrees, among ``q`` (n, N) meant as [rad].
+
+    None unless most rows have one: a single row may be wrong without being in degrees.
+    """
+    wide = np.abs(q) > _WIDEST_RAD
+    if 2 * np.count_nonzero(wide.any(axis=1)) <= len(q):
+        return None
+    row, joint = np.argwhere(wide)[0].tolist()
+    return row, joint
+
 
 Value = TypeVar("Value")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy
@@ -18,6 +19,7 @@ from cellapp.robot.effects import (
     EFFECTS,
     Displacement,
     DriverVariable,
+    EffectColumn,
     EffectContext,
     EffectTerm,
     MeasurementConditions,
@@ -25,12 +27,16 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
+from cellapp.robot.effects.modulation import with_modulations
 from cellapp.robot.kinematics.chain import (
     BASE_NAMES,
     PROBE_NAMES,
     Geometry,
+    JointAngles,
     base_twists,
     flange_poses,
+    jacobian,
+    joint_jacobian,
     parameter_unit,
     probe_rotations,
     smr_positions,
@@ -38,8 +44,130 @@ from cellapp.robot.kinematics.chain import (
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.arguments import configurations, of_arm, require_radians
-from cellapp.robot.model.network import ResidualNetwork, network_from_json, network_to_json
-from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
+
+# -- Residual network of an arm model: evaluation with numpy alone, and its JSON form ---------------------------------
+#
+# A committee of small multilayer perceptrons (tanh, linear output) maps joint positions to the residual of the SMR
+# position. The mean of the members is the correction, their standard deviation its uncertainty. Outside the trained
+# joint ranges the correction fades to zero over a margin, because a network does not extrapolate.
+
+Inputs = Literal["angles", "sincos", "both"]
+Layers = tuple[tuple[Array, Array], ...]
+
+
+@dataclass(frozen=True)
+class ResidualNetwork:
+    """A trained committee.
+
+    Attributes
+    ----------
+    inputs : str
+        ``angles`` scaled to the trained ranges, ``sincos``, or ``both``.
+    low, high : array, shape (N,)
+        Trained joint ranges [rad].
+    margin : array, shape (N,)
+        Distance outside the ranges over which the correction fades to zero [rad].
+    rotates_with_joint_1 : bool
+        Whether the members' output frame rotates with joint 1 about z. Effects of gravity and gears do not depend on
+        joint 1 in that frame. The correction is rotated back.
+    scale : float
+        Scale of the outputs [m].
+    members : tuple of layers
+        For each member and layer: weights (out, in) and offsets (out,).
+    """
+
+    inputs: Inputs
+    low: Array
+    high: Array
+    margin: Array
+    rotates_with_joint_1: bool
+    scale: float
+    members: tuple[Layers, ...]
+
+    def correct(self, q: Array) -> Array:
+        """Compute the correction (n, 3) [m] of SMR positions at ``q`` (n, N) [rad], in the frame of its training."""
+        correction = self._each(q).mean(axis=0) * self._fade(q)
+        return rotate_about_z(correction, q[:, 0]) if self.rotates_with_joint_1 else np.asarray(correction)
+
+    def spread(self, q: Array) -> Array:
+        """Compute the standard deviation (n, 3) [m] of the members at ``q`` (n, N) [rad]."""
+        each = self._each(q)
+        if self.rotates_with_joint_1:
+            each = np.array([rotate_about_z(member, q[:, 0]) for member in each])
+        return np.asarray(each.std(axis=0, ddof=1) * self._fade(q))
+
+    def _each(self, q: Array) -> Array:
+        x = network_inputs(self.inputs, self.low, self.high, q)
+        outputs = []
+        for layers in self.members:
+            y = x
+            for weights, offsets in layers[:-1]:
+                y = np.tanh(y @ weights.T + offsets)
+            weights, offsets = layers[-1]
+            outputs.append(y @ weights.T + offsets)
+        return np.asarray(outputs) * self.scale
+
+    def _fade(self, q: Array) -> Array:
+        beyond = np.maximum(np.maximum(self.low - q, q - self.high), 0.0) / self.margin
+        each = np.where(beyond < 1.0, 0.5 * (1.0 + np.cos(np.pi * np.minimum(beyond, 1.0))), 0.0)
+        return np.asarray(each.prod(axis=1)[:, None])
+
+
+def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
+    """Convert a network to a JSON object; floats are exact."""
+    return {
+        "inputs": network.inputs,
+        "low": network.low.tolist(),
+        "high": network.high.tolist(),
+        "margin": network.margin.tolist(),
+        "turning_with_joint_1": network.rotates_with_joint_1,
+        "scale_m": network.scale,
+        "activation": "tanh",
+        "members": [
+            [{"weights": weights.tolist(), "offsets": offsets.tolist()} for weights, offsets in layers]
+            for layers in network.members
+        ],
+    }
+
+
+def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
+    """Parse an object from ``network_to_json``; raise ``KeyError``, ``ValueError`` or ``TypeError`` for others."""
+    if content["inputs"] not in get_args(Inputs) or content["activation"] != "tanh":
+        raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
+    return ResidualNetwork(
+        inputs=content["inputs"],
+        low=np.array(content["low"], dtype=np.float64),
+        high=np.array(content["high"], dtype=np.float64),
+        margin=np.array(content["margin"], dtype=np.float64),
+        rotates_with_joint_1=bool(content["turning_with_joint_1"]),
+        scale=float(content["scale_m"]),
+        members=tuple(
+            tuple(
+                (np.array(layer["weights"], dtype=np.float64), np.array(layer["offsets"], dtype=np.float64))
+                for layer in layers
+            )
+            for layers in content["members"]
+        ),
+    )
+
+
+def rotate_about_z(vectors: Array, angles: Array) -> Array:
+    """Rotate vectors (n, 3) about z by ``angles`` (n,) [rad]."""
+    c, s = np.cos(angles), np.sin(angles)
+    x, y, z = vectors.T
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=1)
+
+
+def network_inputs(kind: Inputs, low: Array, high: Array, q: Array) -> Array:
+    """Compute inputs of the first layer from ``q`` (n, N) [rad], by ``kind``: angles scaled to [-1, 1], (n, N), cosines
+    and sines, (n, 2 N), or both in this order."""
+    parts = []
+    if kind != "sincos":
+        parts.append((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))
+    if kind != "angles":
+        parts += [np.cos(q), np.sin(q)]
+    return np.hstack(parts)
+
 
 Signs = NDArray[np.float64] | NDArray[np.int8]
 MODEL_SCHEMA = "cellapp-calibration"
@@ -516,3 +644,153 @@ def _adjoint(T: Array) -> Array:
     whole[:3, :3] = whole[3:, 3:] = rotation
     whole[:3, 3:] = cross @ rotation
     return whole
+
+
+# -- Uncertainty of predictions from draws of all fitted parameters about their estimate ------------------------------
+#
+# The posterior of geometry and effects is close to normal, but with smooth functions its covariance has a million
+# entries. S draws of the parameters keep all correlations and give the standard deviation of any prediction with a
+# relative error of 1 / sqrt(2 S): 9 % with 64. With up to S parameters the draws are made orthogonal, so that their
+# second moment is exactly the covariance.
+
+DRAWS = 64
+_DIGITS = 4
+"""Significant digits of a draw in JSON: more than enough, as the scatter is known to one digit."""
+
+
+class ReadingsNoise(NamedTuple):
+    """Standard deviations of measured coordinates about the true predictions.
+
+    ``m`` is that of a coordinate [m], ``rad`` that of a component of an orientation [rad], None if none was measured.
+    ``axes_rad`` (3,) are those about the three axes in ascending order if they differ, as with several SMRs on a
+    flange; else None.
+    """
+
+    m: float
+    rad: float | None = None
+    axes_rad: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorDraws:
+    """Deviations of the fitted parameters from their estimate in S draws, and the scatter of the readings.
+
+    Attributes
+    ----------
+    columns : tuple of int, length K
+        Geometric parameters, as indices into ``parameter_names``.
+    geometry : array, shape (S, K)
+        Deviations of the geometric parameters, in their units.
+    terms : tuple of array, shape (S, m)
+        Deviations of the parameters of each term of the model, in the order of the term's names.
+    noise_m, noise_rad, noise_axes_rad
+        See ``ReadingsNoise``.
+    """
+
+    columns: tuple[int, ...]
+    geometry: Array
+    terms: tuple[Array, ...]
+    noise_m: float
+    noise_rad: float | None = None
+    noise_axes_rad: Array | None = None
+
+    @classmethod
+    def of_covariance(
+        cls,
+        columns: tuple[int, ...],
+        sizes: Sequence[int],
+        covariance: Array,
+        noise: ReadingsNoise,
+        seed: Sequence[int],
+    ) -> PosteriorDraws:
+        """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        normal = np.random.default_rng(seed).standard_normal((DRAWS, len(scale)))
+        if len(scale) <= DRAWS:
+            normal = math.sqrt(DRAWS) * np.linalg.qr(normal)[0]
+        drawn = (normal @ root.T) * scale
+        ends = np.cumsum([len(columns), *sizes])
+        parts = np.split(drawn, ends[:-1], axis=1)
+        return cls(columns, parts[0], tuple(parts[1:]), *noise)
+
+    def of_columns(self, end: int) -> PosteriorDraws:
+        """Keep the draws of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""
+        kept = [place for place, column in enumerate(self.columns) if column < end]
+        columns = tuple(self.columns[place] for place in kept)
+        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None, noise_axes_rad=None)
+
+    def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
+        """Compute deviations (S, n, 3) of SMR [m] or orientation [rad] from the prediction, to first order."""
+        by_geometry, by_terms = self.displacements_by_part(geometry, terms, context)
+        return by_geometry + by_terms
+
+    def displacements_by_part(
+        self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext
+    ) -> tuple[Array, Array]:
+        """Compute deviations (S, n, 3) [m] of the SMR by geometric parameters and by terms; their sum is the total."""
+        angles = JointAngles.of(context.q, context.conditions.R_M_S)
+        _, J = jacobian(geometry, angles, self.columns)
+        _, by_joint = joint_jacobian(geometry, angles)
+        by_geometry = np.einsum("sk,ckn->snc", self.geometry, J, optimize=True)
+        moved = np.zeros_like(by_geometry)
+        joints = np.zeros((len(self.geometry), *context.q.shape))
+        for term, drawn in zip(terms, self.terms, strict=True):
+            _add(joints, moved, _columns(term, context), drawn)
+        moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
+        return np.asarray(by_geometry), moved
+
+    def joint_offsets(self, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
+        """Compute deviations (T, S, n, N) [rad] of the joint offsets by each of the T terms."""
+        joints = np.zeros((len(terms), len(self.geometry), *context.q.shape))
+        moved = np.zeros((*joints.shape[1:3], 3))  # shifts of the SMR are not needed
+        for own, term, drawn in zip(joints, terms, self.terms, strict=True):
+            _add(own, moved, _columns(term, context), drawn)
+        return joints
+
+
+def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
+    """Return the columns of a term in the order of its parameters."""
+    of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
+    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+    return [by_name[name] for name in term.names]
+
+
+def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:
+    """Add joint offsets (S, n, N) and shifts (S, n, 3) of columns with drawn values (S, m)."""
+    by_joint: dict[int, list[int]] = {}
+    shifting: NDArray[np.intp] = np.array([k for k, one in enumerate(columns) if one.joint is None], dtype=np.intp)
+    for k, column in enumerate(columns):
+        if column.joint is not None:
+            by_joint.setdefault(column.joint, []).append(k)
+    for joint, own in by_joint.items():
+        joints[:, :, joint] += drawn[:, own] @ np.array([columns[k].offset for k in own])
+    if len(shifting):
+        shifts = np.array([columns[k].shift_M for k in shifting])
+        moved += np.tensordot(drawn[:, shifting], shifts, axes=1)
+
+
+def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
+    """Convert draws to a JSON object, rounded."""
+    return {
+        "columns": list(posterior.columns),
+        "geometry": _rounded(posterior.geometry),
+        "terms": [_rounded(one) for one in posterior.terms],
+        "noise_m": posterior.noise_m,
+        **({} if posterior.noise_rad is None else {"noise_rad": posterior.noise_rad}),
+        **({} if posterior.noise_axes_rad is None else {"noise_axes_rad": posterior.noise_axes_rad.tolist()}),
+    }
+
+
+def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
+    """Parse an object from ``posterior_to_json``."""
+    geometry = np.array(content["geometry"], dtype=np.float64)
+    terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
+    noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
+    axes = np.array(content["noise_axes_rad"], dtype=np.float64) if "noise_axes_rad" in content else None
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes)
+
+
+def _rounded(values: Array) -> list[list[float]]:
+    return [[float(f"{value:.{_DIGITS}g}") for value in row] for row in values.tolist()]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.ground.profile import Arm, Pose, Priors, Profile
-from cellapp.ground.profile.obstacles import Placement
+from cellapp.ground.profile.sections import Placement
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parameter_names, parameter_unit
 from cellapp.robot.kinematics.plain_dh import hayati_rows
 from cellapp.robot.kinematics.statics import Bodies

@@ -25,7 +25,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.controller_table import ControllerTable
+from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm

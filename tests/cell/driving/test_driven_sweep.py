@@ -32,7 +32,7 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.sections import Collection
 from cellapp.ground.progress import Progress, SweepLive
 from cellapp.robot.model.nominal import nominal_arm
 from cellapp.robot.paths.sweep import Sweep

@@ -22,8 +22,8 @@ from cellapp.commands.collect.request import CollectRequest
 from cellapp.ground.control import Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection, Reference
 from cellapp.ground.profile.schema import Payload
+from cellapp.ground.profile.sections import Collection, Reference
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin, with_arm

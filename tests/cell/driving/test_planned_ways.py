@@ -21,7 +21,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection, Reference
+from cellapp.ground.profile.sections import Collection, Reference
 from cellapp.ground.progress import MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
 from tests.cell.planning.hand_made import drivable_stops

@@ -22,7 +22,7 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.push.run import push_run
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.serial_station import SerialStation

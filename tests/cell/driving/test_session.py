@@ -22,7 +22,7 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection, Reference, Repeat, Suspend, Suspension
+from cellapp.ground.profile.sections import Collection, Reference, Repeat, Suspend, Suspension
 from cellapp.ground.progress import CellLive, Progress, ReferenceReport, StateChange
 from drivers.arms.protocol import ArmError, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm

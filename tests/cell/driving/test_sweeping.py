@@ -27,10 +27,10 @@ from cellapp.commands.plan.run import new_planned_run, plan_result
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.charts import Chart
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.plan import Plan
+from cellapp.ground.profile.sections import Plan
 from cellapp.ground.progress import Progress, SweepLive
 from cellapp.ground.results import CALIBRATE
 from tests.twin import small_twin

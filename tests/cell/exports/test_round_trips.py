@@ -22,8 +22,8 @@ from cellapp.cell.exports.ur_description import kinematics_hash, murmur
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.controller_file import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry

@@ -30,7 +30,7 @@ from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, vis
 from cellapp.cell.safety.visibility import TrackerField, sight_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, Placement
+from cellapp.ground.profile.sections import BoxObstacle, Placement
 from cellapp.ground.progress import Cancelled, CancelToken
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform

@@ -24,7 +24,7 @@ from cellapp.cell.planning.information import (
 from cellapp.cell.planning.plan_quality import arm_design
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.estimation.design.block_choice import gap_limits, largest_gaps
+from cellapp.estimation.design.block_design import gap_limits, largest_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken

@@ -28,7 +28,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops
 from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, CylinderObstacle, Placement
+from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, Placement
 from cellapp.ground.progress import Cancelled, CancelToken
 from tests.cell.planning.hand_made import same_stops, some_stops
 from tests.cell.planning.planned_cells import one_arm, planned_twin, refusals, seven_joints, three_arms

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Traceability
+from cellapp.ground.profile.sections import Traceability
 
 PROFILES = Path(__file__).parents[3] / "profiles"
 SHIPPED = sorted(PROFILES.glob("*.yaml"))

@@ -43,8 +43,8 @@ from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.schema import FactoryErrors
+from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_vectors

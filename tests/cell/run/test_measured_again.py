@@ -27,11 +27,11 @@ from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.import_.run import run as import_run
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.tables import overview_sentences
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Reading, Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.cell.run.csv_rows import Rows, written
 from tests.cell.run.small_runs import add_stop, planned_run
@@ -449,7 +449,7 @@ def test_smrs_on_one_line_give_no_rotation(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_figure_that_does_not_settle_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.estimation.readings.several_smrs._ROUNDS", 1)
+    monkeypatch.setattr("cellapp.estimation.readings.readings._ROUNDS", 1)
     with pytest.raises(NotConverged, match="fit of the SMRs on a flange did not converge"):
         imported(measured().rows, tmp_path)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.profile.obstacles import AnyObstacle, BoxObstacle, CapsuleObstacle, MeshObstacle, SphereObstacle
+from cellapp.ground.profile.sections import AnyObstacle, BoxObstacle, CapsuleObstacle, MeshObstacle, SphereObstacle
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 from cellapp.robot.model.nominal import pose_matrix
 

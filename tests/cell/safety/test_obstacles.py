@@ -20,7 +20,7 @@ from cellapp.cell.safety.obstacles import Obstacle
 from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
+from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
 from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from tests.cell.safety.test_gate import HOME, QUARTER, turnstile
 from tests.twin import small_twin

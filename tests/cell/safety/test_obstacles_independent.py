@@ -17,7 +17,7 @@ from cellapp.cell.safety.obstacles import Obstacle
 from cellapp.cell.safety.shapes import RoundedBox, load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
+from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
 from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_obstacles import crowded, random_segments
 from tests.twin import PROFILES, small_twin

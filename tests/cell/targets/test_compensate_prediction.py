@@ -17,7 +17,7 @@ from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise
 from cellapp.cell.targets.unknown_conditions import approach_sides, sided_commands, unknown_conditions
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 NORMAL = np.random.default_rng(2).standard_normal((400_000, 3))
 HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])

@@ -46,12 +46,11 @@ from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.view.words import judgement_table
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Tolerances
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.sections import Smr, Tolerances
 from cellapp.interfaces.page.certificate_page import certificate_page
 from cellapp.interfaces.tui.widgets.verdict_bars import verdict_lines
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles

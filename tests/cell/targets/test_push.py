@@ -23,7 +23,7 @@ from cellapp.commands.compensate.tables import predicted_tables, verification_ta
 from cellapp.commands.push.run import judge_of, push_run
 from cellapp.commands.report.result import read_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
-from cellapp.estimation.uncertainty.decision import Judge
+from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile

@@ -16,11 +16,11 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.prediction import _with_noise, length_bounds, predicted_verdict
 from cellapp.cell.targets.target_text import TypedTarget, targets_text, typed_target, typed_texts
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.estimation.calibration.readings_noise import readings_noise
-from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.estimation.calibration.weights import readings_noise
+from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
+from cellapp.robot.model.model import PosteriorDraws, posterior_from_json, posterior_to_json
 from tests.twin import PROFILES, small_twin
 
 PROFILE = small_twin()

@@ -17,9 +17,9 @@ from cellapp.commands.report.result import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
 from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
-from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
-from cellapp.ground.profile.acceptance import Instrument, Tolerances
+from cellapp.ground.profile.sections import Instrument, Tolerances
 from cellapp.ground.results import CERTIFICATE, COMPENSATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing

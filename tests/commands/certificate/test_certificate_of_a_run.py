@@ -21,7 +21,7 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import append_stage, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
+from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import CERTIFICATE, VERIFY
 from cellapp.interfaces.page.certificate_page import certificate_page
 from cellapp.robot.model import CellModel

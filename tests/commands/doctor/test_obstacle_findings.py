@@ -7,7 +7,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
+from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
 from drivers.findings import Finding
 from tests.cell.safety.test_obstacles import with_obstacles
 from tests.twin import PROFILES, small_twin

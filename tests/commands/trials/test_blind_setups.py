@@ -18,8 +18,8 @@ from cellapp.commands.trials.sealed import ExpectedTerm, GroundTruth, HiddenLaw,
 from cellapp.commands.trials.sealed_cases import EXPECTED
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.visible_size import beyond_law, registered_model
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Work

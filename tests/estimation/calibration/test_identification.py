@@ -16,20 +16,20 @@ from scipy.stats import chi2
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import arm_type_files
 from cellapp.estimation.calibration import normal_equations
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.conventions import better_reading, explained
-from cellapp.estimation.calibration.gauss_newton import LeastSquares, Linearised, Minimum, minimise, shortened
 from cellapp.estimation.calibration.identification import (
     Eliminated,
     Estimate,
     TooFewReadings,
     identify,
+    identify_with_excess,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise, shortened
 from cellapp.estimation.calibration.normal_equations import EffectColumns, NormalEquations, Observations, with_gradient
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, candidate_columns, full_set, paper_set
+from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.registration import better_reading, explained
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms

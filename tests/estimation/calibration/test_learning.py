@@ -14,7 +14,7 @@ from cellapp.estimation.calibration.learning import learn, require_learner
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, CancelToken
-from cellapp.robot.model.network import network_from_json, network_to_json, rotate_about_z
+from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 BATCHES = Network(kind="batches", folds=3, iterations=40)
 NOISE_M = 15e-6
@@ -65,7 +65,7 @@ def test_the_stored_network_needs_no_torch(trained):
     script = (
         "import sys, json, numpy as np\n"
         "sys.modules['torch'] = None\n"
-        "from cellapp.robot.model.network import network_from_json\n"
+        "from cellapp.robot.model.model import network_from_json\n"
         "print(np.abs(network_from_json(json.load(sys.stdin)).correct(np.ones((1, 4)))).max())\n"
     )
     said = subprocess.run(

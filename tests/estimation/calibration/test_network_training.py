@@ -10,12 +10,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration.network_training import Perceptron, Shape, candidate_shapes, train_network
-from cellapp.robot.model.network import (
-    network_from_json,
-    network_to_json,
-    rotate_about_z,
-)
+from cellapp.estimation.calibration.learning import Perceptron, Shape, candidate_shapes, train_network
+from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
 
@@ -98,7 +94,7 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     np.testing.assert_array_equal(network_from_json(json.loads(text)).correct(q), training.network.correct(q))
     program = (
         "import json, sys, numpy as np\n"
-        "from cellapp.robot.model.network import network_from_json\n"
+        "from cellapp.robot.model.model import network_from_json\n"
         "network = network_from_json(json.loads(sys.stdin.read()))\n"
         "print(network.correct(np.zeros((1, 6))).tolist(), 'torch' in sys.modules)\n"
     )

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -24,6 +23,7 @@ from cellapp.robot.kinematics.chain import (
 )
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import true_geometry
+from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
 from tests.twin import PROFILES
@@ -113,7 +113,7 @@ def test_orientation_parameters_lie_within_their_stated_intervals():
         readings = measured(geometry, 60, seed)
         found, excess_m = identified(readings, nominal)
         scatter.append((found.excess_rad, excess_m))
-        exact = found.parameter_set.merged_values(geometry, start_of(readings, nominal))
+        exact = merged_values(found.parameter_set, geometry, start_of(readings, nominal))
         beyond.append((found.values - exact) / found.standard_errors)
     inside = np.abs(beyond) < 1.96
     rotations = [found.names.index(name) for name in PROBE_NAMES]

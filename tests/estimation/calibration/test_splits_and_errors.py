@@ -16,8 +16,17 @@ from cellapp.commands.calibrate.result import arm_result
 from cellapp.commands.calibrate.run import calibrate_run, draw_missing_splits
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import warnings
-from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_arm, calibrate_readings, train_arm
-from cellapp.estimation.calibration.evaluation import (
+from cellapp.estimation.calibration.calibrate import (
+    ArmCalibration,
+    calibrate_arm,
+    calibrate_readings,
+    draw_splits,
+    left_out_words,
+    split_sizes,
+    train_arm,
+)
+from cellapp.estimation.calibration.least_squares import cholesky, inverse_psd, orthonormal_basis, solve_psd
+from cellapp.estimation.calibration.quantities import (
     distance_errors,
     distance_summary,
     evaluate,
@@ -25,9 +34,6 @@ from cellapp.estimation.calibration.evaluation import (
     repeatability,
     summarise,
 )
-from cellapp.estimation.calibration.gross_errors import left_out_words
-from cellapp.estimation.calibration.linear import cholesky, inverse_psd, orthonormal_basis, solve_psd
-from cellapp.estimation.calibration.splits import draw_splits, split_sizes
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.grouping import grouped

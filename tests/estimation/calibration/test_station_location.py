@@ -11,12 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration import inter_base_transform
-from cellapp.estimation.calibration.base_from_points import base_from_points
-from cellapp.estimation.calibration.gauss_newton import LeastSquares
+from cellapp.estimation.calibration.calibrate import station_change
 from cellapp.estimation.calibration.identification import TooFewReadings, identify
-from cellapp.estimation.calibration.inter_base_transform import distances, identify_pair
-from cellapp.estimation.calibration.station_change import station_change
+from cellapp.estimation.calibration.least_squares import LeastSquares
+from cellapp.estimation.calibration.pair_calibration import distances, identify_pair
+from cellapp.estimation.calibration.registration import base_from_points
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
     RoughStation,
@@ -37,8 +36,7 @@ from cellapp.robot.kinematics.transforms import (
     transform,
 )
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.model import relocated
-from cellapp.robot.model.posterior import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
 
 SIGMA_M = 20e-6
@@ -403,7 +401,7 @@ def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, monkeypatch):
     start = transform(rotation_from_vector(rng.normal(0, 1.0, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + rng.normal(0, 0.3, 3))
     found = identify_pair(start, p_L, p_R, measured)
     assert square(found.T_R_L, p_L, p_R, measured) <= square(start, p_L, p_R, measured)
-    monkeypatch.setattr(inter_base_transform, "_MOST_ITERATIONS", 1)
+    monkeypatch.setattr(pair_calibration, "_MOST_ITERATIONS", 1)
     with pytest.raises(NotConverged, match="inter-base transform from distances did not converge: 1 steps"):
         identify_pair(start, p_L, p_R, measured)
 

@@ -16,9 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.linear import inverse_psd
-from cellapp.estimation.design.block_choice import Candidates
-from cellapp.estimation.design.block_design import Criterion, DesignErrors, Shares
+from cellapp.estimation.calibration.least_squares import inverse_psd
+from cellapp.estimation.design.block_design import Candidates, Criterion, DesignErrors, Shares
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 

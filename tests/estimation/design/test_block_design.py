@@ -13,23 +13,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.design.block_choice import (
+from cellapp.estimation.design.block_design import (
     GAP_OF_EVEN_STOPS,
+    BlockDesign,
     Candidates,
+    Criterion,
     Effort,
+    Shares,
     choose_blocks,
     close_gaps,
     gap_limits,
+    information_of,
     largest_gaps,
     most_informative_first,
+    reference_errors,
     without_turns,
 )
-from cellapp.estimation.design.block_design import BlockDesign, Criterion, Shares, information_of, reference_errors
-from cellapp.estimation.design.discrimination import Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.design.information import (
     VISIBLE,
+    Discrimination,
     NuisanceProjector,
+    SequentialDesign,
     detectable_size,
+    joint_gains,
     visible_root,
     visible_squares,
 )

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.terms import CandidateLaw, LawScore
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 
 N = 300

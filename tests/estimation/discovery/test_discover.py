@@ -20,14 +20,13 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
-from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import discover
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm, discover_cell
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.discovery.search.comparison import scatter
+from cellapp.estimation.discovery.search.state import scatter
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Cancelled, CancelToken

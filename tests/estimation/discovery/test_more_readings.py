@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.gauss_newton import minimise
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.least_squares import minimise
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
-from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.ground.errors import NotConverged

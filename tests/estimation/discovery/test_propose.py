@@ -28,14 +28,12 @@ from cellapp.cell.safety.gate import refuse_motion
 from cellapp.commands.discover.run import proposal_result, propose_after
 from cellapp.commands.discover.view import proposal_lines
 from cellapp.estimation.discovery import posterior
-from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.posterior import posteriors
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import Review
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.estimation.discovery.search.state import Review, possible_score
+from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.cli.app import app

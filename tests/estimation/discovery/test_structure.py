@@ -14,14 +14,18 @@ import pytest
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.blind import blind_readings, with_hidden
-from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.gross_errors import gross_errors
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.calibrate import calibrate_arm, gross_errors
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.cross_validation import _FOLD_SEED, cross_validated_gain
 from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
-from cellapp.estimation.discovery.normal_matrix import NormalMatrix
+from cellapp.estimation.discovery.joint_fit import (
+    _FOLD_SEED,
+    JointFit,
+    NormalMatrix,
+    ProjectedResidual,
+    cross_validated_gain,
+    fit_terms,
+)
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,
     PlannedReadings,
@@ -29,14 +33,13 @@ from cellapp.estimation.discovery.plan_forecast import (
     planned_effects,
     tracker_covariance,
 )
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.structure import CHANCE, has_structure, structure_left
+from cellapp.estimation.discovery.verdict import CHANCE, has_structure, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.network import network_to_json
+from cellapp.robot.model.model import network_to_json
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import covariances

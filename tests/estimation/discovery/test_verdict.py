@@ -9,7 +9,6 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.discovery.accepted import accepted_effect, formulas
-from cellapp.estimation.discovery.candidates import whitened_displacements
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -19,9 +18,9 @@ from cellapp.estimation.discovery.records import (
     Place,
     RunnerUp,
 )
-from cellapp.estimation.discovery.search.comparison import Scatter
-from cellapp.estimation.discovery.structure import CHANCE, remaining_structure
-from cellapp.estimation.discovery.verdict import verdict
+from cellapp.estimation.discovery.search.state import Scatter
+from cellapp.estimation.discovery.terms import whitened_displacements
+from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, EffectTerm
 from cellapp.robot.effects.data_driven import Quantity, Variable

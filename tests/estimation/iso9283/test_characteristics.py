@@ -13,17 +13,26 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from cellapp.estimation.iso9283 import characteristics as iso
+from cellapp.estimation.iso9283.characteristics import (
+    Cycles,
+    accuracy_value,
+    directional_value,
+    distance_values,
+    drift_values,
+    path_values,
+    repeatability_value,
+)
 from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
-from cellapp.estimation.iso9283.cube import (
+from cellapp.estimation.iso9283.norm import (
     CORNERS,
     CYCLE,
     PLANES,
     POSES,
+    IsoTest,
     circle_positions,
     lattice_cube,
     pose_positions,
 )
-from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,
@@ -32,15 +41,6 @@ from cellapp.estimation.iso9283.records import (
     IsoLine,
     IsoValue,
     PoseCharacteristics,
-)
-from cellapp.estimation.iso9283.uncertainty import (
-    Cycles,
-    accuracy_value,
-    directional_value,
-    distance_values,
-    drift_values,
-    path_values,
-    repeatability_value,
 )
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector, transform
 

@@ -37,7 +37,7 @@ from cellapp.ground.profile import Discovery
 from cellapp.ground.progress import ignore_words
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
-from cellapp.robot.effects.term import displacement, term_from_json, term_to_json
+from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, gradual, lost_motion, record, sweep, true_arm

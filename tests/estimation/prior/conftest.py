@@ -11,7 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.prior.belief import Belief
-from cellapp.estimation.prior.earlier import Earlier, believed
+from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm

@@ -20,16 +20,13 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.identification import identify
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.prior.belief import Belief, is_own
-from cellapp.estimation.prior.calibrate import stated_model, updated_arm
+from cellapp.estimation.prior.belief import Belief, Measured, Posterior, is_own, posterior
+from cellapp.estimation.prior.calibrate import Earlier, believed, stated_model, updated_arm
 from cellapp.estimation.prior.discovery import SearchWithPriors
-from cellapp.estimation.prior.earlier import Earlier, believed
-from cellapp.estimation.prior.linear_model import Measured
-from cellapp.estimation.prior.posterior import Posterior, posterior
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
@@ -239,7 +236,7 @@ def test_a_start_that_is_far_off_ends_at_the_same_posterior_and_too_few_steps_ar
     far = replace(model, geometry=model.geometry.with_T_M_B(T))
     one, other = (posterior(start, measured, prior, scatter_m=0.0) for start in (model, far))
     assert fit_square(other) <= fit_square(one) * (1.0 + 1e-4)
-    monkeypatch.setattr("cellapp.estimation.prior.posterior._STEPS", 1)
+    monkeypatch.setattr("cellapp.estimation.prior.belief._STEPS", 1)
     with pytest.raises(NotConverged, match="earlier calibration or belief did not converge: 1 steps were not enough"):
         posterior(far, measured, prior)
 
@@ -247,7 +244,7 @@ def test_a_start_that_is_far_off_ends_at_the_same_posterior_and_too_few_steps_ar
 def test_drifts_whose_search_does_not_end_are_no_statement_about_the_arm(
     arm: SimulatedArm, earlier: Earlier, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cellapp.estimation.prior.evidence._EVALUATIONS", 5)
+    monkeypatch.setattr("cellapp.estimation.prior.update._EVALUATIONS", 5)
     with pytest.raises(NotConverged, match="search of the drifts since an earlier calibration did not converge"):
         again(arm, earlier, 30)
 

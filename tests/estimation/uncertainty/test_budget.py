@@ -21,13 +21,13 @@ from cellapp.estimation.uncertainty.budget import (
     STATION,
     TRACKER,
     Evidence,
+    MeasuredConditions,
     combined_mm,
     distance_budget,
     expanded_mm,
     not_given,
     position_budget,
 )
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from tests.estimation.uncertainty.cases import measured, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing

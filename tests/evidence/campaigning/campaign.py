@@ -22,7 +22,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.control import Aborted, Stopped
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import AirLimits, Collection, Reference, Suspend, Suspension
+from cellapp.ground.profile.sections import AirLimits, Collection, Reference, Suspend, Suspension
 from cellapp.ground.progress import CancelToken
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 from tests.evidence.campaigning.doubles import ProgramKilled

@@ -14,7 +14,7 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.estimation.monitoring.check.model import TRACKER
+from cellapp.estimation.monitoring.check.belief import TRACKER
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Pose
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, transform

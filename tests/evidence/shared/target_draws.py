@@ -25,16 +25,14 @@ _OTHER_LAWS = 0.5
 """Share of the drawn effects with a law of another shape than the library's."""
 
 
-def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """Draw the effects of every arm: the profile's own, and a case of the sealed trials' mixture; also describe the
-    laws.
+def draw_hidden(profile: Profile, seed: int, duration_s: float) -> dict[str, dict[str, Any]]:
+    """Draw the effects of every arm: the profile's own, and a case of the sealed trials' mixture.
 
     Onsets and time constants lie within the run's length ``duration_s`` [s].
     """
     assert profile.plant is not None
     configs = {config.name: config for config in build_plant(profile).config.arms}
     hidden: dict[str, dict[str, Any]] = {}
-    laws = {}
     for place, name in enumerate(profile.arms):
         rng = np.random.default_rng([seed, _HIDDEN_SEED, place])
         case = cases((name,), str(rng.choice(MIXTURE)), 1, int(rng.integers(2**31)))[0]
@@ -42,8 +40,7 @@ def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[st
         draw = suggest_other_law if other else suggest
         drawn = {slug: draw(slug, rng, configs[name], duration_s) for slug in case.slugs}
         hidden[name] = {**profile.plant.effects.get(name, {}), **drawn}
-        laws[name] = "other" if other and drawn else "same"
-    return hidden, laws
+    return hidden
 
 
 def draw_targets(profile: Profile, model: CellModel, count: int, seed: int) -> list[Target]:

@@ -20,7 +20,7 @@ from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker
 from cellapp.commands.emulate.run import emulate
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.collection import Collection, SlowStart, Suspend, Suspension
+from cellapp.ground.profile.sections import Collection, SlowStart, Suspend, Suspension
 from cellapp.ground.progress import CancelToken
 from drivers.arms.simulated_settings import SimulatedArmSettings
 from drivers.arms.ur_settings import UrSettings

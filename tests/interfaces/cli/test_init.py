@@ -22,7 +22,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.ground import pace
 from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -98,7 +97,7 @@ def test_lines_on_standard_error_where_that_is_no_terminal(
     with Job(None) as job:
         job.listen(Progress("iso9283", 3, 10, "pose of left"))
     assert capfd.readouterr() == ("", ""), "a short job says nothing"
-    monkeypatch.setattr(pace, "_SILENCE_S", 0.0)
+    monkeypatch.setattr(progress, "_SILENCE_S", 0.0)
     with Job(None) as job:
         job.listen(Progress("iso9283", 3, 10, "pose of left"))
     assert capfd.readouterr() == ("", "cellapp: iso9283: 3 of 10, pose of left\n")

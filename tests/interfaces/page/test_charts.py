@@ -47,7 +47,7 @@ def values(chart: Chart, name: str) -> list[tuple[float, float]]:
 
 
 def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0.1) -> StopReport:
-    return StopReport(stop, arm, residual_mm, standard_error_mm, {})
+    return StopReport(stop, arm, residual_mm, standard_error_mm)
 
 
 REPORTS = [report(0, "left", 0.02, 0.4), report(0, "right", 0.03), report(1, "left", 0.06, 0.2)]

@@ -19,7 +19,7 @@ from cellapp.commands.plan.charts_obstacles import (
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Chart, Series
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.obstacles import AnyObstacle
+from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.robot.model.nominal import pose_matrix
 from tests.twin import PROFILES
 

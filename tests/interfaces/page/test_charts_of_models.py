@@ -16,7 +16,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.results import CALIBRATE
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.posterior import PosteriorDraws
+from cellapp.robot.model.model import PosteriorDraws
 
 
 def term(slug: str, **values: float) -> EffectTerm:

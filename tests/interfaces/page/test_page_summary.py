@@ -33,7 +33,7 @@ from cellapp.commands.view.words import CHARACTERISTIC_WORDS, judged_sentence, j
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
+from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.page.certificate_page import certificate_page
 from tests.interfaces.page.cases import discovery

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.cell.exports.formats import all_formats
-from cellapp.ground.profile.arm_types import ARM_TYPES
+from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import Arm, Profile, Sensors, Tracker
 from cellapp.robot.effects import EFFECTS
 from drivers.arms.registry import ARMS

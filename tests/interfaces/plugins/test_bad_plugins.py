@@ -15,7 +15,7 @@ from cellapp.commands.discover.run import discover_result
 from cellapp.commands.doctor.run import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.arm_types import ARM_TYPES
+from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
 from cellapp.robot.plugins import in_words

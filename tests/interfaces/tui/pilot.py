@@ -160,7 +160,7 @@ class HeldJob:
 
 
 DETAILS = (
-    StopReport(4, "left", 0.0512, 0.0123, {}),
+    StopReport(4, "left", 0.0512, 0.0123),
     Suspicion("loose SMR", "the SMR of the left arm wobbles", "left"),
     ReferenceReport({"arm left": 0.034}, 0.1),
 )

@@ -82,7 +82,7 @@ EVERY_DETAIL: tuple[Detail, ...] = (
     PointMeasured(3, "left", Q1, (1.234567, -0.5, 0.25), 0.0123, 21.25),
     AirReport(21.25, 1013.0, 44.0),
     PointMissed(3, "right", "the beam was broken"),
-    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1), {}) for stop in range(4)),
+    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1)) for stop in range(4)),
     Suspicion("loose SMR", "fasten the SMR of the left arm", "left"),
     ReferenceReport({"arm left": 0.01}, 0.1),
     ReferenceReport({"arm left": 0.034}, 0.1),

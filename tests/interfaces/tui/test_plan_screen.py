@@ -80,7 +80,7 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
 
 
 async def test_the_map_follows_what_a_job_measures(planned: Path) -> None:
-    events = [Progress("collect", stop + 1, 24, detail=StopReport(stop, "left", 0.1, 0.1, {})) for stop in range(3)]
+    events = [Progress("collect", stop + 1, 24, detail=StopReport(stop, "left", 0.1, 0.1)) for stop in range(3)]
     app, held = CellApp(PROFILES), HeldJob(tuple(events))
     async with app.run_test(size=SIZES[-1]) as pilot:
         await shown(pilot, app, planned)

@@ -38,7 +38,7 @@ NARROW = (38, 18)
 """One of four plots on a terminal of 80 x 24, with its words."""
 THEMES = ["textual-dark", "textual-light", "ansi-dark", "ansi-light", HIGH_CONTRAST.name, "gruvbox", "solarized-light"]
 REPORTS = [
-    StopReport(stop, arm, 0.02 + 0.01 * (arm == "right") + 0.001 * (stop % 7), 0.1, {})
+    StopReport(stop, arm, 0.02 + 0.01 * (arm == "right") + 0.001 * (stop % 7), 0.1)
     for stop in range(40)
     for arm in ("left", "right")
 ]

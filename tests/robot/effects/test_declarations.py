@@ -18,7 +18,7 @@ from cellapp.estimation.discovery.accepted import accepted_effect, contradiction
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, Noise, Place, TermDescription
-from cellapp.estimation.discovery.structure import remaining_structure
+from cellapp.estimation.discovery.verdict import remaining_structure
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import (
     EFFECTS,
@@ -43,8 +43,8 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.contradiction import form_without_bounds
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
+from cellapp.robot.effects.effect import form_without_bounds
 from cellapp.robot.effects.modulation import Modulation
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel

@@ -8,8 +8,18 @@ import numpy as np
 import pytest
 
 from cellapp.robot.effects import EFFECTS, EffectTerm, term_from_json, term_to_json
-from cellapp.robot.effects.data_driven import FIELD, POSITION, form_named, position_in_base, variables
-from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_functions, field_variances
+from cellapp.robot.effects.data_driven import (
+    FIELD,
+    FIELD_LENGTH,
+    POSITION,
+    box_of,
+    field_frequencies,
+    field_functions,
+    field_variances,
+    form_named,
+    position_in_base,
+    variables,
+)
 from cellapp.robot.effects.law import AMPLITUDE
 from tests.robot.effects.cell import context_of
 

@@ -14,7 +14,7 @@ from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.robot.model.posterior import DRAWS, PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
+from cellapp.robot.model.model import DRAWS, PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
 

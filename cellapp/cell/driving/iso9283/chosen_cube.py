@@ -10,7 +10,7 @@ import numpy as np
 
 from cellapp.cell.driving.iso9283.reach import CubeSearch, FoundCube
 from cellapp.cell.safety.gate import refuse_motion
-from cellapp.estimation.iso9283.cube import CYCLE, DIRECTIONAL_POSES, DIRECTIONS, PLANES, plane_name, pose_positions
+from cellapp.estimation.iso9283.norm import CYCLE, DIRECTIONAL_POSES, DIRECTIONS, PLANES, plane_name, pose_positions
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
 from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 

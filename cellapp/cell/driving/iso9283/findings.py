@@ -12,14 +12,15 @@ from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.estimation.iso9283.evaluate import (
     ArmProgramme,
     Measurements,
+    PathRuns,
     Place,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
     drift_characteristics,
+    path_characteristics,
     pose_characteristics,
 )
-from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,

@@ -14,14 +14,13 @@ from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
 from cellapp.cell.targets.path_file import PathPose, PathSpec
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
-from cellapp.estimation.iso9283.cube import LARGE_CIRCLE, SMALL_CIRCLE, circle_positions
-from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
-from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.evaluate import PathRuns, PathTrack
+from cellapp.estimation.iso9283.norm import LARGE_CIRCLE, SMALL_CIRCLE, IsoCommands, circle_positions
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
-from cellapp.robot.paths.timing import Trajectory
+from cellapp.robot.paths.joint_path import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import TrackerError, stream_of
 

@@ -13,9 +13,8 @@ from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, approach_sequen
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
 from cellapp.cell.targets.invert import LARGEST_CORRECTION, invert, with_approach
 from cellapp.cell.targets.working_conditions import beside
-from cellapp.estimation.iso9283.cube import CYCLE, POSES
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place
-from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.norm import CYCLE, POSES, IsoCommands
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector

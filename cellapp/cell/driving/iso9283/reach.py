@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.gate import CellBodies, visible, with_margin_for_ways
 from cellapp.cell.targets.invert import admissible_configurations, clear_with_others, invert
-from cellapp.estimation.iso9283.cube import lattice_cube
+from cellapp.estimation.iso9283.norm import lattice_cube
 from cellapp.robot.kinematics.chain import flange_poses, frame_poses
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector
 from cellapp.robot.kinematics.transforms import invert as inverse_transform

@@ -35,9 +35,8 @@ from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_p
 from cellapp.cell.driving.tracked_path import PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
-from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measured
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest, wanted_cycles
+from cellapp.estimation.iso9283.norm import POSES, IsoCommands, IsoTest, wanted_cycles
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile

@@ -21,7 +21,7 @@ from cellapp.cell.planning.proposal.hypotheses import (
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.safety.many_motions import free_motions
-from cellapp.estimation.design.discrimination import HOPELESS, Discrimination, SequentialDesign, joint_gains
+from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings

@@ -1,6 +1,6 @@
 """Hypotheses for further stops to decide between: one effect or another, or an effect or none.
 
-Each is judged by T-optimality (see ``estimation.design.discrimination``). The true model has the effect with its fitted
+Each is judged by T-optimality (see ``estimation.design.information``). The true model has the effect with its fitted
 values. The rival model has geometry, the other accepted effects and, if there is a rival effect, this by any of its
 laws.
 """
@@ -14,15 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.estimation.design.discrimination import Discrimination
-from cellapp.estimation.design.information import VISIBLE, detectable_size
+from cellapp.estimation.design.information import VISIBLE, Discrimination, detectable_size
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
-from cellapp.estimation.discovery.candidates import whitened_displacements
-from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, fit_terms, refit
+from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, Smoothness, with_term
+from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, Smoothness, whitened_displacements, with_term
 from cellapp.robot.effects import (
     EFFECTS,
     DriverVariable,

@@ -32,8 +32,8 @@ from cellapp.cell.planning.proposal.arm_candidates import (
 from cellapp.cell.planning.proposal.hypotheses import CandidateDesign, Hypothesis
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import refuse_motion, visible_stops
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.design.discrimination import Discrimination
+from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.design.information import Discrimination
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted

@@ -27,12 +27,11 @@ from cellapp.commands.trials.power.result import (
     PowerResult,
 )
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
-from cellapp.ground.executors import Work, gather
-from cellapp.ground.time_limit import TimeLimit
+from cellapp.ground.executors import TimeLimit, Work, gather
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
 from drivers.plant import REALISTIC

@@ -22,7 +22,7 @@ from cellapp.commands.trials.blind import with_hidden
 from cellapp.commands.trials.power.result import NamingTrial
 from cellapp.commands.trials.visible_size import beyond_geometry, registered_model
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.readings import Readings

@@ -10,22 +10,31 @@ import numpy as np
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore
-from cellapp.estimation.discovery.cross_validation import cross_validated_gain
-from cellapp.estimation.discovery.joint_fit import JointFit
-from cellapp.estimation.discovery.posterior import is_free_function
-from cellapp.estimation.discovery.search.another_cause import COORDINATES_EACH, ChannelScan, Families, fitted_parameters
-from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
+from cellapp.estimation.discovery.joint_fit import JointFit, cross_validated_gain
+from cellapp.estimation.discovery.posterior import (
+    COORDINATES_EACH,
+    ChannelScan,
+    Families,
+    fitted_parameters,
+    is_free_function,
+)
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
 from cellapp.estimation.discovery.search.review import MOSTLY, share_of
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
-from cellapp.estimation.discovery.search.tuning import apply_step
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm, ModelTerms, with_term
+from cellapp.estimation.discovery.search.state import (
+    SCORE_MARGIN,
+    SearchProblem,
+    SearchState,
+    apply_step,
+    best_state,
+    criterion,
+    floor_reached,
+    scatter,
+)
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.contradiction import imitation, is_borrowed
 from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
-from cellapp.robot.effects.effect import place_in_words
+from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 

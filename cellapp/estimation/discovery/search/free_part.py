@@ -28,15 +28,12 @@ import scipy
 
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore
-from cellapp.estimation.discovery.joint_fit import JointFit
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
-from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, with_term
+from cellapp.estimation.discovery.terms import LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, EffectColumn
-from cellapp.robot.effects.data_driven import FIELD, position_in_base
-from cellapp.robot.effects.field import FIELD_LENGTH
+from cellapp.robot.effects.data_driven import FIELD, FIELD_LENGTH, position_in_base
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
 from cellapp.robot.effects.unknown import channel_directions

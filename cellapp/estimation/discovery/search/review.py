@@ -11,21 +11,27 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
-from cellapp.estimation.discovery.cross_validation import cross_validated_gain
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, cross_validated_gain, fit_terms
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.bounds import NEARLY, impossible_blocks, possible_score, within_bounds
-from cellapp.estimation.discovery.search.comparison import floor_reached
 from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchProblem, SearchState, SearchStep
-from cellapp.estimation.discovery.search.tuning import apply_step
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, without_term
+from cellapp.estimation.discovery.search.state import (
+    NEARLY,
+    SCORE_MARGIN,
+    Review,
+    SearchProblem,
+    SearchState,
+    SearchStep,
+    apply_step,
+    floor_reached,
+    impossible_blocks,
+    possible_score,
+    within_bounds,
+)
+from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.contradiction import form_without_bounds, sentence
+from cellapp.robot.effects.effect import form_without_bounds, sentence
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 

@@ -5,7 +5,7 @@ A law is a group of columns in blocks. Its score is
     score = -f ln(1 - R^2) - k ln f - 2 ln T,
 
 where f are the coordinates less the model's parameters, k the visible columns and T the number of laws tried. It is the
-gain of the Bayesian information criterion (see ``estimation.discovery.projected_residual``) less the price of choosing
+gain of the Bayesian information criterion (see ``estimation.discovery.joint_fit``) less the price of choosing
 among T onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
 """
 
@@ -29,8 +29,8 @@ from cellapp.estimation.design.information import (
     visible_root,
     visible_squares,
 )
-from cellapp.estimation.discovery.candidates import Block, CandidateLaw, LawScore
-from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual, bic_gain
+from cellapp.estimation.discovery.joint_fit import MOST_SHARE, ProjectedResidual, bic_gain
+from cellapp.estimation.discovery.terms import Block, CandidateLaw, LawScore
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import Law
 from cellapp.robot.kinematics.transforms import Array

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
-from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, refit
+import numpy as np
+import scipy
+
+from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.quantities import states_nothing
+from cellapp.estimation.design.information import visible_root
+from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.scan import LawScan, corrected_p_value
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.estimation.discovery.search.scan import LawScan, choice_price, corrected_p_value
+from cellapp.estimation.discovery.terms import (
+    BOUND_ERRORS,
+    UNKNOWN,
+    LawScore,
+    ModelTerm,
+    ModelTerms,
+    blocks_beyond_bounds,
+    with_term,
+)
 from cellapp.ground.errors import tried
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import give_back
-from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects import EFFECTS, Law
+from cellapp.robot.effects.effect import is_contradiction
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -186,3 +201,179 @@ class SearchResult:
     def contradictions(self) -> tuple[str, ...]:
         """Descriptions of the terms by which a law of the library fits, but only with impossible values."""
         return tuple(term.note for term in self.fit.terms if is_contradiction(term.law))
+
+
+# -- Comparison of fitted models: remaining scatter against the noise floor, and the Bayesian information criterion ---
+
+FLOOR_CHANCE = 0.001
+"""p-value of the remaining scatter above which it counts as noise; below, the search goes on."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of residuals relative to the stated uncertainty.
+
+    ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the probability of one at least as large.
+    """
+
+    ratio: float
+    p_value: float
+
+
+def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
+    """Compute the scatter that a model leaves; None if the readings state no uncertainty."""
+    if data.stated is None:
+        return None
+    squares = np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2, axis=0)
+    total, freedom = float(squares.sum()), 3.0 * len(data) - fit.projector.effective_parameters
+    for kind in () if data.turned is None else (data.turned, ~data.turned):
+        if states_nothing(data.stated[kind]):
+            total -= float(squares[kind].sum())
+            freedom -= 3.0 * np.count_nonzero(kind) - float(np.sum(fit.projector.basis[np.tile(kind, 3)] ** 2))
+    if total <= 0.0:
+        return None
+    freedom = max(freedom, 1.0)
+    return Scatter(math.sqrt(total / freedom), float(scipy.special.chdtrc(freedom, total)))
+
+
+def floor_reached(state: SearchState) -> bool:
+    """Return whether the remaining scatter may be the stated noise; False if none is stated."""
+    found = scatter(state.data, state.fit)
+    return found is not None and found.p_value > FLOOR_CHANCE
+
+
+def best_state(states: Sequence[SearchState]) -> SearchState:
+    """Return the state with the least criterion."""
+    return min(states, key=lambda state: criterion(state.fit))
+
+
+def criterion(fit: JointFit) -> float:
+    """Return the Bayesian information criterion of a model plus the prices of laws and hyperparameters."""
+    price = 0.0
+    for term in fit.terms:
+        price += choice_price(term.law) + SCORE_MARGIN * (2.0 if term.slug == UNKNOWN else 1.0)
+        if term.smooth is not None:
+            price += term.smooth.hyperparameters * math.log(len(fit.residual))
+    return fit.information_criterion + price
+
+
+# -- Removal of the blocks of a law whose values are physically impossible, by a linear estimate or a joint fit -------
+#
+# A negative stiffness at one joint is an alias of another cause there. It is no evidence against the effect at other
+# joints.
+
+NEARLY = 0.3
+"""Relative change of a linearly estimated value that a joint fit may bring."""
+
+
+def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
+    """Remove blocks whose values, fitted beside ``others``, are impossible; return the new score, or None."""
+
+    def impossible(current: LawScore) -> set[str]:
+        perhaps, surely = impossible_blocks(residual, current, NEARLY)
+        if perhaps == surely:  # a joint fit would say the same
+            return surely
+        term = ModelTerm(current.slug, current.candidate.law, current.names)
+        return fit_terms(data, (*others, term)).blocks_beyond_bounds(len(others))
+
+    with_refinements = any(score.candidate.refines((place,)) for place in score.chosen)
+    try:
+        return _without_blocks(residual, score, impossible, with_refinements=with_refinements)
+    except TooFewReadings:  # the readings do not determine all its columns
+        return None
+
+
+def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
+    """Return the score without blocks that need impossible values; minus infinity if no other block is left.
+
+    Values are estimated linearly. A joint fit (``within_bounds``) is more exact at a hundred times the cost, too much
+    for every rival of every effect.
+    """
+    possible = _without_blocks(
+        residual, score, lambda current: impossible_blocks(residual, current)[1], with_refinements=False
+    )
+    return -math.inf if possible is None else possible.value
+
+
+def _without_blocks(
+    residual: ProjectedResidual,
+    score: LawScore,
+    impossible: Callable[[LawScore], set[str]],
+    *,
+    with_refinements: bool,
+) -> LawScore | None:
+    """Select a law's other blocks again until ``impossible`` names none; None if no block is left."""
+    candidate, current = score.candidate, score
+    left = list(range(len(candidate.columns)))
+    while banned := impossible(current):
+        left = [place for place in left if candidate.columns[place].block not in banned]
+        if not left:
+            return None
+        scan = LawScan.of([candidate.keep(left)], residual.projector)
+        again = scan.score(0, residual, with_refinements=with_refinements)
+        if again is None:
+            return None
+        chosen = tuple(left[place] for place in again.chosen)
+        current = replace(again, candidate=candidate, chosen=chosen)
+    return current
+
+
+def impossible_blocks(residual: ProjectedResidual, score: LawScore, nearly: float = 0.0) -> tuple[set[str], set[str]]:
+    """Find blocks with a linearly estimated value outside its bounds by more than chance allows.
+
+    Return those that may be outside if values change by a share ``nearly`` and their errors, and those that surely are.
+    """
+    columns = [score.candidate.columns[place] for place in score.chosen]
+    if all(math.isinf(column.lower) and math.isinf(column.upper) for column in columns):
+        return set(), set()
+    root, _ = visible_root(score.rows @ residual.projector.project(score.rows).T, np.linalg.norm(score.rows, axis=1))
+    values, errors = root @ (root.T @ (score.rows @ residual.projected)), np.linalg.norm(root, axis=1)
+    change = nearly * np.abs(values) + (BOUND_ERRORS * errors if nearly else 0.0)
+    more, less = (blocks_beyond_bounds(columns, values + sign * change, errors) for sign in (1.0, -1.0))
+    return more | less, more & less
+
+
+# -- Tuning of the non-linear constants of accepted laws (onset, time constant, knee, width) --------------------------
+#
+# Coordinate search: each constant moves to a nearby value if the term then explains more of the residual beside all
+# other terms; the step shrinks from round to round.
+
+_SHRINKAGE = (1.0, 1.0, 0.5, 0.5, 0.25, 0.12)
+"""Factors on the step in each round, 0.3 in the logarithm of a constant: down to 4 %, finer than data determine a time
+constant."""
+_LEAST_IMPROVEMENT = 1e-9
+"""Relative gain below which two values of a constant count as equal; above rounding errors."""
+
+
+def apply_step(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState:
+    """Apply a step: refit with re-estimated weights, tune constants, add the step to the history."""
+    data, fit = refit(state.data.at(state.fit.model), step.terms)
+    tuned = _tuned_terms(data, fit)
+    if tuned is not step.terms:
+        data, fit = refit(data.at(fit.model), tuned)
+    done = replace(step, terms=fit.terms, model=fit.model)
+    return SearchState(data, fit, (*state.steps, done), state.dropped)
+
+
+def _tuned_terms(data: ArmData, fit: JointFit) -> ModelTerms:
+    """Tune the constants of all library effects, one after the other, with fixed weights."""
+    for number, term in enumerate(fit.terms):
+        if term.is_library_effect:
+            law = _tuned_law(data, fit, number)
+            if law is not term.law:
+                fit = fit_terms(data, with_term(fit.terms, number, replace(term, law=law)))
+    return fit.terms
+
+
+def _tuned_law(data: ArmData, fit: JointFit, number: int) -> Law:
+    """Return the law of a term with the constants that explain most; the law itself if none explains more."""
+    term, residual = fit.terms[number], fit.residual_without(number)
+    names = set(term.names)
+    law, explained = term.law, residual.explained(fit.law_rows(number))
+    for shrink in _SHRINKAGE:
+        for nearby in law.nearby(data.context, shrink):
+            columns = [column for column in data.columns(term.slug, nearby) if column.name in names]
+            trial = residual.explained(fit.displacements(columns))
+            if trial > explained * (1.0 + _LEAST_IMPROVEMENT):
+                law, explained = nearby, trial
+    return law

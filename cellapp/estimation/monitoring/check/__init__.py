@@ -1,16 +1,15 @@
 """Mathematics of the ten-minute check: predictions of a calibration, choice of stops, a sequential test."""
 
-from cellapp.estimation.monitoring.check.belief import check_belief
-from cellapp.estimation.monitoring.check.model import (
+from cellapp.estimation.monitoring.check.belief import (
     LENGTH_M,
     TURN_RAD,
     CheckBelief,
     ChosenStops,
     Conclusion,
     SequentialState,
+    check_belief,
 )
-from cellapp.estimation.monitoring.check.sequential import SequentialTest
-from cellapp.estimation.monitoring.check.stops import choose_stops
+from cellapp.estimation.monitoring.check.sequential import SequentialTest, choose_stops
 
 __all__ = [
     "LENGTH_M",

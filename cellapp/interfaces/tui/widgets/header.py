@@ -12,7 +12,7 @@ from textual.content import Content
 from textual.message import Message
 from textual.widgets import Static
 
-from cellapp.ground.pace import eta_words
+from cellapp.ground.progress import eta_words
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.marks import SIGNS, Mark
 from cellapp.interfaces.tui.run_state import RunState

@@ -10,8 +10,7 @@ from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
 
-from cellapp.ground.pace import eta_words
-from cellapp.ground.progress import Progress
+from cellapp.ground.progress import Progress, eta_words
 from cellapp.interfaces.tui.job_record import JobRecord, Pace
 
 WHOLE_DAY = ("plan", "collect", "calibrate", "discover", "push")

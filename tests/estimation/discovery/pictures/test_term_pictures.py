@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
-from cellapp.estimation.discovery.accepted import dominant_cycles, term_movements
+from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.discovery.accepted import dominant_cycles, pictures, term_movements
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms
-from cellapp.estimation.discovery.pictures import pictures
 from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectColumn, Wave, joint_column

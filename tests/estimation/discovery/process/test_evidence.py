@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms, refit
 from cellapp.estimation.discovery.process import (
@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.process import (
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
-from cellapp.robot.effects.column import Wave
+from cellapp.robot.effects.context import Wave
 from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel

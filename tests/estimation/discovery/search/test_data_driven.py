@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.accepted import describe
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
-from cellapp.estimation.discovery.process import fit_process, process_terms
-from cellapp.estimation.discovery.search.another_cause import (
+from cellapp.estimation.discovery.posterior import (
     MOST_COLUMNS,
     ChannelScan,
     Families,
     gains_by_another_cause,
     too_few_to_compete,
 )
-from cellapp.estimation.discovery.search.comparison import best_state
+from cellapp.estimation.discovery.process import fit_process, process_terms
 from cellapp.estimation.discovery.search.data_driven import (
     in_place_of_names,
     with_data_driven_terms,
@@ -29,7 +28,7 @@ from cellapp.estimation.discovery.search.data_driven import (
 from cellapp.estimation.discovery.search.free_part import BesideField
 from cellapp.estimation.discovery.search.review import term_score
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, best_state
 from cellapp.estimation.discovery.search.stepwise import search, with_one_drift
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings

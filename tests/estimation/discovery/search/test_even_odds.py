@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise

@@ -7,12 +7,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import refit
-from cellapp.estimation.discovery.search.addition import addition
-from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.free_part import (
     SHARES,
     FreePartEvidence,
@@ -21,8 +19,8 @@ from cellapp.estimation.discovery.search.free_part import (
     with_free_parts,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
-from cellapp.estimation.discovery.search.stepwise import refinement
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, scatter
+from cellapp.estimation.discovery.search.stepwise import addition, refinement
 from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken

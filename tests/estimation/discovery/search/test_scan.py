@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw
-from cellapp.estimation.discovery.joint_fit import refit
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual, refit
 from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.free_part import with_free_parts
 from cellapp.estimation.discovery.search.scan import (
@@ -21,7 +19,7 @@ from cellapp.estimation.discovery.search.scan import (
     smallest_detectable,
 )
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
-from cellapp.estimation.discovery.terms import ModelTerm
+from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS, EffectColumn

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.candidates import CandidateLaw
-from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.search.stepwise import ChosenLines, shared_lines
+from cellapp.estimation.discovery.terms import CandidateLaw
 from cellapp.robot.effects import EFFECTS, EffectContext
-from cellapp.robot.effects.column import EffectColumn
+from cellapp.robot.effects.context import EffectColumn
 from cellapp.robot.effects.law import CYCLES
 from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, LINE_AMPLITUDE, lines_beside
 from cellapp.robot.kinematics.transforms import Array

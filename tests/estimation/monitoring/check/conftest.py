@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import candidate_columns
 from cellapp.estimation.monitoring.check import CheckBelief
 from cellapp.estimation.monitoring.check.belief import arm_belief
-from cellapp.estimation.prior.linear_model import Measured
-from cellapp.estimation.prior.posterior import Prior, posterior
+from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry

@@ -11,12 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.alternatives import GROWTH, directions_of
-from cellapp.estimation.monitoring.check.belief import arm_belief
-from cellapp.estimation.monitoring.check.linear import calibration_motions, stop_rows, visibility
-from cellapp.estimation.monitoring.check.model import Power
-from cellapp.estimation.prior.linear_model import Measured
-from cellapp.estimation.prior.posterior import Prior, posterior
+from cellapp.estimation.monitoring.check.belief import Power, arm_belief
+from cellapp.estimation.monitoring.check.linear import GROWTH, calibration_motions, directions_of, stop_rows, visibility
+from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile

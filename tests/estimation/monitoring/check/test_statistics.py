@@ -13,11 +13,11 @@ from scipy.stats import binom, chi2, kstest, ncx2
 
 from cellapp.estimation.monitoring.check import choose_stops
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
-from cellapp.estimation.monitoring.check.naming import Design, with_station
-from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
-from cellapp.estimation.monitoring.check.statistics import MinPValueTest, after, looks
+from cellapp.estimation.monitoring.check.naming import Design, MinPValueTest, after, looks, with_station
+from cellapp.estimation.monitoring.check.sequential import design_of
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from tests.estimation.monitoring.check.conftest import SimulatedCell, free
+from tests.evidence.shared.estimates import decided_prefix, first_stops
 
 PLANNED = 12
 DRAWS = 200
@@ -138,7 +138,7 @@ def test_first_stops_are_what_all_stops_say_of_them(checked: tuple[Design, StopR
     noise = np.random.default_rng(seed).standard_normal(len(stops.factor)) @ stops.factor.T
     stops = replace(stops, measured=stops.expected + noise.reshape(-1, 3))
     every = looks(Moments.of(stops), design.alternatives, design.visible)
-    some = looks(Moments.of(stops.first(count)), design.alternatives, design.visible)
+    some = looks(Moments.of(first_stops(stops, count)), design.alternatives, design.visible)
     np.testing.assert_allclose(some.log_evidence[-1], every.log_evidence[count - 1], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(some.log_valid[-1], every.log_valid[count - 1], rtol=1e-6, atol=1e-9)
     assert np.all(np.diff(Moments.of(stops).information, axis=0) >= -1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.estimation.stations import NestPoint, TooFewNests, tie_stations
+from cellapp.estimation.calibration.station_location import NestPoint, TooFewNests, tie_stations
 from cellapp.robot.kinematics.transforms import apply, invert, transform
 
 SIGMA = 2e-5
