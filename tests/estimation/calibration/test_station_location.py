@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.estimation.calibration import pair_calibration
 from cellapp.estimation.calibration.calibrate import station_change
 from cellapp.estimation.calibration.identification import TooFewReadings, identify
 from cellapp.estimation.calibration.least_squares import LeastSquares

@@ -339,7 +339,7 @@ print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in
     ("what", "kernels"),
     [
         pytest.param(CHOICE, KERNELS, id="choice"),
-        pytest.param(PLAN, ("Sandybridge",), id="plan"),
+        pytest.param(PLAN, ("Sandybridge",), marks=pytest.mark.slow, id="plan"),
         pytest.param(PLAN, KERNELS, marks=pytest.mark.slow, id="plan, each kernel"),
     ],
 )

@@ -92,7 +92,7 @@ def names(discovery):
     return {term.slug for term in discovery.terms}
 
 
-@pytest.mark.parametrize("most", [400, 100])
+@pytest.mark.parametrize("most", [pytest.param(400, marks=pytest.mark.slow), 100])
 def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_path, plan, monkeypatch, most):
     """The approach of the held-out stops is recorded with the wrong sign: the backlash of the others then does harm,
     also where a part of the readings was searched."""
@@ -115,6 +115,7 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
     assert any("dropped in review: backlash" in step.what for step in found.result.steps)
 
 
+@pytest.mark.slow
 def test_readings_that_were_computed_without_noise_are_searched(tmp_path, plan):
     """Rounding alone is left: weights by it would make every normal matrix singular."""
     with measured_run(tmp_path / "run", {name: q[:60] for name, q in plan.items()}, {}) as run:
@@ -208,7 +209,7 @@ def drawn(slug, seed):
         "joint_compliance",
         "payload_compliance",
         "link_bending",
-        "transmission_error",
+        pytest.param("transmission_error", marks=pytest.mark.slow),
         "friction_windup",
         "unsettled_measurement",
         "joint_axis_wobble",
@@ -218,7 +219,7 @@ def drawn(slug, seed):
         "base_step",
         "target_slip",
         "pedestal_compliance",
-        "pedestal_coupling",
+        pytest.param("pedestal_coupling", marks=pytest.mark.slow),
     ],
 )
 def test_every_effect_with_a_visible_size_is_named(plan, slug):
@@ -245,7 +246,7 @@ def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
         # a tilt of joint 5's axis that depends on q5, a law of joint_axis_wobble
         ("tool_sag", "tool", {"q5"}),
         ("wrist_cable", "joint 6", {"q4"}),
-        ("dress_pack", "joint 1", {"q1", "q2"}),
+        pytest.param("dress_pack", "joint 1", {"q1", "q2"}, marks=pytest.mark.slow),
         ("draught", "tracker azimuth", {"time"}),
     ],
 )
@@ -308,6 +309,7 @@ def test_effects_that_the_data_cannot_show_are_listed(plan):
     assert set(invisible) | set(seen) == set(EFFECTS) - {"unknown"}
 
 
+@pytest.mark.slow
 def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     profile = without_network(load_profile(ROOT / "profiles" / "ur10-real.yaml"))
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:

@@ -134,6 +134,7 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
         assert hardest.gain_over_random > 1.5
 
 
+@pytest.mark.slow
 def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
         found = calibrated_and_searched(run)
@@ -248,6 +249,7 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         append_proposed_stops(run, tied[2].stops)
 
 
+@pytest.mark.slow
 def test_collecting_the_proposed_stops_distinguishes_the_effects(
     searched: tuple[Path, CellDiscovery], tmp_path: Path
 ) -> None:

@@ -230,6 +230,7 @@ def test_a_cycle_on_which_the_beam_broke_is_driven_again_and_counted(monkeypatch
     assert path.points == 50, "no point is one of the cycle that was not ended"
 
 
+@pytest.mark.slow
 def test_poses_and_paths_are_repeated_at_other_speeds(monkeypatch: pytest.MonkeyPatch) -> None:
     only_paths(monkeypatch, "line")
     task = task_of(cell_of(one_arm(), noise=False), "pose", "path", also_speeds=(0.5,))

@@ -49,6 +49,7 @@ def test_it_is_found_in_recordings_with_its_size(plugin):
     assert discovery.terms == ()
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(plugin):
     assert found_in(recording(12))[0].effects == ()
 

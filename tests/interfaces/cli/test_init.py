@@ -22,6 +22,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt
 from cellapp.commands.plan.run import new_planned_run
+from cellapp.ground import progress
 from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError

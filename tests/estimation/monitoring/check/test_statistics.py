@@ -78,6 +78,7 @@ def test_looking_after_every_stop_does_not_raise_false_alarms(checked: tuple[Des
     assert alarms <= at_most(DRAWS, limit)
 
 
+@pytest.mark.slow
 def test_whole_check_keeps_its_false_alarms(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     count = DRAWS // 2
