@@ -48,7 +48,7 @@ from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
-from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.screens.collect import headline
 from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel, residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView

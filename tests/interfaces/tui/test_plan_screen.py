@@ -18,8 +18,8 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.progress import Progress, StopReport
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Question
+from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import (
