@@ -21,12 +21,11 @@ from numpy.typing import ArrayLike
 
 from cellapp.cell.profile import load_profile, profile_from_dict
 from cellapp.cell.run.csv_import import readings_of_table
-from cellapp.cell.run.csv_text import CsvTable, read_csv_table
+from cellapp.cell.run.csv_text import CsvTable, is_frame, read_csv_table, table_of_arrays, table_of_frame
 from cellapp.cell.run.stations import require_ties
-from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
+from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
-from cellapp.cell.targets.working_conditions import beside
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     pair_histogram_chart,

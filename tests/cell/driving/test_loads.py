@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.cell_checks import known_payload
+from cellapp.cell.driving.cell_checks import Hung, carrying, hung_load, known_payload, require_known_loads
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.loads import Hung, carrying, hung_load, require_known_loads
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.collect.request import CollectRequest

@@ -17,7 +17,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from cellapp.cell.driving.step_reports import sweep_sentence
+from cellapp.cell.driving.motion import sweep_sentence
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops

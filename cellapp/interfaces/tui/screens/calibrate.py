@@ -253,7 +253,7 @@ tables; chapter *exports*.
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""
         if isinstance(result, ExportResult) and self.app.screen is self:
-            from cellapp.cell.exports.words import export_lines
+            from cellapp.cell.exports.formats import export_lines
 
             lines = export_lines(result)
             self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))

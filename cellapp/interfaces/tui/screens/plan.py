@@ -44,8 +44,7 @@ from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, sh
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.cell.planning.design_records import ViewResult
-    from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+    from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult, ViewResult
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.view.charts import Chart
     from cellapp.commands.view.table import Table
@@ -338,8 +337,7 @@ class PlanScreen(PlanEdits):
 
     def show_result(self, result: Result) -> None:
         """Draw a view, a check or a forecast."""
-        from cellapp.cell.planning.design_records import ViewResult
-        from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+        from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult, ViewResult
 
         if isinstance(result, ViewResult):
             self._view = result

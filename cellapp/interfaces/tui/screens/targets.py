@@ -555,7 +555,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             said = "\n".join(f"- {line}" for line in location_sentences(result))
             self.app.push_screen(Reading(f"{said}\n\n{markdown(location_tables(result), ())}"))
         if isinstance(result, CorrectResult) and self.app.screen is self:
-            from cellapp.cell.programs.words import correct_lines
+            from cellapp.cell.programs.solving import correct_lines
 
             self._corrected = result
             self._draw_tables()
