@@ -354,13 +354,6 @@ def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> 
     return profile.model_copy(update={"arms": arms})
 
 
-def require_known_loads(cell: Cell, loads_kg: Iterable[tuple[str, float]]) -> None:
-    """Raise ``HardwareError`` unless the controllers of an open cell are set to the commands' loads [kg]."""
-    for name, load_kg in loads_kg:
-        if doubt := known_payload(cell.arms[name], load_kg):
-            raise HardwareError(f"arm {name}: not moved for {load_kg:g} kg: {doubt}; nothing was moved")
-
-
 def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
     """Return the references of arms with another load than the plan's first one -> that load, in words."""
     loads = {name: arm.payload for name, arm in profile.arms.items() if arm.payload != planned.arms[name].payload}
