@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.planning.balance import balanced_levels, standardised
-from cellapp.cell.planning.tour import TourTask, best_order
+from cellapp.cell.planning.transit_paths import TourTask, best_order
 from cellapp.ground.progress import CancelToken
 
 STEPS = 200

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.exports.arm_export import POSES
 from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.cell.exports.formats import formats_of
+from cellapp.cell.exports.formats import export_lines, formats_of
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.exports.records import ExportResult
-from cellapp.cell.exports.words import export_lines
 from cellapp.cell.run import RunFile
 from cellapp.commands.export.run import calibrated_arms, export_as_run, sentences
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run
@@ -23,7 +23,7 @@ PROBE = {"rpy": [0.2, -0.1, 0.4], "sigma": SIGMA}
 
 
 def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     profile = one_arm()
     assert profile.plant is not None
     plant = profile.plant.model_copy(update={"effects": {}, "repeatability": 1e-4})

@@ -12,7 +12,7 @@ from statistics import fmean, stdev
 
 import pytest
 
-from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
@@ -29,7 +29,7 @@ Rows = list[dict[str, str]]
 def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Result, Path]]:
     folder = tmp_path_factory.mktemp("iso") / "run"
     with pytest.MonkeyPatch.context() as patch, RunFile.create(folder, left_alone()) as run:
-        patch.setattr(reach, "_SEEDS", 4)
+        patch.setattr(programme, "_SEEDS", 4)
         only_paths(patch, "line")
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
         yield iso9283_run(run, asked(run, tests=tests, cycles=3, drift_minutes=0.5)), folder
@@ -139,7 +139,7 @@ def test_the_result_says_which_file_and_its_hash(tested: tuple[Iso9283Result, Pa
 
 
 def test_points_of_an_earlier_test_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
         (tmp_path / "run" / "iso9283-points.csv").write_text("kept", "utf-8")
         result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))
@@ -151,7 +151,7 @@ def test_a_result_is_kept_where_its_points_cannot_be_written(tmp_path: Path, mon
     def full(*_: object) -> None:
         raise InputError("iso9283-points.csv cannot be written: No space left on device")
 
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     monkeypatch.setattr(Outputs, "write", full)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
         result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))

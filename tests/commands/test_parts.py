@@ -8,9 +8,9 @@ from cellapp.commands.view.charts import Axis, Chart
 from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
 from cellapp.commands.view.table import Column, Table
 from cellapp.interfaces.page.drawn import drawn_parts
-from cellapp.interfaces.page.templates import template
-from cellapp.interfaces.render.html_view import html_view
-from cellapp.interfaces.render.plain import plain_text
+from cellapp.interfaces.page.page import template
+from cellapp.interfaces.render.notebook import html_view
+from cellapp.interfaces.render.terminal import plain_text
 
 pytestmark = pytest.mark.fast
 

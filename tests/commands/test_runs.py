@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.commands.runs.history import list_runs, resumable, summarise
 from cellapp.commands.runs.result import RunsResult

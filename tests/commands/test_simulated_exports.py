@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.exports.export_format import CommandFormat
-from cellapp.cell.exports.formats import all_formats
-from cellapp.cell.exports.words import form_line
+from cellapp.cell.exports.formats import all_formats, form_line
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets

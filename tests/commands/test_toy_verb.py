@@ -17,7 +17,7 @@ from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.tui import offers
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.palette import possible_commands
+from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.commands.toys.greet.request import VERB as GREET

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError

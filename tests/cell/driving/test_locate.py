@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.locate import LocatingStops
-from cellapp.cell.driving.smr_search import FoundPoint, covariances, lattice, share_of_chance
+from cellapp.cell.driving.measuring import FoundPoint, covariances, lattice, share_of_chance
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run

@@ -8,8 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 
+from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
-from cellapp.cell.driving.together import in_threads, one_by_one
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.cell.exports.geometry import ur_deltas, urdf_joints
+from cellapp.cell.exports.urdf import ur_deltas, urdf_joints
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import rotation_z, rotation_zyx, transform
 from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry

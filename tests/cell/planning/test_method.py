@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.planning.check import check_stops
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.view import check_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from tests.cell.planning.hand_made import same_stops

@@ -13,7 +13,7 @@ from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, blo
 from cellapp.cell.planning.balance import balanced_levels, fair_blocks, standardised
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.sequence import repair_order
-from cellapp.cell.planning.tour import Move, TourTask, best_order
+from cellapp.cell.planning.transit_paths import Move, TourTask, best_order
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.progress import CancelToken

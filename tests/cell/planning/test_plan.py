@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import open_cell
-from cellapp.cell.planning.method import plan_run
-from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.planning.plan import plan_run, plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

@@ -12,7 +12,7 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.profile.controller_file import controller_file_text, controller_table
+from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run

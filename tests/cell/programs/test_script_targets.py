@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.programs.records import CorrectedTarget
+from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
 from cellapp.cell.programs.script_targets import read_script
 from cellapp.cell.programs.solving import rewritten
-from cellapp.cell.programs.targets import ReadProgram
 from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
 from cellapp.ground.errors import InputError
 

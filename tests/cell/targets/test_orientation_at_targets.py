@@ -37,8 +37,8 @@ from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr, Tolerances
-from cellapp.interfaces.page.certificate_page import certificate_page
-from cellapp.interfaces.tui.widgets.verdict_bars import verdict_lines
+from cellapp.interfaces.page.page import certificate_page
+from cellapp.interfaces.tui.widgets.charts_view import verdict_lines
 from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
 

@@ -10,8 +10,7 @@ import pytest
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.other_payload import OpenElasticity, payload_covariance
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.ranges import ConditionRanges, OpenElasticity, payload_covariance
 from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.joint_compliance import LINEAR

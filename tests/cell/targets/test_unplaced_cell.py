@@ -9,8 +9,8 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.targets.goals import UNPLACED, is_unplaced
 from cellapp.cell.targets.targets import Target
-from cellapp.cell.targets.unplaced_cell import UNPLACED, is_unplaced
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.survey_points import SurveyPoint
+from cellapp.cell.profile.starters import SurveyPoint
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
 from cellapp.ground.errors import InputError

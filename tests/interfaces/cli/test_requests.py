@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.driving.records import RequestResult
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.interfaces.cli.requests import JobRequest, plain_request

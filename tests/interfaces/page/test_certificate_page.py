@@ -19,7 +19,7 @@ from cellapp.commands.certificate.result import (
 from cellapp.commands.certificate.view import budget_table, certificate_sentences, certificate_tables, errors_table
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary
-from cellapp.interfaces.page.certificate_page import certificate_page
+from cellapp.interfaces.page.page import certificate_page
 
 HOSTILE = "<script>alert(1)</script>"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

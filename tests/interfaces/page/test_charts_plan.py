@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult
 from cellapp.commands.plan.charts import coverage_chart, design_charts, information_chart, time_chart
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
-from cellapp.interfaces.page.chart_svg import chart_figure
-from cellapp.interfaces.render.chart_style import Look
+from cellapp.interfaces.page.drawn import chart_figure
+from cellapp.interfaces.render.chart import Look
 from tests.interfaces.page.plan_cases import TIME, arm_design, correlation, plan_design
 
 pytestmark = pytest.mark.fast

@@ -37,7 +37,7 @@ from cellapp.commands.report.result import RunResults
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.table import most_urgent, part_table
 from cellapp.estimation.uncertainty.records import UncertaintyParts
-from cellapp.interfaces.page.chart_svg import chart_figure
+from cellapp.interfaces.page.drawn import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
 from tests.interfaces.page.cases import ERRORS
 

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cellapp.commands.view.charts import Axis
-from cellapp.interfaces.render.chart_axis import log_ticks, scale_of
+from cellapp.interfaces.render.chart import log_ticks, scale_of
 
 pytestmark = pytest.mark.fast
 

@@ -14,12 +14,12 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Progress
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, completions
-from cellapp.interfaces.tui.dialogs.palette import Palette
+from cellapp.interfaces.tui.dialogs.program import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
 from cellapp.interfaces.tui.endings import ERROR_LOG
 from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.controls import StopButton
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.widgets.stop import StopButton
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,

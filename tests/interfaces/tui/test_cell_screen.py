@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
-from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable, age_words
+from cellapp.interfaces.tui.widgets.cell_views import DevicesTable, FindingsTable, age_words
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, tells, until
 from tests.waiting import WAIT_S
 

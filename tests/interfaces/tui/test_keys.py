@@ -16,7 +16,7 @@ from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.key_line import Entry, KeyLine, key_lines
+from cellapp.interfaces.tui.widgets.controls import Entry, KeyLine, key_lines
 from cellapp.interfaces.tui.widgets.log_view_pane import LogField
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState
-from cellapp.interfaces.tui.live_words import banner_of, strip_of
+from cellapp.interfaces.tui.job_record import banner_of, strip_of
 
 pytestmark = pytest.mark.fast
 

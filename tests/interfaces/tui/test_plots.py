@@ -18,7 +18,8 @@ from cellapp.commands.collect.charts import NO_READINGS, live_residual_chart
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, bar_chart, series
 from cellapp.ground.progress import StopReport
-from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
+from cellapp.interfaces.render.chart import equal_scales, scale_of
+from cellapp.interfaces.tui.app import HIGH_CONTRAST
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import (
     MARKS,
@@ -32,7 +33,6 @@ from cellapp.interfaces.tui.plots.drawing import (
     thinned,
 )
 from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
-from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from tests.interfaces.page.cases import picture, unknown_effect
 
 pytestmark = pytest.mark.fast

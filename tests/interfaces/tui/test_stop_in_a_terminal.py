@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.interfaces.tui import ESCAPE_WAITS_MS
-from cellapp.interfaces.tui.leaving import LEFT
+from cellapp.interfaces.tui.endings import LEFT
 from tests.evidence.wire.polling import comes_about
 from tests.evidence.wire.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from tests.interfaces.tui.terminal import ROOT, Terminal

@@ -12,10 +12,10 @@ from cellapp.commands.correct.request import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 from cellapp.interfaces.tui.dialogs.question import Answer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import WRITE
+from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.commands.test_record import VERB, ToyRequest
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 

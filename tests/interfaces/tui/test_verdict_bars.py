@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cellapp.estimation.uncertainty.records import Conformity, Judgement
-from cellapp.interfaces.tui.widgets.verdict_bars import error_bar, verdict_lines
+from cellapp.interfaces.tui.widgets.charts_view import error_bar, verdict_lines
 
 pytestmark = pytest.mark.fast
 

@@ -14,10 +14,10 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
+from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.host import WorkspaceLoaded
 from cellapp.interfaces.tui.jobs import MotionAsked
-from cellapp.interfaces.tui.messages import WorkspaceLoaded
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 from tests.waiting import WAIT_S
