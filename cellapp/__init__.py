@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from cellapp.ground.errors import InputError as InputError
     from cellapp.interfaces.python.api import Run as Run
     from cellapp.interfaces.python.api import open_run as open_run
+    from cellapp.interfaces.python.cell import Calibration as Calibration
     from cellapp.interfaces.python.cell import Cell as Cell
-    from cellapp.interfaces.python.fitted import Calibration as Calibration
-    from cellapp.interfaces.python.fitted import Compensation as Compensation
-    from cellapp.interfaces.python.fitted import Discovery as Discovery
-    from cellapp.interfaces.python.readings import CellReadings as CellReadings
+    from cellapp.interfaces.python.cell import CellReadings as CellReadings
+    from cellapp.interfaces.python.cell import Compensation as Compensation
+    from cellapp.interfaces.python.cell import Discovery as Discovery
     from cellapp.robot.model import CellModel as CellModel
 
 
 _HOMES = {
-    "Calibration": "cellapp.interfaces.python.fitted",
+    "Calibration": "cellapp.interfaces.python.cell",
     "Cell": "cellapp.interfaces.python.cell",
     "CellModel": "cellapp.robot.model",
-    "CellReadings": "cellapp.interfaces.python.readings",
+    "CellReadings": "cellapp.interfaces.python.cell",
     "CellappError": "cellapp.ground.errors",
-    "Compensation": "cellapp.interfaces.python.fitted",
-    "Discovery": "cellapp.interfaces.python.fitted",
+    "Compensation": "cellapp.interfaces.python.cell",
+    "Discovery": "cellapp.interfaces.python.cell",
     "InputError": "cellapp.ground.errors",
     "Run": "cellapp.interfaces.python.api",
     "open_run": "cellapp.interfaces.python.api",

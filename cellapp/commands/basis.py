@@ -9,9 +9,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.file import RunFile, former_arrays
 from cellapp.cell.run.measured_again import replaced_counts
-from cellapp.cell.run.readings_table import former_arrays
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.results import Record, StageName

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TypeVar, cast
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.targets.path_records import PathResult
+from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.stages import RunStages, read_stages

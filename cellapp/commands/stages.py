@@ -18,7 +18,7 @@ from typing import Literal
 from pydantic import BaseModel, ValidationError
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.rows import StageRow
+from cellapp.cell.run.sqlite_file import StageRow
 from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
 from cellapp.ground.counting import counted

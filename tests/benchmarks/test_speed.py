@@ -17,7 +17,7 @@ import pytest
 
 from cellapp.cell.planning.balance import balanced_levels, standardised
 from cellapp.cell.planning.candidates import draw_pool
-from cellapp.cell.planning.tour import TourTask, best_order
+from cellapp.cell.planning.transit_paths import TourTask, best_order
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import place

@@ -20,19 +20,18 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.iso9283.alignment import published_cell
-from cellapp.cell.driving.moving_cell import moving_cell
+from cellapp.cell.driving.iso9283.programme import published_cell
 from cellapp.cell.driving.rungs import RUNGS
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.tracked_path import INTERVAL_S, MOST_RUNS, PathDriver, TrackedPath
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import note_profile, rehearsals_path
+from cellapp.cell.run.file import note_profile, rehearsals_path
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
-from cellapp.cell.targets.path_file import PathSpec
-from cellapp.cell.targets.plan_path import plan_path
+from cellapp.cell.targets.path import PathSpec, plan_path
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283 import run as verb
@@ -34,7 +34,7 @@ from tests.twin import small_twin
 @pytest.fixture(autouse=True)
 def _few_orientations(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cube need not be the largest here."""
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
 
 
 def code_of(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run
@@ -36,7 +36,7 @@ Rows = list[dict[str, str]]
 def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Result, Path]]:
     folder = tmp_path_factory.mktemp("iso") / "run"
     with pytest.MonkeyPatch.context() as patch, RunFile.create(folder, left_alone()) as run:
-        patch.setattr(reach, "_SEEDS", 4)
+        patch.setattr(programme, "_SEEDS", 4)
         only_paths(patch, "line")
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
         yield iso9283_run(run, asked(run, tests=tests, cycles=3, drift_minutes=0.5)), folder
@@ -146,7 +146,7 @@ def test_the_result_says_which_file_and_its_hash(tested: tuple[Iso9283Result, Pa
 
 
 def test_points_of_an_earlier_test_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
         (tmp_path / "run" / "iso9283-points.csv").write_text("kept", "utf-8")
         result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))
@@ -158,7 +158,7 @@ def test_a_result_is_kept_where_its_points_cannot_be_written(tmp_path: Path, mon
     def full(*_: object) -> None:
         raise InputError("iso9283-points.csv cannot be written: No space left on device")
 
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     monkeypatch.setattr(Outputs, "write", full)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
         result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))
@@ -174,7 +174,7 @@ PROBE = {"rpy": [0.2, -0.1, 0.4], "sigma": SIGMA}
 
 
 def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
     profile = one_arm()
     assert profile.plant is not None
     plant = profile.plant.model_copy(update={"effects": {}, "repeatability": 1e-4})

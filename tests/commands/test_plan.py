@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
     joined,
@@ -26,7 +26,7 @@ from cellapp.cell.planning.planned_stops import (
 )
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.run import Outcome, RunFile
-from cellapp.cell.run.collected import reference_drifts
+from cellapp.cell.run.measured_again import reference_drifts
 from cellapp.commands.correct.view import view
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.plan.run import (

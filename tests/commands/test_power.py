@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import plan_new_run

@@ -38,12 +38,12 @@ from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs, command_of, group_of
 from cellapp.interfaces.page.drawn import drawn_parts
-from cellapp.interfaces.page.templates import template
-from cellapp.interfaces.render.html_view import html_view
-from cellapp.interfaces.render.plain import plain_text
+from cellapp.interfaces.page.page import template
+from cellapp.interfaces.render.notebook import html_view
+from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import offers
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.palette import possible_commands
+from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.work import job_of

@@ -15,7 +15,7 @@ import yaml
 from cellapp.cell.planning.plan_csv import read_plan_csv
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.csv_import import read_readings_csv
-from cellapp.cell.targets.path_file import load_paths
+from cellapp.cell.targets.path import load_paths
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import VERBS

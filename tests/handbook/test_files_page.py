@@ -13,7 +13,7 @@ import pytest
 
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables
+from cellapp.cell.run.sqlite_file import SCHEMA_VERSION, create_tables
 from cellapp.commands.docs.handbook import chapter_text, topic_text
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import VERBS

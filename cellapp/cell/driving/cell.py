@@ -1,19 +1,24 @@
-"""Opening the cell that a profile describes, and building the simulated cell for simulated devices."""
+"""Opening the cell that a profile describes, and building the simulated cell for simulated devices.
+
+Heartbeat of the job in an open cell: others can see its age, whatever the job is doing.
+
+Call all arms of a cell concurrently: in real time, one slow arm does not delay the others.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.pulse import JobPulse
-from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
 from cellapp.cell.driving.tracker_watch import UnaskedTracker, Watch, monitored, unwatched, watched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
@@ -23,7 +28,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
-from drivers.arms.protocol import Arm, JointLimits
+from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
 from drivers.plant import (
@@ -39,6 +44,86 @@ from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
 from drivers.trackers.protocol import NotReady, Tracker, TrackerError
 from drivers.trackers.settings import TrackerContext, TrackerSettings
+
+Together = Callable[[Sequence[Callable[[], None]]], None]
+"""Function that calls functions, concurrently if time is real."""
+T = TypeVar("T")
+
+
+def in_threads(calls: Sequence[Callable[[], None]]) -> None:
+    """Call every function in a thread of its own and return at once: one that hangs does not delay the others."""
+    without_thread = []
+    for call in calls:
+        try:
+            threading.Thread(target=call, name="all arms", daemon=True).start()
+        except RuntimeError:  # the system cannot start another thread
+            without_thread.append(call)
+    one_by_one(without_thread)
+
+
+def one_by_one(calls: Sequence[Callable[[], None]]) -> None:
+    """Call the functions one after the other: simulated time does not pass in the meantime."""
+    for call in calls:
+        call()
+
+
+def answers_of_all(
+    together: Together, calls: Mapping[str, Callable[[], T]]
+) -> tuple[dict[str, T], dict[str, ArmError]]:
+    """Call a function for each arm and wait for all; return answers and errors by arm.
+
+    This terminates: every call of a driver has a timeout.
+    """
+    answers: dict[str, T] = {}
+    errors = {name: ArmError(f"arm {name}: its driver gave no answer") for name in calls}
+    answered = {name: threading.Event() for name in calls}
+
+    def ask(name: str) -> None:
+        try:
+            answers[name] = calls[name]()
+            del errors[name]
+        except ArmError as error:
+            errors[name] = error
+        finally:
+            answered[name].set()
+
+    together([partial(ask, name) for name in calls])
+    for one in answered.values():
+        one.wait()
+    return answers, errors
+
+
+def asleep() -> float:
+    """Return 0, the age [s] of data while the job waits on purpose: its own waiting is not silence."""
+    return 0.0
+
+
+class JobPulse:
+    """Time of the last sign of life of the job's thread, which writes it; any thread can read it without waiting."""
+
+    def __init__(self) -> None:
+        self._beat_s = time.monotonic()
+        self._waits_for: Callable[[], float] | None = None
+
+    def beat(self) -> None:
+        """Record a sign of life."""
+        self._beat_s = time.monotonic()
+
+    @contextmanager
+    def waiting(self, age_s: Callable[[], float] = asleep) -> Iterator[None]:
+        """While this context is open, count the job as alive as its device: ``age_s`` returns the data's age [s]."""
+        self.beat()
+        self._waits_for = age_s
+        try:
+            yield
+        finally:
+            self._waits_for = None
+            self.beat()
+
+    def age_s(self) -> float:
+        """Return the age of the newest sign of life [s]."""
+        waits_for, own_s = self._waits_for, time.monotonic() - self._beat_s
+        return own_s if waits_for is None else min(own_s, waits_for())
 
 
 class ClearanceObserver(Protocol):

@@ -1,22 +1,144 @@
-"""Checks before commands are sent: arms, controllers, payloads and SMR mounts must be the calibrated ones."""
+"""Checks before commands are sent: arms, controllers, payloads and SMR mounts must be the calibrated ones.
+
+Loads of a plan: which one is attached, who attaches the next one, and whether the controllers are set to it.
+
+If the plan says so, an arm carries another load from some stop on. Then the arms go home, the cell is closed, and a
+person attaches the load and sets the controller's payload; the cell is opened anew, and every driver checks the
+payload. A simulated cell attaches its loads itself.
+
+Identify the arm controllers of a run: recorded when it begins, compared whenever the cell is opened.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import (
+    CONTROLLERS_RESULT,
+    STORED_CONTROLLERS,
+    ControllerIdentity,
+    recorded_controllers,
+)
 from cellapp.cell.targets.command import Command
-from cellapp.cell.targets.working_conditions import conditions_of
+from cellapp.cell.targets.ranges import conditions_of
+from cellapp.ground.control import Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
+from cellapp.ground.profile.device_plugins import plugins_of_devices
+from cellapp.robot.kinematics.plain_dh import same_chain
 from cellapp.robot.model import ArmModel, CellModel
-from drivers.arms.protocol import Arm, ArmError
+from cellapp.robot.model.nominal import controller_rows, published_rows
+from cellapp.robot.plugins import program_of
+from drivers.arms.protocol import Arm, ArmError, stale
+
+
+@dataclass(frozen=True)
+class ControllerCheck:
+    """Identities of the controllers of an open cell by arm, and notes about them for a person."""
+
+    identities: Mapping[str, ControllerIdentity]
+    notes: tuple[str, ...]
+
+
+def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
+    """Record new controllers in the run, compare the others with their record, and log the notes.
+
+    With ``insist``, a controller whose own D-H was changed since the run began, or is not that of the profile, is only
+    noted; None if the verb has no such option.
+
+    Raises
+    ------
+    HardwareError
+        If an arm has another controller than the recorded one, or another calibration in it, or its controller does
+        not answer. Nothing has moved.
+    InputError
+        If the record is damaged.
+    """
+    recorded = recorded_controllers(run)
+    identities: dict[str, ControllerIdentity] = {}
+    notes: list[str] = []
+    changed: list[str] = []
+    for name, arm in cell.arms.items():
+        identities[name], warnings = _query(arm)
+        notes += warnings
+        if name in recorded:
+            changed += _compare(name, recorded[name], identities[name])
+        changed += _not_the_profiles(name, run.profile.arms[name], identities[name])
+    if changed and not insist:
+        way = "" if insist is None else ". Insist with --out-of-date to use the model all the same"
+        raise HardwareError(f"{'; '.join(changed)}; nothing was moved{way}")
+    notes += changed
+    if set(identities) - set(recorded):
+        run.write_result(
+            CONTROLLERS_RESULT, STORED_CONTROLLERS.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
+        )
+    for note in notes:
+        run.log("warning", note)
+    if plugins_of_devices(run.profile):
+        run.log("info", f"devices opened by {program_of(run.profile)}")
+    return ControllerCheck(identities, tuple(notes))
+
+
+def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = None) -> Callable[[Cell], None]:
+    """Return a callback for the opened cell, to be called before anything moves.
+
+    It checks the controllers and adds the notes to ``notes``; it raises as ``check_controllers``.
+    """
+
+    def opened(cell: Cell) -> None:
+        notes.extend(check_controllers(run, cell, insist=insist).notes)
+
+    return opened
+
+
+def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:
+    try:
+        found = arm.identify()
+        warnings = arm.warnings()
+    except ArmError as error:
+        raise HardwareError(str(error)) from error
+    rows = None
+    if found.dh_rows is not None and found.dh_checksum:
+        rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in found.dh_rows.tolist())
+    return ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum, rows), warnings
+
+
+def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> list[str]:
+    if before.serial and now.serial and before.serial != now.serial:
+        raise HardwareError(
+            f"arm {name}: the run began with controller {before.serial}, this one is {now.serial}; nothing was moved."
+            " Start a new run for another arm"
+        )
+    if before.dh_checksum != now.dh_checksum:
+        return [f"arm {name}: {stale(before.dh_checksum, now.dh_checksum)}"]
+    return []
+
+
+def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> list[str]:
+    """Return a message if the controller's calibration is not the one that is nominal in the profile; else empty."""
+    if arm.factory is None or same_calibration(arm, now):
+        return []
+    has = f"another calibration ({now.dh_checksum})" if now.dh_checksum else "no calibration of its own"
+    return [
+        f"arm {name}: its controller has {has} than that of arms.{name}.factory"
+        f" ({arm.factory.checksum or 'without a checksum'}); write it with 'cellapp doctor PROFILE --controllers DIR',"
+        " then collect and calibrate again"
+    ]
+
+
+def same_calibration(arm: ArmProfile, controller: ControllerIdentity) -> bool:
+    """Return whether a controller computes with the rows that are nominal in the profile."""
+    wanted, published = controller_rows(arm), published_rows(arm)
+    has = published if controller.dh_rows is None else np.array(controller.dh_rows)
+    return same_chain(wanted, has, published)
+
 
 _SAME_MOUNT = 1e-6
 """Tolerance for equal offsets [m] and unit vectors: covers rounding when they are written."""
@@ -145,3 +267,109 @@ def _payload_ranges(run: RunFile) -> Mapping[str, tuple[float, float]]:
         known_kg = known_kg if len(known_kg) else np.array([arm.payload.mass])
         found[name] = (float(known_kg.min()), float(known_kg.max()))
     return found
+
+
+Hung = Callable[[str], bool]
+"""Callback: tells a person what to attach; returns whether it is attached, False if nobody is there."""
+
+_HUNG = "hung_load"
+"""Name of the document with the index of the attached load; part of the file format."""
+
+
+def hung_load(run: RunFile) -> int:
+    """Return the index of the load that was attached last; 0 in a run whose load was never changed."""
+    text = run.read_result(_HUNG)
+    try:
+        return 0 if text is None else int(text)
+    except ValueError:
+        raise InputError(f"{run.path}: the document '{_HUNG}' is damaged; restore the run from a copy") from None
+
+
+def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> Profile:
+    """Have a load attached while the cell is closed, and record that in the run. A simulated cell needs nobody.
+
+    ``stated`` is what the arms carry according to a person [kg]; if None, ``hung`` is called. Return the new profile.
+
+    Raises
+    ------
+    InputError
+        If the stated load is not the one that comes next.
+    Stopped
+        If nobody attaches it.
+    """
+    profile, hangs = run.profile, hung_load(run)
+    before, due = profile.with_load(hangs), profile.with_load(load)
+    changes = {name: arm.payload for name, arm in due.arms.items() if arm.payload != before.arms[name].payload}
+    if stated is not None:
+        _check_stated(due, stated, changes)
+    elif changes and profile.cell_kind != "simulated":
+        words = "; ".join(
+            f"arm {name}: hang {one.mass:g} kg, all that it carries together, and set the payload of its controller to"
+            f" {one.mass:g} kg at ({', '.join(f'{x * 1e3:g}' for x in one.center_of_mass)}) mm in the flange frame"
+            for name, one in changes.items()
+        )
+        if hung is None or not hung(f"The next stops need another load. {words}."):
+            answer = ",".join(f"{name}={one.mass:g}" for name, one in changes.items())
+            raise Stopped(
+                f"the next stops need another load: {words}; then 'cellapp collect {run.folder} --resume --payload"
+                f" {answer}'"
+            )
+    if changes:
+        carried = ", ".join(f"{name} {arm.payload.mass:g} kg" for name, arm in due.arms.items())
+        run.log("info", f"loads: {carried}")
+    if load != hangs:
+        run.write_result(_HUNG, str(load))
+    return due
+
+
+def require_load(cell: Cell, profile: Profile) -> None:
+    """Check that every arm of an open cell carries the profile's load and is set to it; a simulated cell attaches it.
+
+    Raise ``HardwareError`` if a controller reports another payload, or does not answer. Nothing has moved.
+    """
+    for name, arm in profile.arms.items():
+        if cell.plant is not None:
+            cell.plant.set_payload(name, arm.payload.mass, np.array(arm.payload.center_of_mass))
+        if doubt := known_payload(cell.arms[name], arm.payload.mass):
+            raise HardwareError(
+                f"arm {name}: not moved with {arm.payload.mass:g} kg: {doubt}; set it, then continue with --resume"
+            )
+
+
+def carrying(profile: Profile, loads_kg: Iterable[tuple[str, float | None]]) -> Profile:
+    """Return the profile with the loads that commands are for: pairs of arm and payload [kg], None if any will do.
+
+    An arm's ``payload`` changes only if all its commands are for the same load and the profile lists that load. Its
+    driver then expects it on the controller, and a simulated cell attaches it.
+    """
+    asked: dict[str, set[float]] = {}
+    for name, load_kg in loads_kg:
+        if load_kg is not None:
+            asked.setdefault(name, set()).add(load_kg)
+    arms = dict(profile.arms)
+    for name, own in asked.items():
+        listed = arms[name].listed_load(min(own)) if len(own) == 1 else None
+        if listed is not None and listed != arms[name].payload:
+            arms[name] = arms[name].model_copy(update={"payload": listed})
+    return profile.model_copy(update={"arms": arms})
+
+
+def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
+    """Return the references of arms with another load than the plan's first one -> that load, in words."""
+    loads = {name: arm.payload for name, arm in profile.arms.items() if arm.payload != planned.arms[name].payload}
+    return {f"arm {name}": f" with {load.mass:g} kg" for name, load in loads.items()}
+
+
+def _check_stated(due: Profile, stated: Mapping[str, float], changes: Mapping[str, object]) -> None:
+    for name in stated:
+        if name not in due.arms:
+            raise InputError(f"--payload: no arm '{name}'; arms are {', '.join(due.arms)}")
+    wrong = {name: kg for name, kg in stated.items() if abs(kg - due.arms[name].payload.mass) > SAME_PAYLOAD_KG}
+    if missing := [name for name in changes if name not in stated]:
+        raise InputError(f"--payload: arm {missing[0]} gets another load too; say what it carries")
+    if wrong:
+        name, kg = next(iter(wrong.items()))
+        raise InputError(
+            f"--payload: arm {name} is said to carry {kg:g} kg, the next stops need {due.arms[name].payload.mass:g} kg;"
+            " nothing was moved. Hang what the plan asks for, or plan anew"
+        )

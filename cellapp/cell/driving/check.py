@@ -14,12 +14,10 @@ from typing import Protocol
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.driving_targets import Driver
+from cellapp.cell.driving.measuring import APART_M, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.moving_cell import MovingCell, moving_cell
-from cellapp.cell.driving.smr_search import APART_M, FoundPoint, SmrSearch
-from cellapp.cell.driving.supervision import Opened
-from cellapp.cell.driving.target_visit import last_motion_matters
+from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
+from cellapp.cell.driving.target_visit import Driver, last_motion_matters
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.check import SequentialState

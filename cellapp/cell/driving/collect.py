@@ -1,34 +1,478 @@
-"""The verb ``collect``: drive to the stops, measure the SMRs at each, commit every stop before the next motion."""
+"""The verb ``collect``: drive to the stops, measure the SMRs at each, commit every stop before the next motion.
+
+One collecting session in an open cell: visit the stops, measure, store; pause when the cell or a person asks.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
+from typing import TypeVar
 
-from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.controllers import check_controllers
-from cellapp.cell.driving.loads import Hung, change_load, require_load
-from cellapp.cell.driving.motion import Confirm
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
+from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
+from cellapp.cell.driving.live_model import AirTemperature, LiveModel
+from cellapp.cell.driving.measuring import References, SmrMeasurement
+from cellapp.cell.driving.motion import (
+    Confirm,
+    MotionRefused,
+    Mover,
+    missed_sentence,
+    point_measured,
+    record_sentence,
+    state_of,
+)
+from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
-from cellapp.cell.driving.session import CollectSession
-from cellapp.cell.driving.supervision import Opened, opening, reacting
-from cellapp.cell.driving.sweeping import sweeps_left
-from cellapp.cell.driving.work import Work, remaining_work, work_again
-from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.collected import missing_readings, missing_share, reference_drifts
-from cellapp.cell.run.measured_again import replaced_counts
-from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.driving.supervision import Opened, Supervisor, opening, reacting
+from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
+from cellapp.cell.driving.work import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
+from cellapp.cell.run import Outcome, RunFile, SessionEnd
+from cellapp.cell.run.measured_again import (
+    missing_readings,
+    missing_share,
+    reference_drifts,
+    replace_stop,
+    replaced_counts,
+)
+from cellapp.cell.run.sqlite_file import OutcomeKind
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.estimation.readings import Reading
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Listener, ignore
-from drivers.arms.protocol import ArmError
+from cellapp.ground.progress import (
+    Detail,
+    Listener,
+    LogReport,
+    MeasurementBegun,
+    PointMissed,
+    Progress,
+    Suspicion,
+    ignore,
+)
+from drivers.arms.protocol import ArmError, ArmState
 from drivers.plant import Plant
+from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+
+MOST_MISSED_IN_A_ROW = 10
+"""Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
+
+_HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
+"""Kinds of recorded requests that need nobody's attention afterwards; all others are logged as warnings."""
+
+T = TypeVar("T")
+
+
+@dataclass
+class CollectSession:
+    """Collects the remaining stops of a run with the devices of an open cell.
+
+    ``profile`` is the run's profile, with the payloads that the arms carry at these stops. ``number`` is the number of
+    the session in the run. If ``accept_drift``, drift is relative to the first reference measurements of this session.
+    ``confirm`` is called once, before the first motion.
+    """
+
+    run: RunFile
+    profile: Profile
+    work: Work
+    cell: Cell
+    bodies: CellBodies
+    reaction: StopReaction
+    control: JobControl
+    listener: Listener
+    number: int
+    accept_drift: bool = False
+    confirm: Confirm | None = None
+    notes: list[str] = field(default_factory=list)
+    began_s: float | None = None
+    """Start of the run on the cell's clock [s]; the controllers' own clocks are not used."""
+
+    def __post_init__(self) -> None:
+        profile = self.profile
+        self._settings = profile.collection
+        self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
+        self._queue = StopQueue(self.work)
+        self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
+        self._supervisor = Supervisor(
+            self.cell,
+            self.control,
+            self.reaction,
+            self._settings.suspend,
+            self._reconnect_tracker,
+            self._record,
+            self._emit,
+            self._after_resume,
+        )
+        self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
+        self._references = References(
+            self.run,
+            self.number,
+            self._measurement,
+            self._supervisor,
+            self._suspect,
+            self.accept_drift,
+            other_loads(self.run.profile, profile),
+        )
+        self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
+        stored = {name: self.run.readings(name) for name in self.work.plan}
+        if self.work.again:  # leave out the stops to be measured again: the model judges them anew
+            stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
+        self._model = LiveModel(profile, self.work.plan, stored, self._log)
+        driver = SweepDriver(
+            self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
+        )
+        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._emit)
+        self._travel = Travel(profile, self._mover, self.work)
+        self._forbidden: set[int] = set()
+        self._warm_until_s: float | None = None
+        self._missed = 0
+        self._until_reference = 0
+
+    # -- the session ---------------------------------------------------------------------------------------------------
+
+    def collect(self) -> End:
+        """Visit all stops of the queue; return how the session ended.
+
+        Raises
+        ------
+        HardwareError
+            If a person is needed and nobody attends the job.
+        Stopped, Aborted
+        InputError
+            If the run file cannot be written.
+        """
+        self._with_recovery(self._wait_for_tracker)
+        self._with_recovery(self._leave_out_forbidden_stops)
+        if self._queue.next() is None and not self._sweeps.stops:
+            return "complete"
+        self._with_recovery(self._confirm_first_motion)
+        self._with_recovery(self._warm_up)
+        end: End = "complete"
+        while (stop := self._queue.next()) is not None:
+            self._emit(note=f"stop {stop + 1}")
+            self._with_recovery(self._measure_references)
+            accurate = self._with_recovery(self._visit_next)
+            if self._queue.next() != stop and stop in self.run.stops_done():  # neither deferred nor left out
+                self._with_recovery(partial(self._sweep, stop))
+            if accurate:
+                end = "accurate enough"
+                break
+        else:
+            for stop in () if self.work.again else self._sweeps.stops:  # left over from an earlier session
+                self._with_recovery(partial(self._sweep, stop))
+        self._queue.close()
+        self._until_reference = 0
+        self._with_recovery(self._measure_references)
+        self._emit(note="going home")
+        self._with_recovery(self._end_at_home)
+        return end
+
+    def _with_recovery(self, act: Callable[[], T]) -> T:
+        """Call ``act``; after a halt from which the cell recovers, call it again from its beginning."""
+        while True:
+            try:
+                self._supervisor.checkpoint()
+                return act()
+            except CellStopped as stopped:
+                self._supervisor.recover(stopped)
+            except TrackerError as error:
+                self.reaction.trigger(StopCause("tracker", str(error)))
+                self._supervisor.recover(CellStopped(self.reaction.cause or StopCause("tracker", str(error))))
+
+    def _after_resume(self) -> None:
+        """Restart slowly and without suspicions: a person may have been in the cell, or changed something in it."""
+        self._travel.slow_again()
+        self._model.forget_suspicions()
+
+    def _visit_next(self) -> bool:
+        """Move to the next stop, measure and store; return whether the requested accuracy is reached."""
+        stop = self._queue.next()
+        assert stop is not None
+        self._wait_for_air(stop)
+        self._mover.stop = stop
+        try:
+            states = self._travel.to_stop(stop)
+        except MotionRefused as error:
+            if stop in self.work.proposed or not self._queue.defer():
+                self._leave_out({stop}, str(error))
+            return False
+        finally:
+            self._mover.stop = None
+        rows, outcomes = self._measure(stop, states)
+        self._store(stop, rows, outcomes)
+        self._queue.done()
+        if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserve stops
+            self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
+        self._travel.stop_visited()
+        self._until_reference -= 1
+        self._report(stop, rows)
+        self._check_missed(rows)
+        return not (self.work.again or self._is_loaded) and self._model.accurate_enough(self._queue.finished)
+
+    def _sweep(self, stop: int) -> None:
+        """Record the remaining sweeps about a stop, with the arms at rest there; skip stops that were left out."""
+        if stop not in self._sweeps.stops or stop in self._forbidden:
+            return
+        at = self.work.targets(stop)
+        try:
+            if not self._mover.rests_at(at):
+                self._travel.to_stop(stop)
+            recorded = self._sweeps.at_stop(stop, at, self._supervisor.checkpoint)
+        except (MotionRefused, TargetLost, WrongTarget) as error:
+            self._sweeps.leave_out(stop, str(error))
+        else:
+            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
+
+    def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
+        """Refit the running model and report what it shows; log suspicions."""
+        for detail in self._model.add(stop, rows):
+            if isinstance(detail, Suspicion):
+                self._suspect(detail)
+            else:
+                self._emit(detail)
+
+    def _suspect(self, suspicion: Suspicion) -> None:
+        self._emit(suspicion)
+        self._note(f"after {counted(self._queue.finished, 'stop')}: {suspicion.kind}: {suspicion.text}")
+
+    @property
+    def standard_error_mm(self) -> dict[str, float]:
+        """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
+        return self._model.standard_error_mm
+
+    def _check_missed(self, rows: Mapping[str, Reading]) -> None:
+        """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
+        self._missed = 0 if rows else self._missed + 1
+        if self._missed < MOST_MISSED_IN_A_ROW:
+            return
+        text = f"the tracker saw no SMR at {counted(self._missed, 'stop')} in a row; check tracker and targets"
+        if not self._supervisor.hold(text):
+            raise HardwareError(text)
+        self._missed = 0
+
+    # -- before and between stops --------------------------------------------------------------------------------------
+
+    def _wait_for_tracker(self) -> None:
+        """Wait, as long as the profile allows, for a tracker that was not ready when the cell was opened."""
+        if not self.cell.tracker_unmet:
+            return
+        text = "; ".join(self.cell.tracker_unmet)
+        if not self._supervisor.suspended("tracker_warm_up", text, self._tracker_ready):
+            self.cell.require_tracker()
+
+    def _leave_out_forbidden_stops(self) -> None:
+        """Ask every controller, before anything moves, which stops it forbids; leave those out."""
+        forbidden, errors = forbidden_stops(self.cell, self.work, home_positions(self.run.profile))
+        for name, error in errors.items():
+            raise self._mover.stop_cell(cause_of(name, error))
+        self._forbidden = set(forbidden)
+        for stop, reason in forbidden.items():
+            self._leave_out({stop}, reason)
+            self._queue.replace()
+
+    def _confirm_first_motion(self) -> None:
+        """Let a person confirm the first motion."""
+        first = self._queue.next()
+        homes = home_positions(self.run.profile)
+        if self._settings.warm_up > 0.0:
+            first = next(iter(self._allowed_stops()), first)
+        elif self._settings.reference.every > 0:
+            first = self._reference_stop() if self._mover.rests_at(homes) else None
+        self._mover.confirm_first(homes if first is None else self._travel.first_leg(first), self.confirm)
+
+    def _allowed_stops(self) -> list[int]:
+        """Return the stops that are not stored yet and that no controller forbids."""
+        return [stop for stop in self.work.stops if stop not in self._forbidden]
+
+    def _warm_up(self) -> None:
+        """Exercise the arms along the first planned stops for the profile's warm-up time."""
+        if self._warm_until_s is None:
+            self._warm_until_s = self.cell.clock.now_s() + self._settings.warm_up
+        stops = self._allowed_stops()
+        while self.cell.clock.now_s() < self._warm_until_s and stops:
+            for stop in stops:
+                left_s = self._warm_until_s - self.cell.clock.now_s()
+                if left_s <= 0.0:
+                    break
+                self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
+                self._supervisor.checkpoint()
+                with suppress(MotionRefused):  # the next stop may be reachable
+                    self._travel.to_stop(stop)
+        if self._settings.warm_up > 0.0:
+            self._travel.home()
+
+    def _reference_stop(self) -> int:
+        """Return the first stop of the plan that no controller forbids: the same one in every session."""
+        return next(stop for stop in range(self.work.planned) if stop not in self._forbidden)
+
+    def _measure_references(self) -> None:
+        """Measure the references if they are due: the SMRs at the reference stop, and fixed nests."""
+        every = self._settings.reference.every
+        if every == 0 or self._until_reference > 0:
+            return
+        self._emit(note="reference measurements")
+        self._until_reference = every
+        try:
+            self._travel.home()  # approach from the same side each time: joint hysteresis must not look like drift
+            states = self._travel.to_stop(self._reference_stop())
+        except MotionRefused as error:
+            self._note(f"after {counted(self._queue.finished, 'stop')}: no reference measurements: {error}")
+            return
+        began_s = self._begin(self.cell.clock.now_s())
+        self._until_reference = 0  # until the measurements are complete: after a halt they are repeated
+        positions = {name: state.q for name, state in states.items()}
+        report = self._references.check(positions, self._queue.finished, began_s)
+        self._until_reference = every
+        self._emit(report)
+
+    def _wait_for_air(self, stop: int) -> None:
+        """Suspend while the air temperature is out of the profile's limits; raise ``HardwareError`` if it stays so."""
+        limits = self._settings.air.temperature
+        if limits is None or self._air is None:
+            return
+        air = self._air
+        latest = air.at_stop(stop)
+
+        def out_of_limits(temperature_c: float | None) -> bool:
+            return temperature_c is not None and not limits[0] <= temperature_c <= limits[1]
+
+        if not out_of_limits(latest):
+            return
+        text = f"air at {latest:.1f} degC, allowed are {limits[0]:g} to {limits[1]:g}"
+        if self._supervisor.suspended("air", text, lambda: not out_of_limits(air.at_stop(stop))):
+            return
+        if not self._supervisor.hold(text):
+            raise HardwareError(f"{text}; continue with --resume when it has settled")
+
+    def _end_at_home(self) -> None:
+        """Move all arms home; note the smallest distance between them if distances are observed."""
+        try:
+            self._travel.home_at_once(home_positions(self.run.profile))
+        except MotionRefused as error:
+            self.notes.append(f"the arms stay where they are: {error}")
+        if self.cell.clearance is not None:
+            self.notes.append(f"smallest distance between the arms {self.cell.clearance.arms_m * 1e3:.0f} mm")
+
+    # -- measurement ---------------------------------------------------------------------------------------------------
+
+    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
+        """Measure the arms in the order of their dwell times.
+
+        Return the readings of their SMRs, and an outcome for each SMR that was not measured.
+        """
+        temperature_c = None if self._air is None else self._air.at_stop(stop)
+        rows: dict[str, Reading] = {}
+        outcomes: list[Outcome] = []
+        dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
+        for name in sorted(states, key=lambda name: dwell_s[name]):
+            if dwell_s[name] > 0.0:
+                self._mover.rest(name, dwell_s[name], self.control)
+            self._emit(MeasurementBegun(stop, name))
+            try:
+                point = self._measurement.at_arm(name, states[name].q)
+            except (TargetLost, WrongTarget, Unstable) as error:
+                outcomes.append(Outcome(stop, name, "not measured", str(error)))
+                self._emit(PointMissed(stop, name, str(error)))
+                self._note(missed_sentence(outcomes[-1]))
+                continue
+            air_c = point.temperature_c if self._air is None else temperature_c
+            rows[name] = self._reading(stop, name, states[name], point, air_c)
+            self._emit(point_measured(stop, name, rows[name]))
+        return rows, outcomes
+
+    def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
+        """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
+        rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
+        return Reading(
+            q=state.q,
+            p_M=point.p_M,
+            time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
+            approach=self._mover.approach(name).copy(),
+            payload_kg=carried.mass if state.payload_kg is None and self._is_loaded else state.payload_kg,
+            payload_center_F=np.array(carried.center_of_mass) if self._is_loaded else None,
+            temperature_c=temperature_c,
+            joint_temperature_c=state.joint_temperature_c,
+            step=self._mover.step(name),
+            dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
+            covariance_M=point.covariance_M,
+            quaternion_M=point.quaternion_M,
+            sigma_rad=point.sigma_rad,
+            split=self.work.split,
+        )
+
+    def _begin(self, now_s: float) -> float:
+        """Return the start of the run on the cell's clock [s]; the first call sets it."""
+        if self.began_s is None:
+            self.began_s = now_s - self.work.earlier_s
+        return self.began_s
+
+    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
+        """Store a stop; if writing fails, pause so that a person can free the disk, then try again."""
+        while True:
+            try:
+                if self.work.again:
+                    replace_stop(self.run, stop, rows, outcomes)
+                else:
+                    self.run.add_stop(stop, rows, outcomes)
+                return
+            except InputError as error:
+                if not self._supervisor.hold(str(error)):
+                    raise
+
+    def _leave_out(self, stops: set[int], reason: str) -> None:
+        kind: OutcomeKind = "left out"
+        for stop in sorted(stops):
+            self._store(stop, {}, [Outcome(stop, name, kind, reason) for name in self.work.plan])
+            self._note(f"stop {stop + 1}: left out: {reason}")
+        self._queue.remove(stops)
+
+    # -- what others hear ----------------------------------------------------------------------------------------------
+
+    def _emit(self, detail: Detail | None = None, note: str = "") -> None:
+        self.cell.pulse.beat()
+        self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
+
+    def _record(self, kind: str, reason: str) -> None:
+        """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
+        text = record_sentence(kind, reason)
+        level = "info" if kind in _HARMLESS else "warning"
+        if state_of(kind) is None:
+            self._emit(LogReport(level, text))
+        try:
+            self.run.record_request(self.number, kind, reason)
+            self.run.log(level, text, self._run_time_s())
+        except InputError as error:
+            self.notes.append(f"{text} (not logged: {error})")
+
+    def _note(self, text: str) -> None:
+        self._log("warning", text)
+
+    def _log(self, level: str, text: str) -> None:
+        self.run.log(level, text, self._run_time_s())
+        self._emit(LogReport(level, text))
+        if level == "warning":
+            self.notes.append(text)
+
+    def _run_time_s(self) -> float | None:
+        """Return the time since the run began [s], on the clock of the readings; None before the first measurement."""
+        return None if self.began_s is None else self.cell.clock.now_s() - self.began_s
+
+    def _tracker_ready(self) -> bool:
+        """Connect and prepare the tracker again; return whether it is ready to measure."""
+        return not start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
+
+    def _reconnect_tracker(self) -> None:
+        self.cell.tracker.disconnect()
+        start_tracker(self.cell.tracker, self.run.profile.tracker.driver)
 
 
 def collect_run(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.cell.profile.controller_file import controller_file_text
+from cellapp.cell.profile.files import controller_file_text
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions

@@ -1,6 +1,6 @@
 """Measure a few SMR points from the tracker's new station, one arm after the other, each better predicted than before.
 
-The station is known only roughly: ``smr_search`` searches for the first SMR, and finds the next ones at once.
+The station is known only roughly: ``measuring`` searches for the first SMR, and finds the next ones at once.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.measuring import APART_M, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
-from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.smr_search import APART_M, FoundPoint, SmrSearch
-from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.driving.supervision import Opened, moving_cell
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
 from cellapp.estimation.calibration.station_location import (

@@ -1,17 +1,43 @@
-"""Measure one SMR at a stop: repeat until the mean is precise enough, and wait while temporary causes prevent it."""
+"""Measure one SMR at a stop: repeat until the mean is precise enough, and wait while temporary causes prevent it.
+
+Measure references during a run: the arms at the first planned stop, and fixed nests. Their drift is limited.
+
+Find SMRs near their predictions although the tracker's station is known only roughly; each one found improves it.
+
+The tracker is pointed at lattice positions around a prediction, spaced by the range of a tracker's own search. Every
+SMR that is found improves the station, so that the next ones are found at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.driving.motion import Mover, Vector
 from cellapp.cell.driving.supervision import Supervisor
+from cellapp.cell.run import ReferenceRow, RunFile
+from cellapp.estimation.calibration.station_location import (
+    ArmPoints,
+    RoughStation,
+    fit_station,
+    predicted_points,
+)
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Repeat
-from cellapp.robot.kinematics.transforms import mean_rotation, quaternions_of, rotations_of
+from cellapp.ground.progress import ReferenceReport, Suspicion
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array, mean_rotation, quaternions_of, rotations_of, twist_columns
+from cellapp.robot.model import CellModel
+from cellapp.robot.model.model import relocated
+from cellapp.robot.model.nominal import pose_matrix
+from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import (
     NotReady,
     Point,
@@ -116,3 +142,344 @@ def _deviation_of_mean(points: list[Point]) -> float:
     """Return the largest standard error of the mean over the coordinates [m]."""
     positions = np.array([point.p_M for point in points])
     return float((positions.std(axis=0, ddof=1) / np.sqrt(len(points))).max())
+
+
+def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:
+    """Return the nests of a profile, name -> position (3,) [m] in the tracker frame M."""
+    nests = profile.collection.reference.nests
+    if not nests or profile.tracker.pose is None:
+        return {}
+    T_C_M = pose_matrix(profile.tracker.pose)
+    return {name: (np.array(position) - T_C_M[:3, 3]) @ T_C_M[:3, :3] for name, position in nests.items()}
+
+
+@dataclass
+class References:
+    """Measures the references of one session and compares them with their first measurements in the run.
+
+    If ``accept_drift``, the first measurements of this session replace those of earlier ones.
+    """
+
+    run: RunFile
+    session: int
+    measurement: SmrMeasurement
+    supervisor: Supervisor
+    suspect: Callable[[Suspicion], None]
+    accept_drift: bool = False
+    carried: Mapping[str, str] = field(default_factory=dict)
+    """Reference -> what its arm carries, in words, if that is not the first load. Such references are compared
+    separately: an arm that sags more under another load does not drift."""
+    _first_M: dict[str, Vector] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._watch = ReferenceWatch(self.run.profile.collection.reference.drift)
+        if not self.accept_drift:
+            for row in self.run.references():
+                self._first_M.setdefault(row.name, row.p_M)
+
+    def check(self, states: Mapping[str, Vector], stops_done: int, began_s: float) -> ReferenceReport:
+        """Measure all references with the arms at ``states`` (name -> q (N,) [rad]) and store them.
+
+        If the drift is above the limit, suspend the job as the profile allows.
+
+        Raises
+        ------
+        HardwareError
+            If the drift stays above the limit and nobody attends the job.
+        """
+        limit_m = self.run.profile.collection.reference.drift
+        report = self._measured(states, stops_done, began_s)
+        worst = max(report.drift_mm, key=report.drift_mm.__getitem__, default=None)
+        if worst is None or report.drift_mm[worst] <= limit_m * 1e3:
+            return report
+        latest = [report]
+
+        def ready() -> bool:
+            latest[0] = self._measured(states, stops_done, began_s)
+            return max(latest[0].drift_mm.values(), default=0.0) <= limit_m * 1e3
+
+        text = (
+            f"reference {worst}: {report.drift_mm[worst]:.3f} mm from its first measurement, limit {limit_m * 1e3:g} mm"
+        )
+        if not self.supervisor.suspended("drift", text, ready):
+            if not self.supervisor.hold(text):
+                raise HardwareError(
+                    f"{text}; look for a moved tracker, nest or SMR. If the change is understood, continue with"
+                    " --resume --accept-drift, else start a new run"
+                )
+            self._first_M.clear()  # the person saw the drift and resumed: from now on drift is relative to here
+            latest[0] = self._measured(states, stops_done, began_s)
+        return latest[0]
+
+    def _measured(self, states: Mapping[str, Vector], stops_done: int, began_s: float) -> ReferenceReport:
+        points = self._points(states)
+        arms = [f"arm {name}" for name in states]
+        for suspicion in self._watch.at_reference({name: point.p_M for name, point in points.items()}, arms):
+            self.suspect(suspicion)
+        drift_mm = {}
+        for reference, point in points.items():
+            name = reference + self.carried.get(reference, "")
+            first_M = self._first_M.setdefault(name, point.p_M)
+            drift_mm[name] = float(np.linalg.norm(point.p_M - first_M)) * 1e3
+            row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)
+            self.run.add_reference(row)
+        return ReferenceReport(drift_mm, self.run.profile.collection.reference.drift * 1e3)
+
+    def _points(self, states: Mapping[str, Vector]) -> dict[str, Point]:
+        """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
+        measure: dict[str, Callable[[], Point]] = {
+            f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
+        }
+        for name, expected_M in nests_in_M(self.run.profile).items():
+            measure[f"nest {name}"] = partial(self.measurement.at_nest, name, expected_M)
+        points: dict[str, Point] = {}
+        for name, at_reference in measure.items():
+            try:
+                points[name] = at_reference()
+            except (TargetLost, WrongTarget, Unstable) as error:
+                self.supervisor.record("reference", f"{name}: not measured: {error}")
+        return points
+
+
+# -- Detect suspicions from reference measurements: fixed nests, and the arms at the reference stop -------------------
+
+
+class ReferenceWatch:
+    """Judges reference measurements, each against the previous one (a jump) and against the first one (drift).
+
+    Drift of a reference is raised once until it is within the limit again.
+
+    Parameters
+    ----------
+    limit_m : float
+        Largest accepted displacement [m].
+    """
+
+    def __init__(self, limit_m: float) -> None:
+        self._limit_m = limit_m
+        self._first: dict[str, Array] = {}
+        self._last: dict[str, Array] = {}
+        self._drifted: set[str] = set()
+
+    def at_reference(self, points_M: Mapping[str, Array], arms: Collection[str]) -> tuple[Suspicion, ...]:
+        """Return suspicions from the references' positions (3,) [m]; names in ``arms`` are arms, the others nests."""
+        jumps = self._beyond(points_M, self._last)
+        beyond = {name: size for name, size in self._beyond(points_M, self._first).items() if name not in jumps}
+        drifts = {name: size for name, size in beyond.items() if name not in self._drifted}
+        self._drifted = (self._drifted - points_M.keys()) | beyond.keys()
+        shared = len(self._last.keys() & points_M.keys())
+        for name, point in points_M.items():
+            if name in jumps or name not in self._first:  # raise a jump once: later points are relative to this one
+                self._first[name] = point
+            self._last[name] = point
+        fixed = [name for name in jumps if name not in arms]
+        if jumps and len(jumps) == shared and (fixed or len(jumps) > 1):
+            text = f"all references moved by {_largest_mm(jumps)} since the last time: was the tracker touched?"
+            return (Suspicion("tracker moved", text), *_drifts(drifts, arms))
+        return (*(_jump(name, size, arms) for name, size in jumps.items()), *_drifts(drifts, arms))
+
+    def _beyond(self, points_M: Mapping[str, Array], before: Mapping[str, Array]) -> dict[str, float]:
+        away = {name: float(np.linalg.norm(point - before[name])) for name, point in points_M.items() if name in before}
+        return {name: size for name, size in away.items() if size > self._limit_m}
+
+
+def _jump(name: str, size: float, arms: Collection[str]) -> Suspicion:
+    if name in arms:
+        text = (
+            f"{name}: its SMR at the reference stop moved by {size * 1e3:.2f} mm since the last time: check that it"
+            " sits firmly"
+        )
+        return Suspicion("loose SMR", text, name.removeprefix("arm "))
+    return Suspicion("loose SMR", f"{name} moved by {size * 1e3:.2f} mm since the last time: check it")
+
+
+def _drifts(drifts: Mapping[str, float], arms: Collection[str]) -> tuple[Suspicion, ...]:
+    if not drifts:
+        return ()
+    arm = next(iter(drifts)) if len(drifts) == 1 and next(iter(drifts)) in arms else None
+    text = f"{', '.join(sorted(drifts))}: drifted by {_largest_mm(drifts)} since the first time: check warm-up and air"
+    return (Suspicion("drift", text, None if arm is None else arm.removeprefix("arm ")),)
+
+
+def _largest_mm(sizes: Mapping[str, float]) -> str:
+    return f"{max(sizes.values()) * 1e3:.2f} mm"
+
+
+_ROUGH_M, _ROUGH_RAD = 0.05, np.radians(1.0)
+"""Standard deviation of a station that was paced out, or of a stand that was kicked: coordinates [m], angles [rad]."""
+_REACH = 3.0
+"""Search radius for an SMR, in standard deviations of its prediction."""
+_REACH_M = (0.05, 0.16)
+"""Limits of the search radius [m]: with a larger one the search would take too long."""
+_LATTICE_M = 0.057
+"""Spacing of the positions that the tracker is pointed at [m]: no point is farther than 50 mm from a point of this
+cubic lattice, and every tracker's driver accepts an SMR within at least 50 mm."""
+_KNOWN_M = 1e-3
+"""Prediction error [m] below which the station is not fitted again: it is far within the smallest search radius."""
+APART_M = 0.4
+"""Least distance [m] between SMRs that are present at the same time: more than twice the largest search radius, so that
+none is mistaken for another."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPoint:
+    """Measured point with its arm and the joint positions (N,) [rad] of its controller.
+
+    ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
+    are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
+    """
+
+    arm: str
+    q: Vector
+    point: Point
+    repeats_M: Array
+    conditions: MeasurementConditions
+    found_off_m: float
+    others: Mapping[str, Vector] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class SmrSearch:
+    """Searches for SMRs and measures each ``repeats`` times.
+
+    ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
+    one. ``excess_m`` is as in ``fit_station``. ``checkpoint`` is called before each measurement; it may wait.
+    """
+
+    profile: Profile
+    model: CellModel
+    mover: Mover
+    rough_T: Array
+    excess_m: Mapping[str, float]
+    repeats: int
+    checkpoint: Callable[[], None]
+    found: list[FoundPoint] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        sigma = np.array([_ROUGH_M] * 3 + [_ROUGH_RAD] * 3)
+        self._rough = RoughStation(self.rough_T, np.diag(sigma**2))
+        self._so_far: tuple[Array, Array] = self._rough.T_new_old, self._rough.covariance
+
+    @property
+    def T_new_old(self) -> Array:
+        """Station (4, 4) as estimated from the points so far."""
+        return self._so_far[0]
+
+    def points(self) -> dict[str, ArmPoints]:
+        """Return the points by arm, in the format of a fit."""
+        return points_of(self.found)
+
+    def measure(self, name: str, state: ArmState) -> FoundPoint | str:
+        """Measure the SMR of an arm at rest at or near its prediction; return why if it is not found.
+
+        A point that is found improves the station. Raise as ``Mover.measure`` and ``checkpoint``.
+        """
+        found = self._search(name, state)
+        if isinstance(found, FoundPoint):
+            self.found.append(found)
+            # fit the station again, unless it predicted the point well enough already
+            if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
+                fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
+                self._so_far = fit.T_new_old, fit.covariance
+        return found
+
+    def _reach_m(self, p_M: Vector) -> float:
+        """Return the search radius [m] around a predicted point (3,) [m]."""
+        J = twist_columns(p_M[None])[0]
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(J @ self._so_far[1] @ J.T)[-1]))
+        return float(np.clip(_REACH * sigma_m, *_REACH_M))
+
+    def _search(self, name: str, state: ArmState) -> FoundPoint | str:
+        conditions = self._conditions(name, state)
+        others = {other: q for other, q in self.mover.positions().items() if other != name}
+        # predict the SMR of the arm with the station so far, (3,) [m]
+        own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
+        expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
+        reach_m, problem = self._reach_m(expected), ""
+        for offset in lattice(reach_m):
+            self.checkpoint()
+            try:
+                point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, tries=1)
+                points = [point, *(self.mover.measure_at(point.p_M, f"arm {name}") for _ in range(self.repeats - 1))]
+            except (TargetLost, WrongTarget, Unstable) as error:
+                problem = problem or str(error)
+                continue
+            off_m = float(np.linalg.norm(point.p_M - expected))
+            repeats_M = np.array([one.p_M for one in points])
+            return FoundPoint(name, state.q, mean_point(points), repeats_M, conditions, off_m, others)
+        return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
+
+    def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:
+        """Return the known conditions of the arm at rest, one row."""
+        step, rested_s = self.mover.step(name), self.mover.rested_s(name)
+        averaging_s = self.profile.tracker.averaging
+        return MeasurementConditions(
+            approach=self.mover.approach(name)[None].astype(np.float64),
+            step=None if step is None else step[None],
+            dwell_s=None if rested_s is None else np.array([rested_s + 0.5 * averaging_s]),
+            payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+            joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
+        )
+
+
+def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:
+    """Return the points by arm, in the format of a fit."""
+    points: dict[str, ArmPoints] = {}
+    by_chance = share_of_chance(found)
+    for name in dict.fromkeys(one.arm for one in found):
+        own = [one for one in found if one.arm == name]
+        beside = [_only(one.others) for one in own]
+        known = [one for one in beside if one is not None]
+        points[name] = ArmPoints(
+            q=np.array([one.q for one in own]),
+            measured_M=np.array([one.point.p_M for one in own]),
+            covariance_M=covariances(own, by_chance),
+            conditions=_joined([one.conditions for one in own]),
+            other=(known[0][0], np.concatenate([q for _, q in known])) if len(known) == len(own) else None,
+        )
+    return points
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _only(others: Mapping[str, Vector]) -> tuple[str, Array] | None:
+    """Return the other arm of a cell of two, with its joint positions (1, K) [rad]; None in other cells."""
+    return next(((name, q[None]) for name, q in others.items()), None) if len(others) == 1 else None
+
+
+def share_of_chance(found: Sequence[FoundPoint]) -> float:
+    """Return the fraction (0 to 1) of the tracker's covariance that repeats show: averaging reduces only this part."""
+    squares = 0.0
+    for one in found:
+        off = one.repeats_M - one.repeats_M.mean(axis=0)
+        squares += float(np.einsum("ka,ab,kb->", off, np.linalg.inv(one.point.covariance_M), off))
+    freedom = 3 * sum(len(one.repeats_M) - 1 for one in found)
+    return min(squares / freedom, 1.0) if freedom else 0.0
+
+
+def covariances(found: Sequence[FoundPoint], by_chance: float) -> Array:
+    """Return the covariances of the means of repeats (m, 3, 3) [m^2]."""
+    left = [1.0 - by_chance * (1.0 - 1.0 / len(one.repeats_M)) for one in found]
+    return np.array([part * one.point.covariance_M for part, one in zip(left, found, strict=True)])
+
+
+def lattice(reach_m: float) -> list[Vector]:
+    """Return the offsets (3,) [m] of a cubic lattice within a radius, nearest first."""
+    count = int(reach_m / _LATTICE_M)
+    steps = np.array(list(product(range(-count, count + 1), repeat=3)), dtype=np.float64) * _LATTICE_M
+    distance = np.linalg.norm(steps, axis=1)
+    order = np.argsort(distance, kind="stable")
+    return [steps[row] for row in order.tolist() if distance[row] <= reach_m]
+
+
+def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
+    """Concatenate the conditions of single points; a condition that one of them lacks is unknown for all."""
+
+    def joined(values: Sequence[Array | NDArray[np.int8] | None]) -> Array | None:
+        known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]
+        return np.concatenate(known) if len(known) == len(values) else None
+
+    names = ("approach", "step", "dwell_s", "payload_kg", "joints_c")
+    known: dict[str, Any] = {name: joined([getattr(row, name) for row in rows]) for name in names}
+    return MeasurementConditions(**known)

@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import require_same_arms
-from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.supervision import Opened
-from cellapp.cell.driving.target_visit import TargetVisit
+from cellapp.cell.driving.supervision import Opened, moving_cell
+from cellapp.cell.driving.target_visit import Driver, TargetVisit
 from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, Protocol
 
-from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
+from cellapp.cell.driving.cell import Together, answers_of_all, in_threads, one_by_one
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, EmergencyStop, HostStalled, LinkLost, ProtectiveStop

@@ -7,8 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from cellapp.cell.planning.design_records import PlanDesignResult
-from cellapp.cell.planning.records import PlannedTime, SweepForecast
+from cellapp.cell.planning.records import PlanDesignResult, PlannedTime, SweepForecast
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result

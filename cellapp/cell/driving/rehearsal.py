@@ -9,14 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_arms
-from cellapp.cell.driving.controllers import check_controllers
-from cellapp.cell.driving.forbidden import forbidden_stops
+from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.rungs import RUNGS, Rung, RungName
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
-from cellapp.cell.driving.travel import Travel
-from cellapp.cell.driving.work import Work, remaining_work
+from cellapp.cell.driving.work import Travel, Work, forbidden_stops, remaining_work
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.control import JobControl

@@ -1,4 +1,7 @@
-"""A person's requests and halts of the cell while a job runs: pause, hold after a halt, suspend, resume."""
+"""A person's requests and halts of the cell while a job runs: pause, hold after a halt, suspend, resume.
+
+Open a cell whose arms a job moves: attended, confirmed by a person before the first motion, slow at first.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,16 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.motion import Confirm, Mover
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CellappError, HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Suspend, Suspension
 from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
+from cellapp.robot.model import CellModel
 from drivers.clock import slept_s
 
 SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
@@ -305,3 +312,46 @@ class Supervisor:
     def _say(self, kind: str, change: StateChange) -> None:
         self.record(kind, change.reason)
         self.emit(change)
+
+
+@dataclass(frozen=True, eq=False)
+class MovingCell:
+    """Open cell with all arms at home; ``hold`` waits while a person pauses."""
+
+    cell: Cell
+    reaction: StopReaction
+    bodies: CellBodies
+    mover: Mover
+    hold: Callable[[], None]
+    began_s: float
+    """Start of the first motion on the cell's clock [s]."""
+
+
+@contextmanager
+def moving_cell(
+    profile: Profile,
+    model: CellModel,
+    control: JobControl,
+    *,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
+    slow_visits: int | None = 0,
+) -> Iterator[MovingCell]:
+    """Open the cell of a profile and move all arms home.
+
+    ``opened`` is called with the open cell before anything moves; an exception from it ends the job. ``confirm`` is
+    called before the first motion. ``open_with`` opens the cell. The tracker must be ready. ``slow_visits``
+    is as in ``Mover.slow_start``. Raise as ``attended_cell`` and ``Mover``; ``InputError`` if the first motion is not
+    confirmed.
+    """
+    bodies, homes = cell_bodies(profile, model), home_positions(profile)
+    with attended_cell(profile, control, open_with) as (cell, reaction):
+        opened(cell)
+        cell.require_tracker()
+        mover = Mover(profile, cell, bodies, reaction)
+        mover.confirm_first(homes, confirm)
+        mover.slow_start(slow_visits)
+        began_s = cell.clock.now_s()
+        mover.go_home()
+        yield MovingCell(cell, reaction, bodies, mover, lambda: hold_while_paused(cell, control, reaction), began_s)

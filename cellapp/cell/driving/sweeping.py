@@ -1,34 +1,486 @@
 """Record sweeps while a run is collected: at a measured stop each arm swings and is recorded, while the others rest, or
 the other one swings too.
 
-A simulated cell computes a sweep at once; real arms are driven and recorded through their drivers (``driven_sweep``).
+A simulated cell computes a sweep at once; real arms are driven and recorded through their drivers.
+
+Drive and record one sweep of one arm through its drivers: the controller's samples and the tracker's points.
+
+If another arm swings at the same time, both are driven together and the joints of both are recorded; the tracker
+follows the first. The timestamps of the second controller are converted to the first one's clock by the states of both
+at the beginning.
+
+Recording begins before the motion and ends after it, at rest; each device has timestamps of its own clock. If the beam
+breaks, the arm slows down along its path and rests; the tracker is pointed at the SMR again, and the arm continues from
+there: that is a separate recording.
+
+Progress of a sweep for observers: incoming data are counted, and reported from the job's own thread.
+
+Handle breaks of the beam to a moving SMR: the arm slows down along its path; at rest the SMR is found again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, astuple, dataclass, field, replace
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from cellapp.cell.driving.driven_sweep import SweepDriver, SweepPart, why_no_sweeps
-from cellapp.cell.driving.live_sweep import LiveSweep
-from cellapp.cell.driving.step_reports import sweep_sentence
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover, sweep_sentence
+from cellapp.cell.driving.reaction import StopCause, StopReaction, cause_of
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.columns import POINT, TRIGGER, pulse_column, stems
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import Key, RecordedStreams, checked_recording
-from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column, stems
 from cellapp.cell.run.stream_csv import StreamTable
+from cellapp.cell.safety.gate import CellBodies, predicted_smr
+from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import SweepLive
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, rows_at
 from cellapp.robot.paths.sweep import Sweep
+from drivers.arms.protocol import Arm, ArmError, PathFollower
+from drivers.arms.recording import JointRecord, RecordingArm, counts_so_far
+from drivers.clock import Clock
 from drivers.plant.sweep import SweepRecord
+from drivers.trackers.protocol import (
+    Packet,
+    StreamingTracker,
+    TargetLost,
+    Track,
+    TrackerError,
+    WrongTarget,
+    stream_limits_of,
+    stream_of,
+)
+
+_TRACE_S = 0.1
+"""Time between two points of the speed trace [s]: the noise of a point is then some 0.3 mm/s."""
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Received and missing points and samples, as in ``SweepLive``."""
+
+    points: int = 0
+    points_missing: int = 0
+    samples: int = 0
+    samples_missing: int = 0
+
+    def __add__(self, other: _Counts) -> _Counts:
+        return _Counts(*map(sum, zip(astuple(self), astuple(other), strict=True)))
+
+
+@dataclass
+class _Part:
+    """One recording from the start of its motion."""
+
+    arm: RecordingArm
+    clock: Clock
+    s_s: Array
+    period_s: float
+    recorded: bool = True
+    began_s: float | None = None
+    points: int = 0
+    first_s: float = 0.0
+    latest_s: float = 0.0
+
+    def reached_s(self) -> float:
+        """Return the time in the motion that is being sent now [s]."""
+        now_s = self.clock.now_s()
+        if self.began_s is None:
+            self.began_s = now_s
+        return float(np.interp((now_s - self.began_s) / self.period_s, np.arange(len(self.s_s)), self.s_s))
+
+
+@dataclass
+class LiveSweep:
+    """Progress of one sweep. ``received`` may be called from any thread, all else only from the job's thread.
+
+    ``so_far`` is the last report, ``interval_s`` the period of the tracker's points [s]; ``tell`` receives each report.
+    """
+
+    so_far: SweepLive
+    interval_s: float
+    tell: Callable[[SweepLive], None]
+    _packets: deque[Packet] = field(default_factory=deque)
+    _part: _Part | None = None
+    _ended: _Counts = _Counts()
+    """Counts of the parts that have ended."""
+    _began_s: float | None = None
+    _last: tuple[float, Array] | None = None
+    """Timestamp [s] and position [m] of the newest point of the trace."""
+    _trace: list[tuple[float, float]] = field(default_factory=list)
+    _arrived_s: float | None = None
+
+    def received(self, packet: Packet) -> None:
+        """Queue a packet for the job's thread."""
+        self._packets.append(packet)
+
+    def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float, *, recorded: bool = True) -> None:
+        """Begin a part with the motion's times ``s_s`` (m,) [s], one per ``period_s`` [s]; usually recorded."""
+        self._part, self._last = _Part(arm, clock, s_s, period_s, recorded), None
+
+    def look(self) -> None:
+        """Report the progress of the current part."""
+        part = self._part
+        assert part is not None
+        if not part.recorded:
+            self._say(replace(self.so_far, state="unrecorded", done_s=part.reached_s()), self._ended)
+            return
+        self._take(part)
+        points = counts_so_far(part.points, part.first_s, part.latest_s, self.interval_s)
+        age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
+        now = replace(self.so_far, state="moving", done_s=part.reached_s(), point_age_s=age_s)
+        self._say(now, self._ended + _Counts(*points, *part.arm.recorded()))
+
+    def end(self, joints: JointRecord, track: Track, reached_s: float | None) -> None:
+        """End a recorded part: at ``reached_s`` of the motion, where the beam broke, or at its end if None."""
+        if self._part is not None:
+            self._take(self._part)
+        counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
+        self._end(counts, reached_s)
+
+    def end_unrecorded(self) -> None:
+        """End the motion of the arm without a recording."""
+        self._end(_Counts(), None)
+
+    def calculated(self, record: SweepRecord) -> None:
+        """Report a sweep that was computed as a whole; points without the beam are NaN."""
+        seen = np.isfinite(record.p_M[:, 0])
+        self._follow(record.point_time_s[seen], record.p_M[seen])
+        self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
+        joints_s = record.joint_time_s
+        samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
+        self._end(_Counts(int(seen.sum()), int((~seen).sum()), *samples), None)
+
+    def _end(self, counts: _Counts, reached_s: float | None) -> None:
+        """Report a part that ended at ``reached_s``, or at the end of the motion if None."""
+        broken = reached_s is not None
+        self._ended += counts
+        now = replace(
+            self.so_far,
+            state="searching" if broken else "done",
+            done_s=self.so_far.duration_s if reached_s is None else reached_s,
+            lost_beams=self.so_far.lost_beams + broken,
+            point_age_s=None,
+        )
+        self._say(now, self._ended)
+
+    def _take(self, part: _Part) -> None:
+        """Process the packets received since the last look."""
+        while self._packets:
+            packet = self._packets.popleft()
+            if not len(packet.p_M):
+                continue
+            if not part.points:
+                part.first_s = float(packet.device_time_s[0])
+            part.points, part.latest_s = part.points + len(packet.p_M), float(packet.device_time_s[-1])
+            self._arrived_s = packet.arrived_s
+            self._follow(packet.device_time_s, packet.p_M)
+
+    def _follow(self, time_s: Array, p_M: Array) -> None:
+        """Add points (n, 3) [m] at timestamps (n,) [s] to the trace."""
+        began_s = self._began_s = float(time_s[0]) if self._began_s is None else self._began_s
+        self.so_far = replace(self.so_far, distance_m=float(np.linalg.norm(p_M[-1])))
+        chosen = np.unique(np.floor((time_s - began_s) / _TRACE_S), return_index=True)[1]
+        for at_s, place in zip(time_s[chosen].tolist(), p_M[chosen], strict=True):
+            if self._last is not None:
+                since_s = at_s - self._last[0]
+                if since_s < 0.9 * _TRACE_S:
+                    continue
+                speed = 1e3 * float(np.linalg.norm(place - self._last[1])) / since_s
+                self._trace.append((round(at_s - 0.5 * since_s - began_s, 3), round(speed, 2)))
+            self._last = at_s, place
+
+    def _say(self, now: SweepLive, counts: _Counts) -> None:
+        """Report the progress of the sweep with the counts and the new part of the trace."""
+        trace, self._trace = tuple(self._trace), []
+        self.so_far = replace(now, **asdict(counts), trace=trace)
+        self.tell(self.so_far)
+
+
+_TRIES = 3
+"""Tries to find the SMR after a break; between them a person in the beam has ``_PAUSE_S`` [s] to leave."""
+_PAUSE_S = 1.0
+
+
+class Beam:
+    """First packet and error of a track. Both methods may be called from any thread.
+
+    Attributes
+    ----------
+    first : Packet or None
+        First packet with a point.
+    error : TrackerError or None
+        Why the track ended: ``TargetLost`` if the beam broke, else the tracker died.
+    """
+
+    def __init__(self, moving: Sequence[PathFollower], reaction: StopReaction) -> None:
+        self.first: Packet | None = None
+        self.error: TrackerError | None = None
+        self._moving, self._reaction = moving, reaction
+
+    def received(self, packet: Packet) -> None:
+        """Store the first packet with a point."""
+        if self.first is None and len(packet.p_M):
+            self.first = packet
+
+    def lost(self, error: TrackerError) -> None:
+        """Let all moving arms slow down along their paths and rest; if the tracker died, stop the cell."""
+        self.error = error
+        if not isinstance(error, TargetLost):
+            self._reaction.trigger(StopCause("tracker", str(error)))
+            return
+        for arm in self._moving:
+            with suppress(ArmError):  # the arm's own doubt stops the cell
+                arm.end_path()
+
+
+def find_again(cell: Cell, mover: Mover, control: JobControl, name: str) -> None:
+    """Measure the SMR of an arm at rest where its beam broke, with retries. Raise ``TrackerError``, ``Cancelled``."""
+    for left in range(_TRIES, 0, -1):
+        try:
+            mover.measure(name, mover.positions()[name])
+            return
+        except (TargetLost, WrongTarget):
+            if left == 1:
+                raise
+        cell.clock.wait(_PAUSE_S, control.wait)
+        control.check()
+
+
+_REST_S = 0.5
+"""Recorded rest before and after the motion [s]."""
+_STARTS_S = 1.0
+"""Time to full speed [s] of a motion that continues in the middle of its path."""
+_PULSES = 3
+"""Number of pulses of the hardware trigger at either end of a recording."""
+_FIRST_POINT_S = 1.0
+_MOST_PARTS = 20
+_SHORTEST_S = 0.5
+"""Shorter parts [s] carry no information and are discarded."""
+
+
+@dataclass(frozen=True)
+class SweepPart:
+    """Recording up to a break of the beam, or up to the end of the motion.
+
+    ``reached_s`` is the time of the motion at which the arm came to rest [s]; None if at its end. ``beside`` are joint
+    positions (n, K) [rad] of the arm that swung at the same time, at the timestamps of ``joints``.
+    """
+
+    joints: JointRecord
+    track: Track
+    reached_s: float | None
+    beside: Array | None = None
+
+
+def why_no_sweeps(cell: Cell, interval_s: float) -> str:
+    """Return why sweeps cannot be recorded in a cell; empty if they can. Raise ``TrackerError``."""
+    limits = stream_limits_of(cell.tracker)
+    if limits is None:
+        return "this tracker's driver does not measure an SMR while it moves"
+    try:
+        limits.check(interval_s)
+    except ValueError as error:
+        return f"collection.motion_rate: {error}"
+    for name, arm in cell.arms.items():
+        if not (isinstance(arm, PathFollower) and isinstance(arm, RecordingArm)):
+            return f"arm {name}: its driver cannot follow and record a motion"
+    return ""
+
+
+@runtime_checkable
+class _FollowedAndRecorded(Arm, PathFollower, RecordingArm, Protocol):
+    """Arm of a cell in which sweeps can be recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """Path that an arm follows next: positions ``q`` (m, N) [rad], and their times ``s_s`` (m,) in its motion [s]."""
+
+    arm: _FollowedAndRecorded
+    q: Array
+    s_s: Array
+
+    def at_s(self, reached: float) -> float | None:
+        """Return the time of the motion at a (fractional) row; None at the end."""
+        early = reached < len(self.q) - 1
+        return float(np.interp(reached, np.arange(len(self.s_s)), self.s_s)) if early else None
+
+
+@dataclass(frozen=True)
+class SweepDriver:
+    """Driver of sweeps in an open cell; ``interval_s`` is the time between two points of the tracker [s]."""
+
+    cell: Cell
+    mover: Mover
+    bodies: CellBodies
+    reaction: StopReaction
+    control: JobControl
+    interval_s: float
+
+    def drive(self, motions: Mapping[str, Sweep], note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
+        """Drive one period of the motions of all moving arms; yield each part when it is recorded.
+
+        The arms must be at the beginnings of their motions. The first arm is measured. ``live`` receives the progress.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate refuses; the arms rest.
+        CellStopped
+            If anything stops the cell.
+        TrackerError
+            If the SMR is not found before the motion begins.
+        """
+        name, from_s = next(iter(motions)), dict.fromkeys(motions, 0.0)
+        for part in range(1, _MOST_PARTS + 1):
+            try:
+                if part > 1:
+                    find_again(self.cell, self.mover, self.control, name)
+                found, reached = self._recorded(self._legs(motions, from_s), live)
+            except (TargetLost, WrongTarget) as error:
+                if part == 1:
+                    raise
+                note(f"arm {name}: the rest of its sweep is not recorded: {error}")
+                break
+            if found.reached_s is None or found.reached_s - from_s[name] > _SHORTEST_S:
+                yield found
+            if all(its_s is None for its_s in reached.values()):
+                return
+            from_s = {one: motions[one].period_s if its_s is None else its_s for one, its_s in reached.items()}
+            if found.reached_s is None:
+                break  # the beam broke at the end: the other arm completes its motion
+            note(f"arm {name}: the beam broke {from_s[name]:.1f} s after its sweep began; it goes on from there")
+        legs = self._legs(motions, from_s)
+        own = legs[name]
+        live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s, recorded=False)
+        self._follow(legs, live.look)
+        live.end_unrecorded()
+
+    def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
+        found = {}
+        for name, motion in motions.items():
+            arm = self.cell.arms[name]
+            assert isinstance(arm, _FollowedAndRecorded)
+            found[name] = _Leg(arm, *_rest_of(motion, from_s[name], arm.path_period_s))
+        return found
+
+    def _follow(self, legs: Mapping[str, _Leg], look: Callable[[], None]) -> dict[str, float | None]:
+        """Let arms follow their legs; return the motion time at which each rested early [s], None if at its end."""
+        if len(legs) == 1:
+            ((name, leg),) = legs.items()
+            reached = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
+        else:
+            paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
+            reached = self.mover.follow_together(paths, look)
+        return {name: leg.at_s(reached[name]) for name, leg in legs.items()}
+
+    def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
+        """Let arms follow their legs while recording; the tracker follows the first one.
+
+        Return the part, and where each arm came to rest as ``_follow``.
+        """
+        name, streaming = next(iter(legs)), stream_of(self.cell.tracker)
+        own, arms = legs[name], {one: leg.arm for one, leg in legs.items()}
+        assert streaming is not None
+        beam, recorded = Beam([*arms.values()], self.reaction), dict[str, RecordingArm]()
+
+        def received(packet: Packet) -> None:
+            beam.received(packet)
+            live.received(packet)
+
+        one = name
+        try:
+            for one, arm in arms.items():
+                arm.start_recording()
+                recorded[one] = arm
+            later_s = self._later_s(arms)
+            expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
+            streaming.start_track(expected_M, self.interval_s, beam.lost, received)
+            self._rest(own.arm)
+            self._require_own(name, beam, expected_M)
+            live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s)
+            reached = self._follow(legs, live.look)
+            self._rest(own.arm)
+            records = {}
+            for one in [*recorded]:
+                records[one] = recorded.pop(one).end_recording()
+            track = streaming.end_track()
+        except ArmError as error:
+            self._give_up(recorded.values(), streaming)
+            raise self.mover.stop_cell(cause_of(one, error)) from error
+        except BaseException:
+            self._give_up(recorded.values(), streaming)
+            raise
+        live.end(records[name], track, reached[name])
+        stamps_s = records[name].time_s
+        beside = [rows_at(stamps_s, its.time_s + later_s[one], its.q) for one, its in records.items() if one != name]
+        return SweepPart(records[name], track, reached[name], *beside), reached
+
+    def _later_s(self, arms: Mapping[str, Arm]) -> dict[str, float]:
+        """Return the offset of the first controller's clock from each one's [s], accurate to some control cycles."""
+        states = {name: arm.state().time_s for name, arm in arms.items()}
+        first_s = next(iter(states.values()))
+        return {name: first_s - its_s for name, its_s in states.items()}
+
+    def _rest(self, arm: RecordingArm) -> None:
+        """Rest while recording, with the pulses of the hardware trigger if there is one."""
+        for _ in range(_PULSES):
+            self.cell.clock.wait(_REST_S / _PULSES, self.control.wait)
+            arm.pulse()
+        self.control.check()
+        self.reaction.check()
+
+    def _require_own(self, name: str, beam: Beam, expected_M: Array) -> None:
+        """Check that points arrive and belong to this arm's SMR. Raise ``TrackerError`` if not."""
+        self.cell.tracker.confirm(_FIRST_POINT_S)
+        if beam.error is not None:
+            raise beam.error
+        if beam.first is None:
+            raise TargetLost(f"tracker: no point of arm {name} came while it rested")
+        off_m = float(np.linalg.norm(beam.first.p_M[0] - expected_M))
+        if off_m > WRONG_TARGET_M:
+            raise WrongTarget(
+                f"arm {name}: the tracker locked an SMR {off_m * 1e3:.0f} mm from where this one should be"
+            )
+
+    @staticmethod
+    def _give_up(recorded: Iterable[RecordingArm], streaming: StreamingTracker) -> None:
+        """End all recordings; ignore errors, because the original error is the one to report."""
+        for arm in recorded:
+            with suppress(ArmError):
+                arm.end_recording()
+        with suppress(TrackerError):
+            streaming.end_track()
+
+
+def _rest_of(sweep: Sweep, from_s: float, period_s: float) -> tuple[Array, Array]:
+    """Return the motion from ``from_s`` [s] on: joint positions (m, N) [rad], one per ``period_s``, and their times in
+    the motion (m,) [s]. In the middle of the path it starts slowly from rest."""
+    rows = int(np.ceil(sweep.period_s / period_s))
+    exact = replace(sweep, period_s=rows * period_s)
+    scale = exact.period_s / sweep.period_s
+    if from_s <= 0.0:
+        s_s = np.asarray(np.arange(rows + 1) * period_s, dtype=np.float64)
+        return exact.at(s_s), s_s / scale
+    steps = max(round(_STARTS_S / period_s), 1)
+    rate: Array = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, steps + 1) / steps))
+    ramp = from_s * scale + period_s * np.concatenate([[0.0], np.cumsum(rate)])
+    left = max(int(np.ceil((exact.period_s - ramp[-1]) / period_s)), 0)
+    s_s = np.minimum(np.concatenate([ramp, ramp[-1] + period_s * np.arange(1, left + 1)]), exact.period_s)
+    return exact.at(s_s), s_s / scale
+
 
 CYCLE_S = 0.008
 """Time between two joint positions of a sweep [s], as sent to a simulated controller."""

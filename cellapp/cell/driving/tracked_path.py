@@ -6,10 +6,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from cellapp.cell.driving.beam import Beam, find_again
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.reaction import StopCause, StopReaction
+from cellapp.cell.driving.sweeping import Beam, find_again
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array

@@ -9,8 +9,8 @@ import numpy as np
 
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.cell.targets.compensate import with_approach
+from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
-from cellapp.cell.targets.unknown_conditions import signs_words
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.transforms import Array

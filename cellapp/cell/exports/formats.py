@@ -1,17 +1,22 @@
 """Registry of the formats for calibrated arms, the whole cell, and commands.
 
 A new format is a module and one entry here, or a plug-in.
+
+Text about an export for people, in the file and on the terminal.
 """
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Protocol, TypeVar
 
+from cellapp.cell.exports.arm_export import POSES
 from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
 from cellapp.cell.exports.dh_tables import DH, DH_PLAIN, PARAMETERS, POE
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.ur_description import UR_CALIBRATION, UR_DESCRIPTION
-from cellapp.cell.exports.urdf import CELL_URDF, URDF
+from cellapp.cell.exports.records import ExportResult, PositionLoss
+from cellapp.cell.exports.urdf import CELL_URDF, UR_CALIBRATION, UR_DESCRIPTION, URDF
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from drivers.plugins import Registry
 
@@ -67,3 +72,65 @@ def format_named(name: str) -> AnyFormat:
         missing = f"there is no format '{name}'; --as takes {takes}; 'cellapp docs exports' says more"
         raise InputError(f"export: {formats.refusal(name) or missing}")
     return formats[name]
+
+
+class Form(Protocol):
+    """Format of any kind."""
+
+    @property
+    def name(self) -> str:
+        """Value for ``--as``."""
+
+    @property
+    def what(self) -> str:
+        """What the file is."""
+
+
+_TOGETHER = "all that is not rigid"
+
+
+def form_line(form: Form, *, simulated: bool) -> str:
+    """Return the first line of a file; ``simulated`` marks a simulated cell, whose numbers must not pass as real."""
+    plugin = all_formats().plugin(form.name)
+    writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
+    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."
+
+
+def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
+    """Return sentences about what a file cannot represent."""
+    if together is None:
+        return ["The model of this arm is geometry alone: this file holds all of it."]
+    turned = "" if together.rms_mrad is None else " and the flange's rotation"
+    lines = [
+        f"This file does not hold these parts of the model. How far the SMR{turned} is off without them,",
+        f"at {POSES} random configurations within the joint ranges of the readings:",
+    ]
+    rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]
+    lines += [f"  {part}: {loss.words}" for part, loss in rows]
+    return lines
+
+
+def export_lines(result: ExportResult) -> list[str]:
+    """Return lines about the files that were written and what they do not represent."""
+    lines = [f"arm {name}: {counted(count, 'reading')}" for name, count in (result.readings or {}).items()]
+    lines += [f"plan written to {result.plan}"] if result.plan is not None else []
+    written = (result.csv, *(result.recordings or {}).values(), result.geometry)
+    lines += [f"written to {file}" for file in written if file is not None]
+    for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
+        lines.append(f"arm {name}: the differences of its D-H rows lack the Hayati angles and lose {rms_mm:.3f} mm rms")
+    for name, arm in (result.arms or {}).items():
+        smr = ", ".join(f"{1e3 * value:.4f}" for value in arm.smr_m)
+        lines += [
+            f"arm {name}: written to {arm.file}",
+            f"  its numbers are the identified geometry, {_within(arm.conversion_mm)}",
+            f"  SMR in its last frame [mm]: {smr}",
+            *(f"  {line}" for line in lost_sentences(arm.lost, arm.lost_together)),
+        ]
+    for name, arm_commands in (result.commands or {}).items():
+        refused = f", {arm_commands.refused} left out" if arm_commands.refused else ""
+        lines.append(f"arm {name}: {counted(arm_commands.commands, 'command')} written to {arm_commands.file}{refused}")
+    return [*lines, *result.notes]
+
+
+def _within(conversion_mm: float) -> str:
+    return "unconverted" if conversion_mm == 0.0 else f"converted within {conversion_mm:.1g} mm"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.balance import Columns, fair_blocks, posture_functions
 from cellapp.cell.planning.duration import motion_s
-from cellapp.cell.planning.tour import Order, TourTask, best_order
+from cellapp.cell.planning.transit_paths import Order, TourTask, best_order
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import (
     CellBodies,

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.design_records import ConstraintShare
+from cellapp.cell.planning.records import ConstraintShare
 from cellapp.cell.safety.bodies import (
     ArmBodies,
     Placed,
@@ -22,7 +22,7 @@ from cellapp.cell.safety.bodies import (
     self_clearance,
 )
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, in_view, visible
-from cellapp.cell.safety.obstacles import Obstacle, beam_gaps
+from cellapp.cell.safety.shapes import Obstacle, beam_gaps
 from cellapp.cell.safety.visibility import (
     AZIMUTH,
     ELEVATION,

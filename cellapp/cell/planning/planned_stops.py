@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError

@@ -1,4 +1,7 @@
-"""Results about a plan before it is measured: whether it is safe, how long it takes, what it can show."""
+"""Results about a plan before it is measured: whether it is safe, how long it takes, what it can show.
+
+Results of designing a plan: its information against random plans, balance of its factors, its time; the view.
+"""
 
 from __future__ import annotations
 
@@ -115,3 +118,167 @@ class PlanForecastResult(Result, schema="cellapp-plan-forecast"):
     time: PlannedTime
     arms: Mapping[str, ArmForecast]
     notes: tuple[str, ...] = ()
+
+
+ErrorName = Literal["parameters", "mean", "worst"]
+
+
+class ObservabilityIndices(Record):
+    """O1 to O5 of the scaled geometry Jacobian of n stops.
+
+    With singular values s_1 >= ... >= s_p: O1 = (s_1 ... s_p)^(1/p) / sqrt(n), O2 = s_p / s_1, O3 = s_p,
+    O4 = s_p^2 / s_1, O5 = 1 / sum(1 / s_k) (Borm, Menq 1991; Driels, Pathre 1990; Nahvi, Hollerbach 1996; Sun,
+    Hollerbach, ICRA 2008).
+    """
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+    o5: float
+
+
+class PlanQuality(Record):
+    """Expected errors from n stops of one arm.
+
+    ``parameters`` is the mean standard error of geometry parameters and effect coefficients, each relative to that of
+    random plans of the same size (1 for these); ``mean_mm`` and ``worst_mm`` are the standard uncertainty of a
+    predicted SMR position over the workspace: mean, and at its worst point.
+    """
+
+    stops: int
+    parameters: float
+    mean_mm: float
+    worst_mm: float
+    indices: ObservabilityIndices
+
+
+class ArmDesign(Record):
+    """The designed stops of one arm against random ones of the same number.
+
+    ``equal_to_random``: how many random stops give the same ``parameters``, ``mean`` and ``worst`` errors.
+    ``by_stops``: expected errors after the first n stops of the plan, in their order. ``largest_gap`` [rad] by joint.
+    """
+
+    candidates: int
+    drawn: int
+    rejected: Mapping[str, int]
+    designed: PlanQuality
+    random: PlanQuality
+    equal_to_random: Mapping[ErrorName, float]
+    by_stops: tuple[PlanQuality, ...]
+    largest_gap: tuple[float, ...]
+
+
+class FactorCorrelation(Record):
+    """Correlation of a planned factor (approach side of a joint, step, dwell, time, ...) with another or a posture."""
+
+    arm: str
+    factor: str
+    other: str
+    correlation: float
+    can_be_chosen: bool
+
+
+class TravelTime(Record):
+    """Time in motion [s]: of the plan, and of the same stops, approaches and dwells in random order (mean of draws)."""
+
+    planned_s: float
+    random_order_s: float
+
+    @property
+    def saved(self) -> float:
+        """Share of the travel time of a random order that the plan saves."""
+        return 1.0 - self.planned_s / max(self.random_order_s, 1e-12)
+
+
+class PlanDesignResult(Result, schema="cellapp-plan-design"):
+    """What ``plan`` knows of a designed plan; stored in the run."""
+
+    arms: Mapping[str, ArmDesign]
+    correlations: tuple[FactorCorrelation, ...]
+    travel: TravelTime
+    detours: int
+    """Stops whose straight way is blocked and that are reached through other positions."""
+    blocks: int
+    repeats: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def largest_correlation(self) -> FactorCorrelation | None:
+        """Of the factors that can be chosen."""
+        chosen = [one for one in self.correlations if one.can_be_chosen]
+        return max(chosen, key=lambda one: abs(one.correlation), default=None)
+
+
+FEW_CONFIGURATIONS = 100
+"""Least denominator of a share: of fewer configurations it would mislead, as one seen of three is no third."""
+
+
+class SeenCell(Record):
+    """A cube of the workspace of one arm, its centre in the cell frame C [m].
+
+    ``reachable`` configurations bring the SMR there; ``seen`` of them the tracker can measure, and the arm is clear.
+    """
+
+    centre_C: tuple[float, float, float]
+    reachable: int
+    seen: int
+
+    @property
+    def share(self) -> float:
+        """Share of the configurations that are seen."""
+        return self.seen / max(self.reachable, FEW_CONFIGURATIONS)
+
+
+class ConstraintShare(Record):
+    """Share of configurations that a constraint excludes ``alone``, and that could be measured ``without`` it.
+
+    ``extent`` says what is there against what is allowed, and by how much the nearest configuration misses.
+    """
+
+    constraint: str
+    alone: float
+    without: float
+    extent: str
+    advice: str
+
+
+class ViewChange(Record):
+    """A change to the cell, and the share of configurations that could then be measured."""
+
+    change: str
+    seen: float
+
+
+class ArmView(Record):
+    """What the tracker sees of one arm's workspace; ``lost``: constraint -> share of configurations that it excludes.
+
+    The constraints are applied in this order: a configuration counts for the first that excludes it.
+    ``constraints``: each of them by itself, that first without which most could be measured. ``changes``: the best
+    first.
+    """
+
+    drawn: int
+    seen: int
+    small_incidence: int
+    """Of those seen, configurations whose incidence is within the range of full accuracy."""
+    facing_at_random: float
+    """Share of all directions in space that are within the SMR's acceptance angle."""
+    lost: Mapping[str, float]
+    constraints: tuple[ConstraintShare, ...]
+    changes: tuple[ViewChange, ...]
+    edge_m: float
+    cells: tuple[SeenCell, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of configurations that the tracker can measure."""
+        return self.seen / max(self.drawn, 1)
+
+
+class ViewResult(Result, schema="cellapp-view"):
+    """``plan PROFILE --view``: what the tracker sees of each arm's workspace, before anything is planned."""
+
+    profile: str
+    arms: Mapping[str, ArmView]

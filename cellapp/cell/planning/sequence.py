@@ -12,8 +12,7 @@ from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, blo
 from cellapp.cell.planning.balance import FactorPlan
 from cellapp.cell.planning.candidates import joint_ranges
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, can_go, joined_after, straight_stops
-from cellapp.cell.planning.tour import Move
-from cellapp.cell.planning.transit_paths import TransitPlanner
+from cellapp.cell.planning.transit_paths import Move, TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
 from cellapp.cell.safety.many_motions import FreeMotions

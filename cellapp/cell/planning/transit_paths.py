@@ -3,6 +3,18 @@
 Candidates, in this order: one arm after the other; through positions of an arm, in which each joint is at its start,
 its end or its home position, or on the arm's roadmap; through home; a random tree in the joint space of all arms. The
 gate has accepted every motion of a path.
+
+Fastest order and pairing of the stops of several arms, block by block, by simulated annealing.
+
+Each arm has the same number of stops in a block. A position of a block's order holds one stop of each arm; a step from
+one position to the next takes as long as the slowest arm. Stops that share a position cost as well (``pair_cost``):
+this avoids pairs that are not allowed, and correlations between the arms' postures.
+
+Moves for all arms: reverse a part of the order, shift a few positions to another place, or exchange two positions. A
+move for one arm: exchange two of its stops, which makes new pairs. Most moves bring a stop beside one of its nearest
+neighbours. Many moves of each block are tried at once, and the accepted one with the largest margin is made. At high
+temperature this takes a third of the steps that taking the first accepted move does; at low temperature nearly all
+moves are refused, so that it is nearly the same as one move after the other.
 """
 
 from __future__ import annotations
@@ -10,7 +22,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, permutations, product
+from itertools import combinations, pairwise, permutations, product
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -22,6 +35,7 @@ from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, with_margin_for_ways
 from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 _MIXTURES = 2500
@@ -377,3 +391,313 @@ class ArmRoadmap:
         way = (nodes[None] - q[:, None]).reshape(-1, q.shape[1])
         seconds = motion_s(self._arm, way).reshape(len(q), len(nodes))
         return np.argsort(seconds, axis=1, kind="stable")[:, :_NEIGHBOURS]
+
+
+_TOUR_NEIGHBOURS = 10
+"""Number of nearest stops beside which a stop is tried."""
+_TRIES_AT_ONCE = 512
+"""Moves tried in one step, over all blocks: enough that numpy's overhead of a call is small against its work."""
+_TRIES_A_STOP = 2
+"""Upper limit of the moves tried in one step, for each stop of a block. With more, the best one would nearly always be
+a gain, and no temperature would ever accept a loss."""
+_HOT, _COLD = 0.04, 0.012
+"""First and last temperature, relative to the mean time between two stops. The first order is nearly good: a hotter
+start would lose it. At the end only gains are accepted."""
+_RANDOM_SHARE = 0.2
+"""Share of moves with random positions; the others bring near neighbours together."""
+_LONGEST_SHIFT = 3
+"""Largest number of positions that are shifted together."""
+_POWER = 6
+"""Power of the correlations in the cost: the largest dominate, and the effect of one exchange is predicted well."""
+_BEND = 0.35 * _POWER * (_POWER - 1)
+"""Curvature assumed for that cost within one exchange: less than its initial value, with which exchanges that halve a
+correlation would seem to save nothing."""
+_CHECK_EVERY = 50
+"""Steps between two looks at the cancel token."""
+
+Order = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class TourTask:
+    """Stops of K arms in B blocks of at most m stops.
+
+    Attributes
+    ----------
+    sizes : array, shape (B,)
+        Number of stops of each block, at most m.
+    time_s : array, shape (K, B, m, m)
+        Time of each arm from one stop of a block to another [s].
+    pair_cost : array, shape (pairs of arms, B, m, m)
+        Cost of stops of two arms at the same position [s], pairs in the order of ``itertools.combinations``.
+    postures : sequence of arrays, shape (B, m, p)
+        Variables of each arm with mean 0 and standard deviation 1; 0 beyond the size of a block.
+    correlation_goal : float
+        Correlation between variables of two arms that costs ``correlation_cost``; smaller ones cost much less.
+    correlation_cost : float
+        Cost at the goal [s]; it grows with the power ``_POWER`` of the correlation.
+    """
+
+    sizes: NDArray[np.intp]
+    time_s: Array
+    pair_cost: Array
+    postures: Sequence[Array]
+    correlation_goal: float
+    correlation_cost: float
+
+
+def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: CancelToken) -> Order:
+    """Find a fast order (K, B, m) of the stops: their indices within each block, -1 beyond its size.
+
+    Parameters
+    ----------
+    task : TourTask
+    steps : int
+        Number of steps; each tries at most ``_TRIES_AT_ONCE`` moves.
+    rng : numpy.random.Generator
+    cancel : CancelToken
+    """
+    tours = _Tours(task, _near_order(task, rng))
+    scale = float(np.mean(task.time_s)) or 1.0
+    temperatures = np.geomspace(_HOT * scale, _COLD * scale, steps) if task.sizes.max(initial=0) > 1 else ()
+    for step, temperature in enumerate(temperatures):
+        if step % _CHECK_EVERY == 0:
+            cancel.check()
+        tours.step(float(temperature), rng)
+    return tours.inner
+
+
+def _near_order(task: TourTask, rng: np.random.Generator) -> Order:
+    """Build a first order (K, B, m + 2) of each arm alone: from a random stop always to the nearest one that is left.
+
+    The index m (no stop) stands at the positions before the first and after the last stop.
+    """
+    arms, blocks, m, _ = task.time_s.shape
+    order = np.full((arms, blocks, m + 2), m, dtype=np.intp)
+    block = np.arange(blocks)
+    for arm in range(arms):
+        left_out = np.where(np.arange(m) < task.sizes[:, None], 0.0, np.inf)
+        here = (rng.random(blocks) * task.sizes).astype(np.intp)
+        for slot in range(1, m + 1):
+            going = block[slot <= task.sizes]
+            order[arm, going, slot] = here[going]
+            left_out[block, here] = np.inf
+            here = np.argmin(task.time_s[arm, block, here] + left_out, axis=1)
+    return order
+
+
+Step = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
+"""Current positions: the end of a step that the move removes, then start and end of the step that replaces it."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """Moves of one kind on the positions ``low`` to ``high``, of one ``arm`` alone if that is not None.
+
+    ``reverse`` reverses the part; ``shift`` puts its last ``shift`` positions before its others; ``exchange`` exchanges
+    its two ends.
+    """
+
+    kind: Literal["reverse", "shift", "exchange"]
+    low: NDArray[np.intp]
+    high: NDArray[np.intp]
+    shift: NDArray[np.intp] | int = 0
+    arm: int | None = None
+
+    def steps(self) -> tuple[Step, ...]:
+        """Return the steps that the move removes, each with the one that replaces it."""
+        low, high = self.low, self.high
+        if self.kind == "reverse":
+            return (low, low - 1, high), (high + 1, low, high + 1)
+        if self.kind == "shift":
+            cut = high - self.shift
+            return (low, low - 1, cut + 1), (cut + 1, high, low), (high + 1, cut, high + 1)
+        beside = high == low + 1  # then one step lies between them, not two
+        return (
+            (low, low - 1, high),
+            (low + 1, high, np.where(beside, low, low + 1)),
+            (np.where(beside, 0, high), np.where(beside, -1, high - 1), np.where(beside, 0, low)),
+            (high + 1, low, high + 1),
+        )
+
+    def source(self, position: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the current positions of the stops that the move brings to ``position``."""
+        low, high = self.low, self.high
+        if self.kind == "exchange":
+            return np.where(position == low, high, np.where(position == high, low, position))
+        moved = low + high - position
+        if self.kind == "shift":
+            moved = low + (position - low - self.shift) % (high - low + 1)
+        return np.where((position >= low) & (position <= high), moved, position)
+
+    def take(self, rows: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Move:
+        """Select some of the moves, each with an axis of its own."""
+        shift = self.shift if isinstance(self.shift, int) else self.shift[rows][:, None]
+        return Move(self.kind, self.low[rows][:, None], self.high[rows][:, None], shift, self.arm)
+
+
+class _Tours:
+    """The orders of all blocks. Positions 1 to size hold stops; position 0 and those beyond mark an end, without cost.
+
+    Numpy takes from flat arrays much faster than from several axes: positions, stops and pairs of stops are therefore
+    indices into flat arrays over all blocks.
+    """
+
+    def __init__(self, task: TourTask, order: Order) -> None:
+        arms, blocks, m, _ = task.time_s.shape
+        self._task, self._sizes, self._m = task, task.sizes[:, None], m
+        self._order = order
+        """Index within its block of the stop at each position (K, B, m + 2)."""
+        self._at = order.reshape(arms, -1)
+        self._first = np.arange(blocks)[:, None]
+        self._first_pair = self._first * (m + 1) ** 2
+        square = ((0, 0), (0, 0), (0, 1), (0, 1))
+        self._time = np.pad(task.time_s, square).reshape(arms, blocks * (m + 1) ** 2)
+        self._pairs = list(combinations(range(arms), 2))
+        self._pair_cost = np.pad(task.pair_cost, square).reshape(len(self._pairs), blocks * (m + 1) ** 2)
+        self._postures = [
+            np.pad(one, ((0, 0), (0, 1), (0, 0))).reshape(blocks * (m + 1), one.shape[2]) for one in task.postures
+        ]
+        self._near = _nearest(task).reshape(arms, blocks * m, -1)
+        self._place = np.zeros((arms, blocks, m + 1), dtype=np.intp)
+        self._step_s = np.zeros((blocks, m + 2))
+        self._arm_step_s = np.zeros((arms, blocks, m + 2))
+        """Time of the step to each position from the one before it: of the slowest arm, and of each arm."""
+        self._update(range(arms), np.arange(blocks))
+        self._total = max(int(task.sizes.sum()), 1)
+        ordered = [one[self._first * (m + 1) + of_arm] for one, of_arm in zip(self._postures, order, strict=True)]
+        self._correlation = [np.einsum("bmp,bmq->pq", ordered[i], ordered[k]) / self._total for i, k in self._pairs]
+
+    @property
+    def inner(self) -> Order:
+        """The order without its ends, -1 beyond the size of a block."""
+        stops = self._order[:, :, 1:-1]
+        return np.where(stops == self._m, -1, stops)
+
+    def step(self, temperature: float, rng: np.random.Generator) -> None:
+        """Try many moves of one kind in each block; of the accepted ones make the one with the largest margin."""
+        move = self._propose(rng)
+        spare = self._gain(move) - temperature * np.log(rng.random(move.low.shape))
+        spare = np.where(move.high > move.low, spare, 0.0)
+        best = np.argmax(spare, axis=1)
+        blocks = np.flatnonzero(spare[self._first[:, 0], best] > 0.0)
+        if not len(blocks):
+            return
+        made = move.take((blocks, best[blocks]))
+        if made.arm is not None:
+            self._update_correlation(made, made.arm, blocks[:, None])
+        source = made.source(np.arange(self._m + 2)) + blocks[:, None] * (self._m + 2)
+        moved = range(len(self._at)) if made.arm is None else (made.arm,)
+        for arm in moved:
+            self._order[arm, blocks] = self._at[arm].take(source)
+        self._update(moved, blocks)
+
+    def _propose(self, rng: np.random.Generator) -> Move:
+        """Propose moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
+        arms, blocks = len(self._at), len(self._sizes)
+        shape = blocks, max(1, min(_TRIES_AT_ONCE // blocks, _TRIES_A_STOP * self._m))
+        arm = int(rng.integers(arms))
+        position = (rng.random(shape) * (self._sizes + 1)).astype(np.intp)
+        if rng.random() < _RANDOM_SHARE:
+            other = 1 + (rng.random(shape) * self._sizes).astype(np.intp)
+        else:
+            stop = np.minimum(self._at[arm].take(position + self._first * (self._m + 2)), self._m - 1)
+            rank = rng.integers(self._near.shape[2], size=shape)
+            near = self._near[arm, stop + self._first * self._m, rank]
+            other = self._place[arm].ravel().take(near + self._first * (self._m + 1))
+        high = np.maximum(position, other)
+        low = np.minimum(np.minimum(position, other) + 1, high)
+        draw = rng.random()
+        if draw < 0.4:
+            return Move("exchange", low, high, arm=arm if arms > 1 else None)
+        if draw < 0.5:
+            return Move("exchange", low, high)
+        if draw < 0.75:
+            return Move("reverse", low, high)
+        return Move("shift", low, high, np.minimum(int(rng.integers(1, _LONGEST_SHIFT + 1)), high - low))
+
+    def _gain(self, move: Move) -> Array:
+        """Compute the time that each move saves (B, R) [s]."""
+        steps = np.array(move.steps())  # (steps, 3, B, R)
+        steps += self._first * (self._m + 2)
+        position, before, here = steps[:, 0], steps[:, 1], steps[:, 2]
+        slowest: Array = np.zeros(position.shape)
+        for arm, (at, time, step_s) in enumerate(zip(self._at, self._time, self._arm_step_s, strict=True)):
+            if move.arm is None or move.arm == arm:
+                pairs = at.take(before) * (self._m + 1) + at.take(here) + self._first_pair
+                np.maximum(slowest, time.take(pairs), out=slowest)
+            else:
+                np.maximum(slowest, step_s.ravel().take(position), out=slowest)
+        gain: Array = np.zeros(move.low.shape)
+        for given_up, taken_up in zip(self._step_s.ravel().take(position), slowest, strict=True):
+            gain += given_up
+            gain -= taken_up
+        if move.arm is not None:
+            gain += self._saved_on_pairs(move, move.arm)
+        return gain
+
+    def _saved_on_pairs(self, move: Move, arm: int) -> Array:
+        """Compute the cost of pairs and of correlations that exchanges of stops of one arm save (B, R) [s]."""
+        saved: Array = np.zeros(move.low.shape)
+        base, width = self._first * (self._m + 2), self._m + 1
+        low, high = ([at.take(base + end) for at in self._at] for end in (move.low, move.high))
+        task, pairs = self._task, self._first_pair
+        unit = task.correlation_cost / task.correlation_goal**_POWER / self._total
+        for number, other, flipped in self._pairs_of(arm):
+            cost, correlation = self._pair_cost[number], self._correlation[number]
+            own_step, their_step = (1, width) if flipped else (width, 1)
+            for own, sign in ((low, 1.0), (high, -1.0)):
+                of_own = pairs + own[arm] * own_step
+                saved += sign * (
+                    cost.take(of_own + low[other] * their_step) - cost.take(of_own + high[other] * their_step)
+                )
+            own_change, their_change = (self._changes(k, self._first, low[k], high[k]) for k in (arm, other))
+            correlation = correlation.T if flipped else correlation
+            slope = unit * _POWER * correlation ** (_POWER - 1)
+            bend = unit / self._total * _BEND * correlation ** (_POWER - 2)
+            p_own, p_their = slope.shape
+            own_change, their_change = own_change.reshape(-1, p_own), their_change.reshape(-1, p_their)
+            less = np.sum((own_change @ slope - own_change**2 @ bend * their_change) * their_change, axis=1)
+            saved += less.reshape(saved.shape)
+        return saved
+
+    def _changes(self, arm: int, blocks: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]) -> Array:
+        """Return the differences of posture between an arm's stops ``high`` and ``low`` in some blocks."""
+        first = blocks * (self._m + 1)
+        return np.asarray(
+            self._postures[arm].take(first + high, axis=0) - self._postures[arm].take(first + low, axis=0)
+        )
+
+    def _update_correlation(self, made: Move, arm: int, blocks: NDArray[np.intp]) -> None:
+        """Update the correlations for exchanges in some blocks, before these are made."""
+        low, high = (self._at[:, blocks * (self._m + 2) + end] for end in (made.low, made.high))
+        for number, other, flipped in self._pairs_of(arm):
+            own, theirs = (self._changes(k, blocks, low[k], high[k])[:, 0] for k in (arm, other))
+            less = own.T @ theirs / self._total
+            self._correlation[number] -= less.T if flipped else less
+
+    def _pairs_of(self, arm: int) -> Iterator[tuple[int, int, bool]]:
+        """Yield of each pair with this arm: its index, the other arm, and whether the other arm comes first."""
+        for number, pair in enumerate(self._pairs):
+            if arm in pair:
+                yield number, sum(pair) - arm, pair[1] == arm
+
+    def _update(self, arms: Iterable[int], blocks: NDArray[np.intp]) -> None:
+        """Recompute what depends on the order of some arms in some blocks."""
+        rows, width = blocks[:, None], self._m + 1
+        for arm in arms:
+            of_arm = self._order[arm, blocks]
+            self._place[arm, rows, of_arm[:, 1:-1]] = np.arange(1, width)
+            pairs = self._first_pair[blocks] + of_arm[:, :-1] * width + of_arm[:, 1:]
+            self._arm_step_s[arm, blocks, 1:] = self._time[arm].take(pairs)
+        self._step_s[blocks] = self._arm_step_s[:, blocks].max(axis=0)
+
+
+def _nearest(task: TourTask) -> Order:
+    """Find the nearest stops of each stop (K, B, m, neighbours), nearest first."""
+    m = task.time_s.shape[2]
+    near = np.where(np.eye(m, dtype=bool), np.inf, task.time_s)
+    for block, size in enumerate(task.sizes.tolist()):
+        near[:, block, :, size:] = np.inf
+    count = max(1, min(_TOUR_NEIGHBOURS, int(task.sizes.min(initial=m)) - 1))
+    return np.argsort(near, axis=3, kind="stable")[..., :count]

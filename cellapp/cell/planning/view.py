@@ -1,23 +1,68 @@
-"""Map of what the tracker sees of each arm's workspace, before anything is planned."""
+"""Map of what the tracker sees of each arm's workspace, before anything is planned.
+
+A second check of a complete plan by the gate (every stop, every motion, the tracker's view), and its forecast.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.planning.candidates import draw_joints, exclusions, joint_ranges, usable
-from cellapp.cell.planning.design_records import ArmView, SeenCell, ViewChange, ViewResult
-from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.safety.visibility import TrackerField, usable_acceptance
+from cellapp.cell.planning.duration import planned_time, stop_times_of
+from cellapp.cell.planning.planned_stops import (
+    Configuration,
+    PlannedStops,
+    last_motions,
+    orders,
+    read_planned_stops,
+    refused_route,
+    routes,
+)
+from cellapp.cell.planning.records import (
+    ArmForecast,
+    ArmView,
+    JointCoverage,
+    PlanCheckResult,
+    PlanForecastResult,
+    PlanRefusal,
+    SeenCell,
+    ViewChange,
+    ViewResult,
+)
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.bodies import Placed, beam_clearance, mounted_hides, place
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.shapes import beam_gaps
+from cellapp.cell.safety.visibility import (
+    AZIMUTH,
+    ELEVATION,
+    FACING,
+    RANGE,
+    Sight,
+    TrackerField,
+    sight_conditions,
+    sight_of,
+    usable_acceptance,
+)
+from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
+from cellapp.estimation.discovery.plan_forecast import (
+    ArmDesign,
+    PlannedReadings,
+    arm_designs,
+    planned_accuracy,
+    planned_effects,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore, with_eta
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
@@ -172,3 +217,262 @@ class _Cubes:
             place = np.array(np.unravel_index(number, (self.along,) * 3))
             x, y, z = np.round(self.low + self.edge * (place + 0.5), 6).tolist()
             yield SeenCell(centre_C=(x, y, z), reachable=int(reachable[number]), seen=int(seen[number]))
+
+
+_PROGRESS_EVERY = 10
+"""Stops between two progress reports."""
+
+
+def check_plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanCheckResult:
+    """Check the plan of a run; nothing is written.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan.
+    Cancelled
+    """
+    required_plan(run)
+    stops = read_planned_stops(run)
+    refused = check_stops(run.profile, stops, listener, cancel)
+    return PlanCheckResult(run=str(run.folder), stops=len(stops), ways=len(stops) + 1, refused=refused)
+
+
+def check_stops(
+    profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> tuple[PlanRefusal, ...]:
+    """List what the gate or the tracker's view refuses of a plan, from home through all stops and home again.
+
+    Raises
+    ------
+    InputError
+        If the profile does not describe the cell.
+    Cancelled
+    """
+    cancel, listener = cancel or CancelToken(), with_eta(listener)
+    cell, homes, count = cell_bodies(profile), home_positions(profile), len(stops)
+    refused: list[PlanRefusal] = []
+    here: Configuration = homes
+    for k in range(count):
+        cancel.check()
+        if k % _PROGRESS_EVERY == 0:
+            listener(Progress("check", k, count))
+        there = stops.targets(k)
+        refused += _stop_refusals(cell, k, there)
+        refused += _way_refusals(cell, stops, k, here, homes)
+        here = there
+    reason = refuse_motion(cell, here, homes)
+    if reason:
+        via_home = any(not refused_route(cell, here, route) for route in orders(homes))
+        refused.append(PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home))
+    listener(Progress("check", count, count, "done"))
+    return tuple(refused)
+
+
+def check_each_stop(profile: Profile, stops: PlannedStops) -> tuple[PlanRefusal, ...]:
+    """List what the gate or the tracker's view refuses of each stop and its last motion, whatever the order.
+
+    Raises ``InputError`` if the profile does not describe the cell.
+    """
+    cell = cell_bodies(profile)
+    refused: list[PlanRefusal] = []
+    for k in range(len(stops)):
+        refused += _stop_refusals(cell, k, stops.targets(k))
+        begin = {**stops.targets(k), **stops.approach_starts(k)}
+        reason = refuse_motion(cell, begin, begin) or refuse_motion(cell, begin, stops.targets(k))
+        if reason and stops.approach_starts(k):
+            text = f"its last motion: {reason}"
+            refused.append(PlanRefusal(configuration=k, before=None, what="way", reason=text))
+    return tuple(refused)
+
+
+def required_plan(run: RunFile) -> dict[str, Array]:
+    """Read the plan of a run, arm -> q (n, N) [rad]. Raise ``InputError`` if there is none."""
+    plan = run.read_plan()
+    if not plan or not len(next(iter(plan.values()))):
+        raise InputError(f"{run.path}: the run has no plan (its readings were imported); make one with 'cellapp plan'")
+    return plan
+
+
+def _stop_refusals(cell: CellBodies, k: int, q: Configuration) -> Iterator[PlanRefusal]:
+    before = k - 1 if k else None
+    if reason := refuse_stop(cell, q):
+        yield PlanRefusal(configuration=k, before=before, what="stop", reason=reason)
+    if reason := why_hidden(cell, q):
+        yield PlanRefusal(configuration=k, before=before, what="view", reason=reason)
+
+
+def _way_refusals(
+    cell: CellBodies, stops: PlannedStops, k: int, here: Configuration, homes: Configuration
+) -> Iterator[PlanRefusal]:
+    """Yield the refusal of the planned motion to a stop, with the detour that collection would take, if any."""
+    planned, *others = routes(stops, k, as_planned=True)
+    reason = refused_route(cell, here, planned)
+    if not reason or refuse_stop(cell, stops.targets(k)):
+        return
+    before = k - 1 if k else None
+    refusal = PlanRefusal(configuration=k, before=before, what="way", reason=reason)
+    detour = next((route for route in others if not refused_route(cell, here, route)), None)
+    if detour is not None:
+        word = "straight" if len(detour[0]) == len(stops.q) else "one arm after the other"
+        yield refusal.model_copy(update={"detour": word})
+        return
+    from_home = any(not refused_route(cell, homes, route) for route in routes(stops, k, as_planned=k == 0))
+    via_home = from_home and any(not refused_route(cell, here, route) for route in orders(homes))
+    yield refusal.model_copy(update={"via_home": via_home})
+
+
+# -- How much of the range of each joint a plan uses ------------------------------------------------------------------
+
+
+def joint_coverage(ranges: Array, q: Array) -> tuple[JointCoverage, ...]:
+    """Compute what configurations ``q`` (n, N) [rad] use of the ``ranges`` (N, 2) [rad], and the largest gaps."""
+    within = np.clip(q, ranges[:, 0], ranges[:, 1])
+    sorted_q = np.sort(np.concatenate([ranges.T, within]), axis=0)
+    gaps = np.diff(sorted_q, axis=0).max(axis=0)
+    return tuple(
+        JointCoverage(
+            joint=j + 1,
+            allowed=(float(ranges[j, 0]), float(ranges[j, 1])),
+            used=(float(within[:, j].min()), float(within[:, j].max())),
+            largest_gap=float(gaps[j]),
+        )
+        for j in range(q.shape[1])
+    )
+
+
+# -- Forecast of a run's plan before it is measured: time, covered joint ranges, accuracy, visible effects ------------
+
+
+def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlanForecastResult:
+    """Forecast what the plan of a run will give; nothing is written.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan, or the profile does not describe the cell.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    required_plan(run)
+    profile, plan = run.profile, read_planned_stops(run)
+    reserves = profile.plan.reserves(len(plan))
+    visited = plan.take([stop for stop in range(len(plan)) if stop not in reserves])
+    if not len(visited):
+        raise InputError(f"{run.path}: the plan has reserve stops only")
+    first = visited.q
+    times = stop_times_of(profile, visited)
+    step = last_motions(visited, home_positions(profile))
+    designs = arm_designs(profile, first, PlannedReadings(times.measured_s, times.resting_s, step, visited.load))
+    cell = cell_bodies(profile)
+    arms: dict[str, ArmForecast] = {}
+    notes: list[str] = []
+    for number, (name, design) in enumerate(designs.items()):
+        cancel.check()
+        listener(Progress("forecast", number, len(designs), f"arm {name}"))
+        try:
+            with one_blas_thread():  # the matrices are small
+                effects = planned_effects(design)
+        except InputError as error:
+            effects = ()
+            notes.append(str(error))
+        arms[name] = ArmForecast(
+            stops=len(visited),
+            reserves=len(reserves),
+            noise_rms_mm=_noise_rms_mm(design),
+            coverage=joint_coverage(joint_ranges(cell, profile, name), first[name]),
+            accuracy=tuple(planned_accuracy(design, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
+            effects=effects,
+        )
+    listener(Progress("forecast", len(designs), len(designs), "done"))
+    return PlanForecastResult(
+        run=str(run.folder),
+        time=planned_time(profile, visited),
+        arms=arms,
+        notes=(*notes, *_notes(profile, first)),
+    )
+
+
+def _noise_rms_mm(design: ArmDesign) -> float:
+    """Compute the rms length of the tracker's noise at the stops [mm]."""
+    covariance = design.data.stated
+    assert covariance is not None
+    return 1e3 * float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
+
+
+def _notes(profile: Profile, plan: Mapping[str, Array]) -> list[str]:
+    return [
+        f"arm {name}: smr.offset is unknown; an offset of some centimetres beside the last axis was assumed"
+        for name in plan
+        if profile.arms[name].smr.offset == "unknown"
+    ]
+
+
+# -- Reasons why the tracker does not see an SMR, in words ------------------------------------------------------------
+
+
+def why_hidden(cell: CellBodies, q: Mapping[str, Array]) -> str:
+    """Return why the tracker does not see the SMRs of all arms at one stop, arm -> q (N,) [rad]; empty if it does.
+
+    For each arm whose SMR is not seen: the first condition that fails, the actual value and the allowed one.
+    """
+    hidden = []
+    for name in q:
+        others = {other: value[np.newaxis] for other, value in q.items() if other != name}
+        if not visible(cell, name, q[name][np.newaxis], others)[0]:
+            hidden.append(f"arm {name}: {next(_reasons(cell, name, q), 'the tracker does not see its SMR')}")
+    return "; ".join(hidden)
+
+
+def _reasons(cell: CellBodies, name: str, q: Mapping[str, Array]) -> Iterator[str]:
+    """Yield what hides the SMR of an arm, one reason after the other."""
+    field = cell.field
+    if field is None:
+        yield "the cell has no tracker"
+        return
+    placed = {other: place(cell.arms[other], value[np.newaxis]) for other, value in q.items()}
+    sight = sight_of(field.T_C_M, placed[name])
+    for condition, holds in sight_conditions(field, cell.arms[name].acceptance, sight):
+        if not holds[0]:
+            yield _out_of_sight(condition, field, sight, cell.arms[name].acceptance)
+    tracker, smr = field.T_C_M[:3, 3], placed[name].smr
+    for what, gap in _beam_gaps(cell, name, placed, tracker):
+        if not gap > BEAM_RADIUS:
+            yield f"{what} is {_in_the_beam(gap)}"
+    if mounted_hides(tracker, placed[name], BEAM_RADIUS)[0]:
+        yield "what is mounted beside the SMR hides it from the tracker"
+    for obstacle in cell.obstacles:
+        gap = float(beam_gaps((obstacle,), tracker, smr, BEAM_RADIUS)[0])
+        if not gap > BEAM_RADIUS:
+            yield f"obstacle '{obstacle.name}' is {_in_the_beam(gap)}"
+
+
+def _beam_gaps(
+    cell: CellBodies, name: str, placed: Mapping[str, Placed], tracker: Array
+) -> Iterator[tuple[str, float]]:
+    """Yield the distance [m] of each arm's bodies from the beam to the SMR of arm ``name``."""
+    for other, bodies in placed.items():
+        what = "its own body" if other == name else f"arm {other}"
+        yield what, float(beam_clearance(tracker, placed[name].smr, bodies, own=other == name)[0])
+
+
+def _in_the_beam(gap: float) -> str:
+    if gap <= 0.0:
+        return "in the beam to its SMR"
+    return f"{1e3 * gap:.0f} mm from the beam to its SMR, {1e3 * BEAM_RADIUS:.0f} mm are needed"
+
+
+def _out_of_sight(condition: str, field: TrackerField, sight: Sight, acceptance: float) -> str:
+    """Compare the actual value with the allowed one, for a condition that the only SMR of ``sight`` does not meet."""
+    if condition == RANGE:
+        low, high = field.distance
+        return f"its SMR is {sight.distance[0]:.2f} m from the tracker, allowed are {low:.4g} to {high:.4g} m"
+    if condition == FACING:
+        turned, allowed = np.degrees([sight.incidence[0], usable_acceptance(acceptance)])
+        return f"its SMR looks {turned:.1f} deg past the tracker, allowed are {allowed:.1f} deg"
+    seen, limits = {
+        AZIMUTH: (sight.azimuth[0], field.azimuth),
+        ELEVATION: (math.asin(min(max(sight.sine_of_elevation[0], -1.0), 1.0)), field.elevation),
+    }[condition]
+    low, high = np.degrees(limits)
+    return f"its SMR is at {condition} {math.degrees(seen):.1f} deg, allowed are {low:.4g} to {high:.4g} deg"

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from cellapp.cell.profile.controller_file import controller_table
+from cellapp.cell.profile.files import controller_table
 from cellapp.cell.profile.messages import (
     Document,
     KeyPath,

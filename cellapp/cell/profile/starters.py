@@ -1,4 +1,7 @@
-"""Profiles that come with the program: the simulated twin and others, to start from in an empty folder."""
+"""Profiles that come with the program: the simulated twin and others, to start from in an empty folder.
+
+Points that determine the pose of a base: each is known in the tracker frame M and at the arm.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,18 @@ import re
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Self
+
+from pydantic import model_validator
 
 from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import load_profile, read_document
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile.schema import CellPoint
+from cellapp.ground.profile.sections import ArmPoint
 from cellapp.ground.starters import offered_profiles, starters_folder
+from drivers.quantities import Turn
+from drivers.settings import Section
 
 TWIN_SMALL = "twin-small"
 """The twin with fewer stops."""
@@ -105,3 +115,19 @@ def _starter(path: Path) -> Starter:
     profile = load_profile(path)
     sentence = _SENTENCE_END.split(" ".join(comment))[0]
     return Starter(path.stem, sentence, any(arm.driver.has_device for arm in profile.arms.values()))
+
+
+class SurveyPoint(Section):
+    """One point: ``tracker`` in M, and either ``base`` in the base frame B or the ``joints`` with the SMR there."""
+
+    tracker: CellPoint
+    base: ArmPoint | None = None
+    joints: tuple[Turn, ...] | None = None
+
+    @model_validator(mode="after")
+    def _known_at_the_arm(self) -> Self:
+        if (self.base is None) == (self.joints is None):
+            raise ValueError(
+                "give 'base' (coordinates in the base frame) or 'joints' (joint positions), one of the two"
+            )
+        return self

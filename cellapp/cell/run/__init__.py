@@ -1,10 +1,9 @@
 """The run file: plan, readings, log and results of one run in one SQLite file; readings to and from CSV."""
 
-from cellapp.cell.run.collection_rows import Outcome, ReferenceRow, Session, SessionEnd
 from cellapp.cell.run.csv_export import write_readings_csv
 from cellapp.cell.run.csv_import import import_csv, read_readings_csv
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.rows import Event
+from cellapp.cell.run.sqlite_file import Event, Outcome, ReferenceRow, Session, SessionEnd
 
 __all__ = [
     "Event",

@@ -8,7 +8,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from cellapp.cell.run.arm_cells import is_known
-from cellapp.cell.run.column_names import Kind
+from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_text import quoted_text, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_stream, recording_states

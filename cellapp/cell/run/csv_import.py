@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
+from cellapp.cell.run.columns import names_with_quaternion, with_quaternions
 from cellapp.cell.run.csv_text import (
     CsvTable,
     Problems,
@@ -33,7 +34,6 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
-from cellapp.cell.run.written_orientation import names_with_quaternion, with_quaternions
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError

@@ -1,18 +1,42 @@
-"""A CSV file as text: cells by column with the line of each row, and a list of the errors in it."""
+"""A CSV file as text: cells by column with the line of each row, and a list of the errors in it.
+
+Format of a CSV file: header row, separator, decimal commas, comments, encoding.
+
+Readings and recordings of other programs are read in the format that is detected here.
+
+Readings in memory: data frames and arrays as the table of cells that a CSV file of the same values gives.
+
+Numbers become their shortest exact texts, so that they are checked as those of a file.
+"""
 
 from __future__ import annotations
 
+import codecs
 import csv
+import difflib
 import io
+import itertools
+import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, Any, TextIO, TypeGuard
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
+from cellapp.robot.model.arguments import of_arm
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 """Pattern of a whole number; ``int`` would accept more (1_000, digits of other scripts)."""
@@ -220,3 +244,303 @@ def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int
         raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
     if names is None:
         raise InputError(f"{path} is empty; expected a header row and {expected}")
+
+
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+ROW = "rows of numbers"
+_INDEX = "index"
+"""Name of a first column without one: row numbers, as data frames are written."""
+_LOOKED_AT_BYTES = 1_000_000
+_LOOKED_AT = 80
+"""Number of lines at the beginning of a file within which header and first numbers must be."""
+_UNIT_ALONE = re.compile(r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|(?:deg|rad)/s|A|Nm|°C?")
+"""A cell of a row of units below the header."""
+_EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
+"""Texts that programs write for a missing value."""
+
+
+@dataclass(frozen=True)
+class CsvFile:
+    """Format of a file: line of its header, names as they stand there, separator, decimal commas."""
+
+    path: Path
+    what: str
+    head: int
+    names: tuple[str, ...]
+    separator: str = ","
+    decimal_comma: bool = False
+    trailing: bool = False
+    """Whether each row ends with a separator."""
+    encoding: str = "utf-8-sig"
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is plain CSV from its first line on."""
+        return (self.separator, self.head, self.trailing, self.encoding) == (",", 1, False, "utf-8-sig")
+
+    def rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield line and cells of each row below the header. Raises as ``csv_rows``."""
+        if self.plain:
+            below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
+            yield from ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
+            return
+        for line, text in self._numbered():
+            cells = split_row(text, self.separator)
+            if len(cells) != len(self.names) + self.trailing:
+                raise InputError(
+                    f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
+                )
+            yield line, cells[: len(self.names)]
+
+    def texts(self) -> Iterator[str]:
+        """Yield the rows below the header as text for numpy."""
+        for _, text in self._numbered():
+            yield text
+
+    def _numbered(self) -> Iterator[tuple[int, str]]:
+        with opened_text(self.path, self.what, self.encoding) as file:
+            for line, text in enumerate(file, start=1):
+                kept = text.strip("\r\n")
+                if line > self.head and kept.strip() and not kept.lstrip().startswith(COMMENTS):
+                    yield line, kept.replace(",", ".") if self.decimal_comma else kept
+
+
+def read_header(path: Path, what: str, example: str) -> CsvFile:
+    """Detect the format of a file of ``what``; messages give an ``example`` of a header row.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is not text, has no header row, or a name is missing or there twice.
+    """
+    encoding = _encoding(path, what)
+    with opened_text(path, what, encoding) as file:
+        lines = [(n, line.strip("\r\n")) for n, line in enumerate(itertools.islice(file, _LOOKED_AT), start=1)]
+        lines = [(n, line) for n, line in lines if line]
+    found = _written(path, what, lines, example)
+    if found is None:
+        line, names = next(csv_rows(path, what, ROW))
+        found = CsvFile(path, what, line, tuple(names))
+    found = replace(found, encoding=encoding)
+    if len(found.names) > 2 and not found.names[0]:
+        found = replace(found, names=(_INDEX, *found.names[1:]))
+    problems = Problems(lambda _: f"{path}:{found.head}")
+    check_names(CsvTable(path, found.names, (), {}), problems)
+    problems.check()
+    return found
+
+
+def _encoding(path: Path, what: str) -> str:
+    """Detect the encoding: UTF-8, UTF-16 with its mark, or Latin-1 (both from Windows) where that gives text."""
+    with opened_text(path, what, "latin-1") as file:
+        begin = file.read(_LOOKED_AT_BYTES).encode("latin-1")
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    encoding = "utf-8-sig"
+    try:
+        codecs.getincrementaldecoder("utf-8-sig")().decode(begin)
+    except UnicodeDecodeError:
+        encoding = "latin-1"
+    if b"\x00" in begin:
+        raise InputError(f"{path}: not a text file; export the table as CSV")
+    return encoding
+
+
+def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: str) -> CsvFile | None:
+    """Detect the format of the first row of numbers and the header above it; None for plain CSV or without numbers."""
+    for place, (line, text) in enumerate(lines):
+        separator, comma = _separator(text)
+        cells = split_row(text, separator)
+        filled = [cell.replace(",", ".") if comma else cell for cell in cells if not is_empty(cell)]
+        texts = sum(not is_number(cell) for cell in filled)
+        if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * texts >= len(cells) or texts == len(filled):
+            continue
+        above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
+        above = [
+            (n, row) for n, row in above if not any(math.isfinite(stamp_seconds(cell)) for cell in row)
+        ]  # a row with dates is no header
+        above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
+        if not above:
+            raise InputError(
+                f"{path}:{line}: there is no row of names above the first row of {len(cells)} numbers; write one, such"
+                f" as {example}"
+            )
+        head, names = above[-1]
+        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in names):
+            names = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], names, strict=True)]
+        trailing = len(names) > 2 and not names[-1] and not cells[-1]
+        return CsvFile(path, what, head, tuple(names[: len(names) - trailing]), separator, comma, trailing)
+    return None
+
+
+def _separator(text: str) -> tuple[str, bool]:
+    """Detect the separator in a row of numbers, and whether these have decimal commas."""
+    for sign in (";", "\t", "|"):
+        if sign in text:
+            return sign, "," in text
+    blanks = text.split()
+    if "," not in text:
+        return " ", False
+    if len(blanks) > 1 and all(_DECIMAL_COMMA.fullmatch(cell) or is_number(cell) for cell in blanks):
+        return " ", True
+    return ",", False
+
+
+def stamp_seconds(cell: str) -> float:
+    """Convert a date with time, or a time of day, to seconds since 1970 or midnight; NaN for other texts."""
+    text = cell.strip()
+    try:
+        if re.match(r"\d{4}-", text):
+            when = datetime.fromisoformat(text)
+            return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+        if date := re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]", text):
+            return stamp_seconds(f"{date[3]}-{date[2]:0>2}-{date[1]:0>2}T{text[date.end() :]}")
+        day = re.fullmatch(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)", text)
+        return math.nan if day is None else 3600.0 * int(day[1]) + 60.0 * int(day[2]) + float(day[3].replace(",", "."))
+    except ValueError:
+        return math.nan
+
+
+def is_empty(cell: str) -> bool:
+    """Return whether a cell holds what programs write for a missing value."""
+    return cell.strip().lower() in _EMPTY
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell holds a finite number or nothing."""
+    text = cell.strip()
+    return not text or (NUMBER.fullmatch(text) is not None and math.isfinite(float(text)))
+
+
+_BY_NAME = {column.name: column for column in COLUMNS}
+_SHAPES = {
+    "scalar": "(n,)",
+    "joints": "(n, {joints})",
+    "point": "(n, 3)",
+    "quaternion": "(n, 4)",
+    "symmetric": "(n, 3, 3)",
+}
+
+
+def is_frame(value: object) -> TypeGuard[pd.DataFrame]:
+    """Return whether a value is a data frame of pandas, which need not be installed."""
+    return type(value).__name__ == "DataFrame" and hasattr(value, "columns")
+
+
+def table_of_frame(frame: pd.DataFrame) -> CsvTable:
+    """Convert a data frame with the column names of a CSV file; missing values (None, NaN, NA) become empty cells.
+
+    Messages name rows by the index of the frame.
+    """
+    names = tuple(str(name) for name in frame.columns)
+    texts = [
+        _texts(column.astype(object).where(column.notna(), None).tolist(), whole=name == CONFIGURATION.name)
+        for name, (_, column) in zip(names, frame.items(), strict=True)
+    ]
+    places = tuple(f"data frame, row {label}" for label in frame.index.tolist())
+    return CsvTable(Path("data frame"), names, _lines(len(frame)), dict(zip(names, texts, strict=True)), places)
+
+
+def table_of_arrays(profile: Profile, arms: Mapping[str, Mapping[str, Any]]) -> CsvTable:
+    """Convert arrays to cells.
+
+    Parameters
+    ----------
+    profile : Profile
+    arms : mapping
+        Arm -> quantity -> array, with the names, shapes and units of ``Readings``: ``q`` (n, N) [rad] and ``p_M``
+        (n, 3) [m] at least. One number stands for n equal ones. Without ``configuration`` (n,) row k is stop k, and all
+        arms must have as many rows.
+
+    Raises
+    ------
+    InputError
+        If an arm is not in the profile, a quantity is unknown or missing, or an array has another shape.
+    """
+    if not arms:
+        raise InputError(f"readings: no arm is given; expected arrays of {', '.join(profile.arms)}")
+    given = {name: _arm_arrays(profile, name, quantities) for name, quantities in arms.items()}
+    counts = {name: len(arrays["q"]) for name, arrays in given.items()}
+    if len(set(counts.values())) > 1 and any(CONFIGURATION.name not in arrays for arrays in given.values()):
+        words = ", ".join(f"{n} of arm {name}" for name, n in counts.items())
+        raise InputError(f"readings: {words}; give 'configuration' (n,), which says what was measured at the same stop")
+    joints = max(len(profile.arms[name].type.joints) for name in given)
+    used = [column for column in COLUMNS if column.required or any(column.name in one for one in given.values())]
+    cells: dict[str, list[str]] = {"arm": [name for name, n in counts.items() for _ in range(n)]}
+    for column in used:
+        parts = [_column_texts(column, given[name], joints, n) for name, n in counts.items()]
+        for place, csv_name in enumerate(column.csv_names(joints)):
+            cells[csv_name] = [text for part in parts for text in part[place]]
+    places = tuple(f"arm {name}, row {row}" for name, n in counts.items() for row in range(n))
+    table = {name: tuple(texts) for name, texts in cells.items()}
+    return CsvTable(Path("readings"), tuple(table), _lines(len(places)), table, places)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _lines(rows: int) -> tuple[int, ...]:
+    """Return line numbers of the rows; line 1 is the header, as in a file."""
+    return tuple(range(2, rows + 2))
+
+
+def _texts(values: list[Any], *, whole: bool = False) -> tuple[str, ...]:
+    """Convert each value to its shortest exact text; whole numbers that are stored as floats get no point."""
+    if whole:
+        values = [int(one) if isinstance(one, float) and one.is_integer() else one for one in values]
+    return tuple("" if one is None or one != one else str(one) for one in values)
+
+
+def _arm_arrays(profile: Profile, name: str, quantities: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the quantities of one arm; return each as an array of its shape, or as n words."""
+    joints = len(of_arm(profile.arms, name, f"profile {profile.name}").type.joints)
+    if not isinstance(quantities, Mapping):
+        raise InputError(f"arm {name}: expected names with arrays, as {{'q': ..., 'p_M': ...}}, got {quantities!r:.40}")
+    for quantity in quantities:
+        if quantity not in _BY_NAME:
+            close = difflib.get_close_matches(quantity, _BY_NAME, n=1, cutoff=0.4)
+            hint = f"; did you mean '{close[0]}'?" if close else f"; known are {', '.join(_BY_NAME)}"
+            raise InputError(f"arm {name}: no quantity is called '{quantity}'{hint}")
+    for column in COLUMNS:
+        if column.required and column is not CONFIGURATION and quantities.get(column.name) is None:
+            shape = _SHAPES[column.shape].format(joints=joints)
+            raise InputError(f"arm {name}: {column.name} is missing; expected an array {shape} [{column.unit}]")
+    n = len(np.atleast_1d(np.asarray(quantities["q"], dtype=object)))
+    return {
+        column.name: _array(f"arm {name}: {column.name}", column, quantities[column.name], n, joints)
+        for column in COLUMNS
+        if quantities.get(column.name) is not None
+    }
+
+
+def _array(where: str, column: Column, value: ArrayLike, n: int, joints: int) -> NDArray[Any]:
+    """Convert a quantity to an array of its shape."""
+    dtype = None if column is CONFIGURATION else object if column.dtype is str else np.float64
+    try:
+        array = np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} is no array of numbers; expected shape {_shape_words(column, joints)}") from None
+    if array.ndim == 0 and column.shape == "scalar" and column is not CONFIGURATION:
+        array = np.full(n, array, dtype=dtype)
+    expected = column.array_shape(n, joints)
+    if array.shape != expected:
+        single = "; a single row is array[np.newaxis]" if array.shape == expected[1:] else ""
+        shape = _shape_words(column, joints)
+        raise InputError(f"{where} has shape {array.shape}, expected {shape} with n = {n}, the rows of q{single}")
+    return array
+
+
+def _shape_words(column: Column, joints: int) -> str:
+    unit = f" [{column.unit}]" if column.unit else ""
+    return f"{_SHAPES[column.shape].format(joints=joints)}{unit}"
+
+
+def _column_texts(column: Column, arrays: Mapping[str, Any], joints: int, n: int) -> list[tuple[str, ...]]:
+    """Return the texts of one arm's rows for each CSV column of a quantity; empty where it has no value."""
+    width = len(column.csv_names(joints))
+    values = arrays.get(column.name)
+    if values is None:
+        return [_texts(list(range(n))) if column is CONFIGURATION else ("",) * n] * width
+    own = column.matrix(values).T.tolist()
+    given = [_texts(numbers, whole=column is CONFIGURATION) for numbers in own]
+    return [*given, *[("",) * n] * (width - len(own))]

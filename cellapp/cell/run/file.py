@@ -2,6 +2,10 @@
 
 A write returns only after its transaction is on disk (write-ahead log, ``synchronous=FULL``): a stop that was reported
 as stored survives a power failure. Closing merges the log into the one file, so that it can be copied.
+
+Readings as rows of the run file, derived from the table of columns.
+
+Location of the profile's file of a run: from there, records beside the profile are found.
 """
 
 from __future__ import annotations
@@ -13,69 +17,246 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.collection_rows import (
+from cellapp.cell.run.sqlite_file import (
+    FILE_NAME,
+    FORMER_COLUMNS,
+    UNFINISHED,
+    Document,
+    Event,
     Outcome,
     ReferenceRow,
     Session,
     SessionEnd,
-    delete_outcomes,
-    end_session,
-    insert_outcome,
-    insert_reference,
-    insert_request,
-    insert_session,
-    select_outcomes,
-    select_references,
-    select_sessions,
-)
-from cellapp.cell.run.readings_table import (
-    check_readings,
-    check_splits,
-    count_splits,
-    insert_readings,
-    mean_temperatures,
-    select_readings,
-    select_removed_kinds,
-    select_stops_done,
-    update_splits,
-    vectors_from_json,
-)
-from cellapp.cell.run.rows import (
-    Document,
-    Event,
     StageRow,
-    insert_document,
-    insert_event,
-    insert_stage,
-    select_document,
-    select_events,
-    select_stages,
-    utc_now,
-)
-from cellapp.cell.run.schema import read_meta, read_profile, schema_version, upgrade, write_new
-from cellapp.cell.run.sqlite_file import (
-    FILE_NAME,
-    UNFINISHED,
     check_header,
     check_integrity,
     connect,
     damage_as_sentence,
+    delete_outcomes,
+    end_session,
+    insert_document,
+    insert_event,
+    insert_outcome,
+    insert_reference,
+    insert_request,
+    insert_session,
+    insert_stage,
     make_empty_folder,
+    read_meta,
+    read_profile,
+    reading_columns,
+    schema_version,
+    select_document,
+    select_events,
+    select_outcomes,
+    select_references,
+    select_sessions,
+    select_stages,
     sentences,
+    stored_columns,
     sync_folder,
+    upgrade,
+    utc_now,
+    write_new,
 )
 from cellapp.cell.run.stations import in_one_frame, select_stations
-from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
+from cellapp.estimation.readings.readings import Reading, Readings, readings_from_columns
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
+from cellapp.ground.removed import removed_readings
 from cellapp.robot.plugins import program_of
+
+
+def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
+    """Insert readings, inside the caller's transaction. Raise ``sqlite3.IntegrityError`` for a stop that is stored."""
+    names = reading_columns()
+    places = ", ".join("?" * len(names))
+    connection.executemany(
+        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
+        ((arm, *row) for row in _table_rows(readings)),
+    )
+
+
+def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
+    """Count the readings of each arm, by split; None is no split."""
+    counts: dict[str, dict[str | None, int]] = {}
+    for arm, split, n in connection.execute(
+        "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
+    ):
+        counts.setdefault(arm, {})[split] = n
+    return counts
+
+
+def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, float]]:
+    """Return mean temperatures [degC] of each arm's readings: of the "air", "joint 1" and so on, where known."""
+    air = connection.execute("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
+    joints = connection.execute(
+        "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
+        " FROM reading, json_each(reading.joint_temperature_c) AS joint GROUP BY arm, joint.key"
+    )
+    means: dict[str, dict[str, float]] = {}
+    for arm, where, mean in (*air, *joints):
+        if mean is not None:
+            means.setdefault(arm, {})[where] = float(mean)
+    return means
+
+
+def select_readings(
+    connection: sqlite3.Connection, arm: str, joints: int, table: Literal["reading", "earlier_reading"] = "reading"
+) -> Readings:
+    """Read all readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
+
+    In the table ``earlier_reading``, those of one configuration are in the order in which they were replaced.
+    """
+    version = schema_version(connection)
+    names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
+    former = [name for name in FORMER_COLUMNS if name in stored_columns(connection, table)]
+    wanted = [*names, *former, "extras"]
+    rows = connection.execute(
+        f"SELECT {', '.join(wanted)} FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
+    ).fetchall()
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(wanted)
+    values = {
+        column.name: _from_cells(column, cells, len(rows), joints)
+        for column, cells in zip(COLUMNS, columns, strict=False)
+    }
+    extras = _extras_from_cells(columns[-1])
+    for name, cells in zip(former, columns[len(COLUMNS) :], strict=False):
+        extras |= _unread_from_cells(FORMER_COLUMNS[name], cells, joints)
+    return readings_from_columns(values, extras)
+
+
+def former_arrays(readings: Readings) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays (n, N) that earlier versions read as torques [Nm] and currents [A], where they are numbers."""
+    found = {}
+    for name, stem in FORMER_COLUMNS.items():
+        texts = [readings.extras.get(f"{stem}{joint}", ("",)) for joint in range(1, readings.joints + 1)]
+        with contextlib.suppress(ValueError):
+            values = [[float(text or "nan") for text in its] for its in texts]
+            if np.isfinite(values).any():
+                found[name] = np.array(values).T
+    return found
+
+
+def select_removed_kinds(connection: sqlite3.Connection) -> dict[str, str]:
+    """Return each arm whose readings are of a removed kind, with what to say of them."""
+    several = f"SELECT arm FROM reading GROUP BY arm HAVING COUNT(DISTINCT IFNULL({OF_SEVERAL}, '')) > 1"
+    in_sockets = f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL"
+    found = dict[str, str]()
+    for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
+        if schema_version(connection) >= since:
+            found |= dict.fromkeys((arm for (arm,) in connection.execute(asked)), removed_readings(column))
+    return found
+
+
+def select_stops_done(connection: sqlite3.Connection) -> set[int]:
+    """Return the numbers of the stored configurations."""
+    return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
+
+
+def check_readings(arm: str, joints: int, readings: Readings) -> None:
+    """Check readings of an arm with this number of joints before they are stored.
+
+    Raises
+    ------
+    ValueError
+        If the number of joints differs, a required value is not finite, or a value is not one of those allowed.
+    """
+    if readings.joints != joints:
+        raise ValueError(f"{readings.joints} joint positions for the {joints} joints of arm {arm}")
+    for column in COLUMNS:
+        values = getattr(readings, column.name)
+        if column.required and not np.all(np.isfinite(values)):
+            raise ValueError(f"{column.name} of arm {arm} is not finite")
+        if column.name == "split":
+            check_splits(values or ())
+        elif column.allowed and values is not None and not np.all(np.isin(values, column.allowed)):
+            raise ValueError(f"{column.name} of arm {arm} is not {column.expected}")
+
+
+def check_splits(words: Sequence[str | None]) -> None:
+    """Check names of splits; None is no split. Raises ``ValueError`` for any other word."""
+    for word in words:
+        if word is not None and word not in SPLITS:
+            raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
+
+
+def update_splits(connection: sqlite3.Connection, arm: str, names: Mapping[int, str | None]) -> None:
+    """Store the split of all rows of an arm at each stop."""
+    connection.executemany(
+        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+        ((name, arm, stop) for stop, name in names.items()),
+    )
+
+
+def vectors_from_json(texts: Sequence[str]) -> NDArray[np.float64]:
+    """Build a matrix from the JSON texts of its rows; null is NaN."""
+    return np.array(json.loads("[" + ",".join(texts) + "]"), dtype=np.float64)
+
+
+def _table_rows(readings: Readings) -> Iterator[tuple[Any, ...]]:
+    n = len(readings)
+    extras: list[str | None] = [None] * n
+    if readings.extras:
+        rows = zip(*readings.extras.values(), strict=True)
+        extras = [json.dumps(dict(zip(readings.extras, row, strict=True))) for row in rows]
+    columns = [_to_cells(column, getattr(readings, column.name), n) for column in COLUMNS]
+    return zip(*columns, extras, strict=True)
+
+
+def _to_cells(column: Column, values: Values | None, n: int) -> Sequence[Any]:
+    """Convert to one cell per reading: NULL without a value, null within JSON where one number is missing."""
+    if values is None:
+        return [None] * n
+    if isinstance(values, tuple):
+        return values
+    matrix = column.matrix(values)
+    cells = matrix.astype(object)
+    cells[np.isnan(matrix)] = None
+    if column.shape == "scalar":
+        return [cell for (cell,) in cells.tolist()]
+    empty = np.isnan(matrix).all(axis=1) & (not column.required)
+    return [None if nothing else json.dumps(row) for nothing, row in zip(empty.tolist(), cells.tolist(), strict=True)]
+
+
+def _from_cells(column: Column, cells: Sequence[Any], n: int, joints: int) -> Values | None:
+    if all(cell is None for cell in cells) and not (n == 0 and column.required):
+        return column.missing(n, joints)
+    if column.dtype is str:
+        return tuple(cells)
+    matrix: NDArray[Any]
+    if column.shape == "scalar":
+        matrix = np.array(cells, dtype=column.dtype)[:, np.newaxis]
+    else:
+        width = len(column.csv_names(joints))
+        nothing = json.dumps([None] * width)
+        matrix = vectors_from_json([nothing if cell is None else cell for cell in cells]).reshape(n, width)
+    return column.from_matrix(matrix)
+
+
+def _unread_from_cells(stem: str, cells: Sequence[str | None], joints: int) -> dict[str, tuple[str, ...]]:
+    """Return a quantity per joint that is no longer read, as unknown columns of a file; none without a value."""
+    if all(cell is None for cell in cells):
+        return {}
+    rows = [[None] * joints if cell is None else json.loads(cell) for cell in cells]
+    return {
+        f"{stem}{joint + 1}": tuple("" if row[joint] is None else repr(row[joint]) for row in rows)
+        for joint in range(joints)
+    }
+
+
+def _extras_from_cells(cells: Sequence[str | None]) -> dict[str, tuple[str, ...]]:
+    rows = [{} if cell is None else json.loads(cell) for cell in cells]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: tuple(str(row.get(name, "")) for row in rows) for name in names}
 
 
 class RunFile:
@@ -533,3 +714,23 @@ def _rows(plans: Plan) -> Iterable[tuple[str, int, str]]:
     for arm, q in plans.items():
         for stop, row in enumerate(np.asarray(q, dtype=np.float64).tolist()):
             yield arm, stop, json.dumps(row)
+
+
+_STORED = "profile file"
+"""Name of the stored result."""
+
+
+def rehearsals_path(profile: Path) -> Path:
+    """Return the file beside a profile that records its rehearsals."""
+    return profile.with_name(f"{profile.stem}.rehearsals.json")
+
+
+def note_profile(run: RunFile, path: Path) -> None:
+    """Store in a run where its profile's file is."""
+    run.write_result(_STORED, str(path.resolve()))
+
+
+def noted_profile(run: RunFile) -> Path | None:
+    """Return where the profile's file was when the run was planned; None if that is not known."""
+    text = run.read_result(_STORED)
+    return None if text is None else Path(text)

@@ -17,12 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import is_known, not_per_joint
-from cellapp.cell.run.column_names import EXAMPLES, Understood, understood
-from cellapp.cell.run.column_units import AngleUnit, LengthUnit, angle_unit, length_unit
-from cellapp.cell.run.csv_header import read_header
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, short
-from cellapp.cell.run.stream_columns import POINT
-from cellapp.cell.run.written_orientation import with_quaternions
+from cellapp.cell.run.columns import (
+    EXAMPLES,
+    POINT,
+    AngleUnit,
+    LengthUnit,
+    Understood,
+    angle_unit,
+    length_unit,
+    understood,
+    with_quaternions,
+)
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_header, short
 from cellapp.ground.errors import InputError
 
 _SEPARATORS: Mapping[str, str] = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.column_names import Kind
+from cellapp.cell.run.columns import Kind, joint_stream, point_stream
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings_csv import RecordedStreams, read_recordings
 from cellapp.cell.run.records import RecordingState
-from cellapp.cell.run.schema import schema_version
-from cellapp.cell.run.stream_columns import joint_stream, point_stream
+from cellapp.cell.run.sqlite_file import schema_version
 from cellapp.estimation.motion.streams import Recording
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped

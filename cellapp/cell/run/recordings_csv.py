@@ -16,27 +16,33 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.column_names import EXAMPLES, KINDS, Kind, Understood, understood
-from cellapp.cell.run.column_units import in_si, without_part_of_orientation
-from cellapp.cell.run.csv_header import CsvFile, read_header
-from cellapp.cell.run.csv_import import joint_limits
-from cellapp.cell.run.csv_text import Problems, short
-from cellapp.cell.run.records import RecordingState
-from cellapp.cell.run.stream_columns import (
+from cellapp.cell.run.columns import (
     BESIDE,
+    EXAMPLES,
+    KINDS,
     OPTIONAL_OF_JOINTS,
     POINT,
+    QUATERNION,
     TEXTS,
     TRIGGER,
     Implausible,
+    Kind,
+    Understood,
+    Written,
     beside_faults,
+    in_si,
     joint_faults,
     point_faults,
     state_of,
     stems,
+    understood,
+    without_part_of_orientation,
+    written_orientation,
 )
+from cellapp.cell.run.csv_import import joint_limits
+from cellapp.cell.run.csv_text import CsvFile, Problems, read_header, short
+from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
-from cellapp.cell.run.written_orientation import QUATERNION, Written, written_orientation
 from cellapp.estimation.readings.columns import SPLITS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -1,16 +1,266 @@
-"""Safe opening of run files: checks a file before SQLite may change it, and reports errors in one sentence."""
+"""Safe opening of run files: checks a file before SQLite may change it, and reports errors in one sentence.
+
+The tables of a run file and the versions of their schema.
+
+Rows of a run file as objects: lines of the log, stored stages, documents.
+
+Rows that collecting adds to a run besides readings: sessions, outcomes of stops, reference measurements.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
-from cellapp.cell.run.schema import APPLICATION_ID, SCHEMA_VERSION
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.profile import profile_from_json, profile_to_json
+from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
+from cellapp.ground.profile import Profile
+from cellapp.robot.plugins import program_of
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of the run's log; ``written`` is UTC, ``time_s`` seconds since the run began, if given."""
+
+    number: int
+    written: str
+    time_s: float | None
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One row of the table ``stage`` as text; ``cellapp.commands.stages`` gives it its meaning."""
+
+    number: int
+    name: str
+    written: str
+    program: str
+    basis: str | None
+    text: str
+    model: str | None
+
+
+@dataclass(frozen=True)
+class Document:
+    """One entry of the table ``result``: when it was written (UTC), and what."""
+
+    written: str
+    text: str
+
+
+def utc_now() -> str:
+    """Return the current time in the format of rows (ISO 8601, UTC)."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def select_document(connection: sqlite3.Connection, name: str) -> Document | None:
+    """Return a stored document, or None."""
+    row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
+    return None if row is None else Document(*row)
+
+
+def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
+    """Store a document; it replaces an earlier one of that name."""
+    connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), text))
+
+
+def insert_event(connection: sqlite3.Connection, level: str, text: str, time_s: float | None) -> None:
+    """Add a line to the log."""
+    values = (utc_now(), time_s, level, text)
+    connection.execute("INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", values)
+
+
+def select_events(connection: sqlite3.Connection) -> list[Event]:
+    """Return the log, oldest line first."""
+    rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
+    return [Event(*row) for row in rows]
+
+
+def insert_stage(
+    connection: sqlite3.Connection, name: str, program: str, basis: str | None, text: str, model: str | None
+) -> None:
+    """Append a stage."""
+    values = (name, utc_now(), program, basis, text, model)
+    connection.execute(
+        "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)", values
+    )
+
+
+def select_stages(connection: sqlite3.Connection) -> list[StageRow]:
+    """Return all stages, oldest first."""
+    rows = connection.execute("SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number")
+    return [StageRow(*row) for row in rows]
+
+
+APPLICATION_ID = 0x43656C6C
+SCHEMA_VERSION = 10
+"""Version of the schema. New in each version: 2: each joint's last step and the dwell time of a reading. 3: results of
+verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that were not measured, reference
+measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
+measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
+readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
+that. 10: covariance of a rotation; torques and currents are no longer read."""
+FORMER_COLUMNS = {"tau_nm": "tau", "current_a": "current"}
+"""Quantities per joint in files of schemas 8 and 9 -> the stem of their columns in a CSV file. They are kept, and given
+as the unknown columns of an imported file are."""
+
+_READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
+"""Unique key: an arm has one row per stop, SMR and station. Before schema 8 this was the table's primary key."""
+_EXTRAS = "extras TEXT"
+"""Unknown columns of an imported file, as one JSON object per reading."""
+
+
+_STAGE_TABLE = (
+    "CREATE TABLE stage (number INTEGER PRIMARY KEY, name TEXT NOT NULL, written TEXT NOT NULL, program TEXT NOT NULL,"
+    " basis TEXT, text TEXT NOT NULL, model TEXT)"
+)
+"""Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
+_COLLECTION_TABLES = (
+    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT,"
+    " again TEXT)",
+    "CREATE TABLE request (session INTEGER NOT NULL, written TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL)",
+    "CREATE TABLE outcome (stop INTEGER NOT NULL, arm TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL,"
+    " PRIMARY KEY (stop, arm))",
+    "CREATE TABLE reference (name TEXT NOT NULL, stops_done INTEGER NOT NULL, time_s NOT NULL, p_m TEXT NOT NULL,"
+    " session INTEGER NOT NULL)",
+)
+_RECORDING_TABLES = (
+    "CREATE TABLE recording (arm TEXT NOT NULL, name TEXT NOT NULL, about TEXT NOT NULL, sha256 TEXT NOT NULL,"
+    " PRIMARY KEY (arm, name))",
+    "CREATE TABLE stream (arm TEXT NOT NULL, recording TEXT NOT NULL, kind TEXT NOT NULL, place INTEGER NOT NULL,"
+    " name TEXT NOT NULL, words TEXT, data BLOB NOT NULL, PRIMARY KEY (arm, recording, kind, place))",
+)
+"""A recording of motion, and its columns: ``data`` as in ``recordings``; for texts, indices into ``words``."""
+
+_AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
+"""The stops that a session measured again, as a list; NULL for a session that collects what is left."""
+
+
+def reading_columns() -> list[str]:
+    """Return the names of the columns of a reading, in order."""
+    return ["arm", *(column.sql_name for column in COLUMNS), "extras"]
+
+
+def stored_columns(connection: sqlite3.Connection, table: str) -> list[str]:
+    """Return the names of the columns that a table has in this file, in order."""
+    return [str(name) for (name,) in connection.execute("SELECT name FROM pragma_table_info(?)", (table,))]
+
+
+def create_tables(connection: sqlite3.Connection) -> None:
+    """Create all tables, inside the caller's transaction."""
+    _create_reading_table(connection)
+    for statement in (
+        _earlier_table(),
+        "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
+        "CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PRIMARY KEY (arm, stop))",
+        "CREATE TABLE event"
+        " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
+        "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
+        _STAGE_TABLE,
+        *_COLLECTION_TABLES,
+        *_RECORDING_TABLES,
+    ):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def _reading_columns() -> tuple[str, ...]:
+    return ("arm TEXT NOT NULL", *(column.sql_declaration for column in COLUMNS), _EXTRAS)
+
+
+def _earlier_table() -> str:
+    """Return the statement for the table of replaced readings, kept as they were, in the order of replacement."""
+    return f"CREATE TABLE earlier_reading ({', '.join((*_reading_columns(), 'replaced TEXT NOT NULL'))})"
+
+
+def _create_reading_table(connection: sqlite3.Connection) -> None:
+    connection.execute(f"CREATE TABLE reading ({', '.join(_reading_columns())})")
+    connection.execute(_READING_KEY)
+
+
+def schema_version(connection: sqlite3.Connection) -> int:
+    """Return the schema version with which the file was written."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def read_meta(connection: sqlite3.Connection, key: str) -> str | None:
+    """Return a value of the table ``meta``, or None."""
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Add what a file of an older schema lacks, inside the caller's transaction; no stored value is changed."""
+    version = schema_version(connection)
+    if version == SCHEMA_VERSION:
+        return
+    for column in COLUMNS:
+        if column.since > version:
+            for table in ("reading", "earlier_reading") if version >= 9 else ("reading",):
+                connection.execute(f"ALTER TABLE {table} ADD COLUMN {column.sql_declaration}")
+    if version < 8:
+        _rekey_readings(connection)
+    earlier = (_earlier_table(), *([_AGAIN] if version >= 4 else []))
+    tables = {3: (_STAGE_TABLE,), 4: _COLLECTION_TABLES, 6: _RECORDING_TABLES, 9: earlier}
+    for statement in (one for since, its in tables.items() if version < since for one in its):
+        connection.execute(statement)
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def _rekey_readings(connection: sqlite3.Connection) -> None:
+    """Move the readings to a table that allows several of an arm at a stop: SQLite cannot drop a primary key."""
+    names = ", ".join(reading_columns())
+    connection.execute("ALTER TABLE reading RENAME TO reading_before")
+    _create_reading_table(connection)
+    connection.execute(f"INSERT INTO reading ({names}) SELECT {names} FROM reading_before ORDER BY rowid")
+    connection.execute("DROP TABLE reading_before")
+
+
+def write_new(connection: sqlite3.Connection, profile: Profile) -> None:
+    """Create the tables of a new run, and store its profile and versions."""
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("BEGIN")
+    create_tables(connection)
+    connection.executemany(
+        "INSERT INTO meta VALUES (?, ?)",
+        {
+            "schema": "cellapp-run",
+            "version": str(SCHEMA_VERSION),
+            "created": utc_now(),
+            "program": program_of(profile),
+            "profile": profile_to_json(profile),
+        }.items(),
+    )
+    connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
+    connection.execute("COMMIT")
+
+
+def read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
+    """Read the profile of a run file. Raise ``InputError`` if it is missing or unreadable."""
+    text = read_meta(connection, "profile")
+    if text is None:
+        raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")
+    try:
+        return profile_from_json(text)
+    except InputError as error:
+        raise InputError(f"{path} holds a profile that this cellapp cannot read: {error}") from None
+
 
 FILE_NAME = "run.sqlite"
 UNFINISHED = FILE_NAME + ".new"
@@ -153,3 +403,134 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
+"""How a collecting session ended; "accurate enough": the required standard errors were reached early."""
+OutcomeKind = Literal["not measured", "left out"]
+_SINCE, _SINCE_AGAIN = 4, 9
+
+
+@dataclass(frozen=True)
+class Session:
+    """One session of collecting; ``ended``, ``outcome`` and ``reason`` are None if the program died in it.
+
+    ``requests`` lists requests of persons and interruptions, oldest first: (UTC, "pause" | "resume" | ..., reason).
+    ``again`` lists the stops that were measured again, counted from 1; empty in a session that collects what is left.
+    """
+
+    number: int
+    began: str
+    ended: str | None
+    outcome: SessionEnd | None
+    reason: str | None
+    requests: tuple[tuple[str, str, str], ...]
+    again: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Why an arm has no reading at a stop. The newest row of a stop and arm counts, and only without a reading."""
+
+    stop: int
+    arm: str
+    kind: OutcomeKind
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceRow:
+    """One reference measurement: "arm NAME" at home or "nest NAME", after a number of stops, ``p_M`` (3,) [m]."""
+
+    name: str
+    stops_done: int
+    time_s: float
+    p_M: NDArray[np.float64]
+    session: int
+
+
+def insert_session(connection: sqlite3.Connection, began: str, again: str = "") -> int:
+    """Add a session that begins; return its number."""
+    row = connection.execute("INSERT INTO session (began, again) VALUES (?, ?)", (began, again or None))
+    return int(row.lastrowid or 0)
+
+
+def insert_request(connection: sqlite3.Connection, session: int, written: str, kind: str, reason: str) -> None:
+    """Add a request or an event of a session."""
+    connection.execute("INSERT INTO request VALUES (?, ?, ?, ?)", (session, written, kind, reason))
+
+
+def end_session(connection: sqlite3.Connection, number: int, ended: str, outcome: SessionEnd, reason: str) -> None:
+    """Record how a session ended."""
+    connection.execute(
+        "UPDATE session SET ended = ?, outcome = ?, reason = ? WHERE number = ?", (ended, outcome, reason, number)
+    )
+
+
+def insert_outcome(connection: sqlite3.Connection, outcome: Outcome) -> None:
+    """Add an outcome; it replaces an earlier one of the same stop and arm."""
+    connection.execute(
+        "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)",
+        (outcome.stop, outcome.arm, outcome.kind, outcome.reason),
+    )
+
+
+def delete_outcomes(connection: sqlite3.Connection, stops: Iterable[int]) -> None:
+    """Remove the outcomes of stops."""
+    connection.executemany("DELETE FROM outcome WHERE stop = ?", ((stop,) for stop in stops))
+
+
+def insert_reference(connection: sqlite3.Connection, row: ReferenceRow) -> None:
+    """Add a reference measurement."""
+    connection.execute(
+        "INSERT INTO reference VALUES (?, ?, ?, ?, ?)",
+        (row.name, row.stops_done, row.time_s, json.dumps(row.p_M.tolist()), row.session),
+    )
+
+
+def select_sessions(connection: sqlite3.Connection) -> list[Session]:
+    """Read all sessions, oldest first; none in a file of an older schema."""
+    version = schema_version(connection)
+    if version < _SINCE:
+        return []
+    again = "COALESCE(again, '')" if version >= _SINCE_AGAIN else "''"
+    requests = grouped(
+        (session, (request[0], request[1], request[2]))
+        for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid")
+    )
+    rows = connection.execute(f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number")
+    return [
+        Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), stops)
+        for number, began, ended, outcome, reason, stops in rows
+    ]
+
+
+def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
+    """Read the outcomes of stops and arms without a reading, by stop; none in a file of an older schema."""
+    if schema_version(connection) < _SINCE:
+        return []
+    rows = connection.execute(
+        "SELECT stop, arm, kind, reason FROM outcome WHERE NOT EXISTS"
+        " (SELECT 1 FROM reading WHERE reading.configuration = outcome.stop AND reading.arm = outcome.arm)"
+        " ORDER BY stop, arm"
+    )
+    return [Outcome(*row) for row in rows]
+
+
+def select_late(connection: sqlite3.Connection) -> set[tuple[int, str]]:
+    """Return stops and arms that have a reading now and had none when they were visited before."""
+    if schema_version(connection) < _SINCE:
+        return set()
+    rows = connection.execute(
+        "SELECT stop, outcome.arm FROM outcome JOIN reading"
+        " ON reading.configuration = outcome.stop AND reading.arm = outcome.arm WHERE kind = 'not measured'"
+    )
+    return {(stop, arm) for stop, arm in rows}
+
+
+def select_references(connection: sqlite3.Connection) -> list[ReferenceRow]:
+    """Read all reference measurements, oldest first; none in a file of an older schema."""
+    if schema_version(connection) < _SINCE:
+        return []
+    rows = connection.execute("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid")
+    return [ReferenceRow(row[0], row[1], row[2], np.array(json.loads(row[3])), row[4]) for row in rows]

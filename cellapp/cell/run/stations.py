@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
-from cellapp.cell.run.rows import select_document
+from cellapp.cell.run.sqlite_file import select_document
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted

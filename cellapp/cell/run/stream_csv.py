@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_header import CsvFile, is_empty, is_number, stamp_seconds
-from cellapp.cell.run.csv_text import Problems, short
+from cellapp.cell.run.csv_text import CsvFile, Problems, is_empty, is_number, short, stamp_seconds
 from cellapp.ground.errors import InputError
 
 

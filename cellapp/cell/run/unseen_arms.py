@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.rows import utc_now
+from cellapp.cell.run.sqlite_file import utc_now
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
 

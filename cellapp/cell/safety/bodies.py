@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.cell.safety.obstacles import Obstacle
+from cellapp.cell.safety.shapes import Obstacle
 from cellapp.robot.kinematics.chain import Geometry, frame_poses, frame_vectors
 from cellapp.robot.kinematics.transforms import Array
 

@@ -15,8 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import ArmBodies, Placed, ceiling_clearance, floor_clearance, pair_gaps, place
-from cellapp.cell.safety.gate import CellBodies, keeps_obstacles, refuse_motion, sample_spacing, within_limits
-from cellapp.cell.safety.paths import EVERY, STRIDE, SampledPath, gap_on_paths, may_meet, sample_counts
+from cellapp.cell.safety.gate import (
+    EVERY,
+    STRIDE,
+    CellBodies,
+    SampledPath,
+    gap_on_paths,
+    keeps_obstacles,
+    may_meet,
+    refuse_motion,
+    sample_counts,
+    sample_spacing,
+    within_limits,
+)
 from cellapp.robot.kinematics.transforms import Array
 
 _AT_ONCE = 100

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cellapp.cell.targets.ranges import conditions_of, holds_for
 from cellapp.cell.targets.records import PredictedTurn, TargetCommand, UnknownCondition
 from cellapp.cell.targets.targets import Target, target_record
-from cellapp.cell.targets.unknown_conditions import holds_for
-from cellapp.cell.targets.working_conditions import conditions_of
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array

@@ -32,11 +32,9 @@ from cellapp.cell.targets.invert import (
     without_effects,
 )
 from cellapp.cell.targets.prediction import outside_notes, predicted_turns, predictions
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.ranges import ConditionRanges, beside, conditions_payload, sided_commands, stated_conditions
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target
-from cellapp.cell.targets.unknown_conditions import sided_commands
-from cellapp.cell.targets.working_conditions import beside, conditions_payload, stated_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile

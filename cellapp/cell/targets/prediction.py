@@ -9,11 +9,16 @@ import numpy as np
 import scipy
 
 from cellapp.cell.targets.command import Prediction
-from cellapp.cell.targets.other_payload import payload_covariance
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.ranges import (
+    ConditionRanges,
+    OneUnknown,
+    conditions_payload,
+    from_home,
+    payload_covariance,
+    unknown_conditions,
+    unknown_records,
+)
 from cellapp.cell.targets.records import PredictedTurn
-from cellapp.cell.targets.unknown_conditions import OneUnknown, from_home, unknown_conditions, unknown_records
-from cellapp.cell.targets.working_conditions import conditions_payload
 from cellapp.estimation.uncertainty.budget import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.ground.profile import SAME_PAYLOAD_KG

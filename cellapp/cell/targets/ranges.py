@@ -1,18 +1,247 @@
-"""Ranges that the readings of an arm covered: plausible values of conditions that are not stated, and joint ranges."""
+"""Ranges that the readings of an arm covered: plausible values of conditions that are not stated, and joint ranges.
+
+Additional uncertainty due to a payload that no reading had, from all plausible elastic behaviour of the joints.
+
+The elasticity law that a search accepted is valid for the loads of the readings. For other loads more laws are
+plausible: drives are stiffer under load, masses differ from the stated ones, and the compliance of a joint that its own
+weight hardly loads is known only to be that of such drives. So all of these are fitted together with all geometry to
+the readings as they are:
+
+    dq_j = c_j tau_j + sum_k s_jk clip(tau_j, -T_k, T_k) + h_j (tau_j - clip(tau_j, -T, T)) + sum_i m_ji tau_ji,
+
+where tau_j is the torque about joint j, tau_ji that of body i alone, T the largest one among the readings and T_k
+fractions of it [Nm]. c_j has a prior as wide as such drives; the priors of m_ji and s_jk are fractions of the joint's
+compliance (m, and r), that of h_j a quarter of r's. r is averaged over some values, weighted by their evidence
+(marginal likelihood), so that readings which show straight laws keep straight ones likely for other loads. Beyond that
+the readings do not constrain h_j.
+
+From the nearest measured payload m' to m the SMR then moves by the mean of all this, with covariance C. The accepted
+law predicts a different motion; the difference d remains as an error of the commands. Therefore the second moment about
+the accepted law counts: C + d d^T.
+
+Possible displacement of the SMR because a condition that effects of the model depend on was not stated.
+
+A condition that is not stated is assumed at a default: payload as in the profile, temperatures at the mean of the run,
+time at its end, dwell as in the run. A side of approach is chosen and stated with the command: the
+effect of another side is reported, but is not an uncertainty. Plausible ranges are
+
+- payload: from the profile's to what the run covered; no unknown if all readings had the profile's payload;
+- temperature and time: what the run covered;
+- dwell: from zero to the longest of the run, because production may not wait.
+
+The stated size is the largest distance of the SMR from its position at the default; the covariance is the second moment
+of that displacement, with conditions distributed uniformly over their ranges.
+
+Working conditions of goals for the model: what targets state, and the state of the other arm.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.cell.targets.other_payload import OpenElasticity
-from cellapp.cell.targets.working_conditions import conditions_payload
+from cellapp.cell.targets.invert import Inverted, invert
+from cellapp.cell.targets.records import UnknownCondition
+from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
+from cellapp.ground.profile import Arm, Profile
+from cellapp.robot.effects import (
+    EFFECTS,
+    DriverVariable,
+    EffectContext,
+    EffectTerm,
+    MeasurementConditions,
+    TemperatureRecord,
+    displacement,
+)
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+
+
+def conditions_of(target: Target, arm: str) -> WorkingConditions:
+    """Return what a target states for one of its arms."""
+    partner = target.partner
+    return target.conditions if partner is None or target.arm == arm else partner.conditions
+
+
+def stated_conditions(profile: Profile, targets: Sequence[Target], arm: str) -> MeasurementConditions:
+    """Return what n targets state for ``arm``; NaN, or zero for approach signs, if a target states nothing.
+
+    The centre of mass of a payload is that of the profile's load of this mass. A temperature is that of the air and of
+    all joints. The approach that a target states is that of its first arm.
+    """
+    stated, joints = [conditions_of(target, arm) for target in targets], len(profile.arms[arm].type.joints)
+    temperature = _column([one.temperature for one in stated])
+    approach = np.zeros((len(targets), joints))
+    for row, target in enumerate(targets):
+        if target.approach is not None and target.arm == arm:
+            approach[row] = target.approach
+    return MeasurementConditions(
+        approach=approach if approach.any() else None,
+        dwell_s=_column([one.dwell for one in stated]),
+        time_s=_column([one.time for one in stated]),
+        payload_kg=_column([one.payload for one in stated]),
+        payload_center_F=load_centers(profile.arms[arm], [one.payload for one in stated]),
+        air_c=temperature,
+        joints_c=None if temperature is None else np.tile(temperature[:, None], (1, joints)),
+    )
+
+
+def load_centers(arm: Arm, payloads_kg: Sequence[float | None]) -> Array | None:
+    """Return centres of mass (n, 3) [m] of listed loads in the flange frame, NaN for others; None if none is listed."""
+    if not arm.payloads:
+        return None
+    listed = [None if mass is None else arm.listed_load(mass) for mass in payloads_kg]
+    return np.array([[np.nan] * 3 if one is None else one.center_of_mass for one in listed])
+
+
+def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: int) -> Array:
+    """Return the payload (n,) [kg] of n goals: as stated, else the profile's ``nominal_kg``."""
+    stated = conditions.payload_kg
+    return np.full(n, nominal_kg) if stated is None else np.where(np.isnan(stated), nominal_kg, stated)
+
+
+def beside(
+    conditions: MeasurementConditions, other: ArmModel, q: Array, payload_kg: Array | None
+) -> MeasurementConditions:
+    """Return conditions of n goals with the other arm of two at ``q`` (n, K) [rad], carrying ``payload_kg`` (n,)."""
+    moment = base_moment(other.geometry, other.bodies, q, other.up_M, payload_kg)
+    return replace(conditions, other_q=q, other_moment_M=moment)
+
+
+def _column(values: Sequence[float | None]) -> Array | None:
+    """Return values (n,) with NaN for what is not stated; None if nothing is."""
+    if all(value is None for value in values):
+        return None
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+
+
+_COMPLIANCE = 1e-4
+"""Prior standard deviation [rad/Nm]: strain-wave drives of this class have 1e4 to 1e5 Nm/rad (Harmonic Drive, CSG)."""
+_KNEES = (0.15, 0.35, 0.65)
+"""Fractions of the largest torque below which a joint may be softer."""
+_BENT = (0.01, 0.1, 0.5)
+"""Values of r, relative to a joint's compliance: catalogues have K3 / K1 up to 2."""
+_OF_MASSES = 0.2
+"""Value of m: makers' masses are 10 to 30 % off. One load cannot separate a common mass error from compliance."""
+_BEYOND = 0.25
+"""Fraction of r for torques beyond all measured ones: drives stiffen most at small torques."""
+_DEPENDENT = 1e-9
+"""Relative singular value below which columns of the geometry count as linearly dependent."""
+_ELASTIC = ("joint_compliance", "payload_compliance")
+
+
+@dataclass(frozen=True, eq=False)
+class OpenElasticity:
+    """Elastic behaviour of an arm's joints that its readings leave plausible.
+
+    Attributes
+    ----------
+    values : array, shape (p,)
+        Mean of the parameters of ``_columns`` [rad/Nm].
+    covariance : array, shape (p, p)
+    largest_nm : array, shape (N,)
+        Largest torque about each joint among the readings [Nm].
+    """
+
+    values: Array
+    covariance: Array
+    largest_nm: Array
+
+    @classmethod
+    def of(cls, arm: ArmModel, readings: Readings) -> OpenElasticity | None:
+        """Fit to readings with the model in force; None without a posterior, which has the scatter of the readings, or
+        without measured positions."""
+        readings = readings.take(np.flatnonzero(np.isfinite(readings.p_M).all(axis=1)))
+        if arm.posterior is None or not len(readings):
+            return None
+        conditions = measurement_conditions(readings)
+        context = arm.context(readings.q, conditions=conditions)
+        angles, largest_nm = JointAngles.of(readings.q), np.abs(context.torques).max(axis=0)
+        _, J = joint_jacobian(arm.geometry, angles)
+        _, G = jacobian(arm.geometry, angles, arm.posterior.columns)
+        joint, kind, offsets = _columns(context, largest_nm)
+        left = (readings.p_M - arm.predict(readings.q, conditions=conditions)).T
+        left = left + np.einsum("cjn,nj->cn", J, _by_accepted_laws(arm, context))
+        A, y, free = _rows(J[:, joint] * offsets), left.ravel(), _rows(G)
+        basis, sizes, _ = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)
+        basis = basis[:, sizes > _DEPENDENT * sizes[0]]
+        A, y = A - basis @ (basis.T @ A), y - basis @ (basis.T @ y)
+        variance = arm.posterior.noise_m**2
+        return cls(*_averaged(A.T @ A / variance, A.T @ y / variance, joint, kind), largest_nm)
+
+
+def payload_covariance(
+    arm: ArmModel,
+    q: Array,
+    conditions: MeasurementConditions,
+    near: MeasurementConditions,
+    open_: OpenElasticity | None,
+) -> Array:
+    """Return the covariance (n, 3, 3) [m^2] at ``q`` (n, N) [rad] for ``conditions`` whose payload was not measured.
+
+    ``near`` has the nearest measured payload. If both have a measured orientation, it is that of the rotation [rad^2].
+    """
+    if open_ is None or near is conditions:
+        return np.zeros((len(q), 3, 3))
+    asked, known = (arm.context(q, conditions=one) for one in (conditions, near))
+    joint, _, offsets = _columns(asked, open_.largest_nm)
+    more = offsets - _columns(known, open_.largest_nm)[2]
+    _, J = joint_jacobian(arm.geometry, JointAngles.of(q, conditions.R_M_S))
+    moved = (J[:, joint] * more).transpose(2, 0, 1)
+    C = moved @ open_.covariance @ moved.transpose(0, 2, 1)
+    accepted = _by_accepted_laws(arm, asked) - _by_accepted_laws(arm, known)
+    d = moved @ open_.values - np.einsum("cjn,nj->nc", J, accepted)
+    return np.asarray(C + d[:, :, None] * d[:, None])
+
+
+def _columns(context: EffectContext, largest_nm: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Return each parameter's joint (p,), kind (p,) (0 compliance, 1 bend of the law, 2 mass) and offsets (p, n)."""
+    torque, N = context.torques.T, context.joints
+    clipped = [np.clip(torque, -share * largest_nm[:, None], share * largest_nm[:, None]) for share in (*_KNEES, 1.0)]
+    bodies = [(j, context.loads.torques_of(i)[:, j]) for i in range(N) for j in range(i + 1)]
+    straight = [torque, *clipped[:-1], _BEYOND * (torque - clipped[-1])]
+    joint = np.concatenate([np.tile(np.arange(N), len(straight)), [j for j, _ in bodies]]).astype(np.intp)
+    kind = np.repeat([0, 1, 2], [N, N * (len(straight) - 1), len(bodies)])
+    return joint, kind, np.concatenate([*straight, np.array([one for _, one in bodies])])
+
+
+def _averaged(gram: Array, moment: Array, joint: NDArray[np.intp], kind: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return mean and covariance of the parameters over all values of r, weighted by their evidence."""
+    first = kind == 0
+    of_joint = np.linalg.inv(gram[np.ix_(first, first)] + np.eye(int(first.sum())) / _COMPLIANCE**2)
+    size = np.sqrt(np.diag(of_joint) + (of_joint @ moment[first]) ** 2)
+    logs, means, covariances = [], [], []
+    for bent in _BENT:
+        sd = np.select([first, kind == 1], [_COMPLIANCE, bent * size[joint]], _OF_MASSES * size[joint])
+        inner = sd[:, None] * gram * sd + np.eye(len(sd))
+        covariances.append(sd[:, None] * np.linalg.inv(inner) * sd)
+        means.append(covariances[-1] @ moment)
+        logs.append(0.5 * float(moment @ means[-1]) - 0.5 * float(np.linalg.slogdet(inner)[1]))
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    mean = weights @ np.array(means)
+    off = np.array(means) - mean
+    return mean, np.einsum("g,gab->ab", weights, np.array(covariances)) + (weights * off.T) @ off
+
+
+def _by_accepted_laws(arm: ArmModel, context: EffectContext) -> Array:
+    """Return joint offsets (n, N) [rad] by the elastic joints of the model."""
+    elastic = [term for term in arm.effects if term.slug in _ELASTIC]
+    return displacement(elastic, EFFECTS, context).joints
+
+
+def _rows(columns: Array) -> Array:
+    """Reshape derivatives (3, k, n) into one column per parameter: (3 n, k)."""
+    return np.asarray(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))
+
 
 # -- Measuring noise at any point: with the shape that the tracker states and the size of the readings' scatter -------
 #
@@ -182,3 +411,349 @@ def _range(values: Array | None) -> Range | None:
     if values is None or not np.isfinite(values).any():
         return None
     return float(np.nanmin(values)), float(np.nanmax(values))
+
+
+_POINTS = np.linspace(0.0, 1.0, 5)
+"""Relative positions in a range where effects are evaluated: effects are monotonic or slow in their conditions."""
+_MATTERS_M = 1e-6
+"""Smallest displacement [m] that matters: a command may miss its target by a micrometre anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneUnknown:
+    """Effect of one unknown condition at n commands.
+
+    Attributes
+    ----------
+    condition : str
+    effects : tuple of str
+        Slugs of the effects that depend on it.
+    largest_m : array, shape (n,)
+        Largest distance of the SMR from its position at the default [m]; zero if the condition is stated.
+    covariance : array, shape (n, 3, 3)
+        Second moment of that displacement [m^2].
+    """
+
+    condition: str
+    effects: tuple[str, ...]
+    largest_m: Array
+    covariance: Array
+
+    def take(self, rows: NDArray[np.intp]) -> OneUnknown:
+        """Return the same for some of the commands."""
+        return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Effect of the joints' sides of approach at n commands that do not state them.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Slugs of the effects that depend on the sides.
+    vectors : array, shape (n, N, 3)
+        Displacement of the SMR by each joint's positive side from the middle of both sides [m].
+    """
+
+    effects: tuple[str, ...]
+    vectors: Array
+
+    @property
+    def matter(self) -> NDArray[np.bool_]:
+        """Mask (n, N) of joints whose side matters."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
+
+    def other_sides(self, signs: Array) -> OneUnknown:
+        """Return the effect of other sides than ``signs`` (n, N), for which the commands were computed.
+
+        This is no uncertainty, because a command states its sides. A command without sides is computed for the middle;
+        then either side is equally likely.
+        """
+        sided = np.any(signs != 0.0, axis=1)
+        taken = 2.0 * signs[:, :, None] * self.vectors  # from the chosen side of a joint to the other one
+        away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
+        largest = np.linalg.norm(away, axis=2).max(axis=1)
+        covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
+        return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
+
+
+def unknown_conditions(
+    arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
+) -> list[OneUnknown]:
+    """Return the conditions, except the approach, that are not stated for some of n commands ``q`` (n, N) [rad] and
+    that matter there."""
+    found = [
+        _over_range("payload", arm, q, conditions, _payloads(arm, ranges)),
+        _over_range("temperature", arm, q, conditions, _temperatures(ranges)),
+        _over_range("time", arm, q, conditions, _times(ranges)),
+        _dwell(arm, q, conditions, ranges),
+    ]
+    return [one for one in found if one is not None and one.largest_m.max(initial=0.0) >= _MATTERS_M]
+
+
+def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
+    """Return the effect of sides not stated by n commands ``q`` (n, N) [rad]; None if no effect depends on sides."""
+    terms = _dependent(arm, "approach")
+    if not terms:
+        return None
+    mover = _Mover.of(arm, terms, q, conditions.R_M_S)
+    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
+    vectors = []
+    for joint in range(q.shape[1]):
+        plus, minus = (mover.shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
+        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
+    return Sides(_slugs(terms), np.stack(vectors, axis=1))
+
+
+def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
+    """Return the conditions that matter to one command, for its result."""
+    return tuple(
+        UnknownCondition(condition=one.condition, effects=one.effects, mm=float(one.largest_m[row]) * 1e3)
+        for one in found
+        if one.largest_m[row] >= _MATTERS_M
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_Change = Callable[[MeasurementConditions, float, int], MeasurementConditions]
+"""Function that returns the conditions of n commands with one of them at a relative position (0 to 1) in its range."""
+
+_DEPENDENT_ON_CONDITIONS = {
+    "approach": frozenset({DriverVariable.APPROACH, DriverVariable.STEP}),
+    "payload": frozenset({DriverVariable.PAYLOAD, DriverVariable.TORQUE}),
+    "temperature": frozenset({DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}),
+    "time": frozenset({DriverVariable.TIME}),
+    "dwell": frozenset({DriverVariable.DWELL}),
+}
+_STATED = {"payload": "payload_kg", "temperature": "air_c", "time": "time_s", "dwell": "dwell_s"}
+
+
+def _dependent(arm: ArmModel, condition: str) -> tuple[EffectTerm, ...]:
+    """Return the model's effects that depend on a condition."""
+    return tuple(term for term in arm.effects if _variables(term) & _DEPENDENT_ON_CONDITIONS[condition])
+
+
+def _variables(term: EffectTerm) -> frozenset[DriverVariable]:
+    own = term.law.form.variables or EFFECTS[term.slug].variables
+    return own | {one.driver.driver for one in term.modulations if one.driver is not None}
+
+
+def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDArray[np.bool_]:
+    values = getattr(conditions, _STATED[condition])
+    return np.ones(n, dtype=bool) if values is None else np.isnan(values)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mover:
+    """Displacements of the SMR by some effects at configurations ``q`` (n, N) [rad]."""
+
+    arm: ArmModel
+    q: Array
+    by_joint: Array
+
+    @classmethod
+    def of(cls, arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array, R_M_S: Array | None) -> _Mover:
+        _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q, R_M_S))
+        return cls(replace(arm, effects=terms, network=None, posterior=None), q, by_joint)
+
+    def shift(self, conditions: MeasurementConditions) -> Array:
+        """Return the displacement (n, 3) [m] to first order in the joint offsets."""
+        moved = self.arm.effect_displacement(self.q, conditions=conditions)
+        return np.asarray(moved.shift_M + np.einsum("cjn,nj->nc", self.by_joint, moved.joints))
+
+
+def _slugs(terms: Sequence[EffectTerm]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(term.slug for term in terms))
+
+
+def _driven(
+    conditions: MeasurementConditions, stated: Array, joint: int, side: float, ranges: ConditionRanges
+) -> MeasurementConditions:
+    """Return the conditions with one joint arriving from one side, with the run's usual step size if known."""
+    approach = stated.copy()
+    approach[:, joint] = side
+    return replace(conditions, approach=approach, step=None if ranges.step is None else approach * ranges.step)
+
+
+def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> OneUnknown | None:
+    """Return the effect of a shorter rest: more of each joint's last motion remains, for either side."""
+    terms = _dependent(arm, "dwell")
+    if not terms or ranges.dwell_s is None or ranges.step is None:
+        return None
+    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
+    rows = _unstated(conditions, "dwell", n)
+    each = []
+    for joint in range(q.shape[1]):
+        driven = _driven(conditions, np.zeros(q.shape), joint, 1.0, ranges)
+        default = mover.shift(driven)
+        each.append(
+            [mover.shift(replace(driven, dwell_s=np.full(n, place * ranges.dwell_s[1]))) - default for place in _POINTS]
+        )
+    moved = np.where(rows[:, None, None], np.array(each).transpose(1, 2, 0, 3), 0.0)
+    largest = np.max([_largest_sum(one) for one in moved], axis=0)
+    covariance = np.mean([_second_moment(one) for one in moved], axis=0)
+    return OneUnknown("dwell", _slugs(terms), largest, covariance)
+
+
+def _over_range(
+    condition: str, arm: ArmModel, q: Array, conditions: MeasurementConditions, change: _Change | None
+) -> OneUnknown | None:
+    """Return the effect of a condition that moves the SMR along one curve over its range."""
+    terms = _dependent(arm, condition)
+    if not terms or change is None:
+        return None
+    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
+    default = mover.shift(conditions)
+    moved = np.array([mover.shift(change(conditions, place, n)) - default for place in _POINTS.tolist()])
+    moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)
+    largest = np.linalg.norm(moved, axis=2).max(axis=0)
+    covariance = np.einsum("pna,pnb->nab", moved, moved) / len(moved)
+    return OneUnknown(condition, _slugs(terms), largest, covariance)
+
+
+def _payloads(arm: ArmModel, ranges: ConditionRanges) -> _Change | None:
+    nominal = arm.bodies.payload_mass
+    low, high = ranges.payload_kg or (nominal, nominal)
+    low, high = min(low, nominal), max(high, nominal)
+    if low == high:
+        return None
+    return lambda conditions, place, n: replace(conditions, payload_kg=np.full(n, low + place * (high - low)))
+
+
+def _temperatures(ranges: ConditionRanges) -> _Change | None:
+    if ranges.air_c is None and ranges.joints_c is None:
+        return None
+
+    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
+        joints_c = ranges.joints_c
+        low, high = ranges.air_c or (0.0, 0.0)
+        return replace(
+            conditions,
+            air_c=None if ranges.air_c is None else np.full(n, low + place * (high - low)),
+            joints_c=None if joints_c is None else np.tile(joints_c[0] + place * (joints_c[1] - joints_c[0]), (n, 1)),
+        )
+
+    return change
+
+
+def _times(ranges: ConditionRanges) -> _Change | None:
+    if ranges.time_s is None and ranges.stops < 2:
+        return None
+
+    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
+        low, high = ranges.time_s or (np.nan, np.nan)
+        return replace(
+            conditions,
+            time_s=np.full(n, low + place * (high - low)),
+            order=np.full(n, place * (ranges.stops - 1)),
+        )
+
+    return change
+
+
+def _largest_sum(vectors: Array) -> Array:
+    """Return the largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
+    signs = np.array([(1.0, *rest) for rest in product((1.0, -1.0), repeat=vectors.shape[1] - 1)])
+    return np.asarray(np.linalg.norm(np.einsum("sj,njc->nsc", signs, vectors), axis=2).max(axis=1))
+
+
+def _second_moment(vectors: Array) -> Array:
+    """Return the covariance (n, 3, 3) of the sum of vectors (n, N, 3), each with a random sign."""
+    return np.asarray(np.einsum("nja,njb->nab", vectors, vectors))
+
+
+# -- Sides of approach: the side from which each joint arrives at a command, which is valid for it and states it ------
+#
+# Backlash, hysteresis and friction make the SMR depend on where a joint came from. A target may state the side. If it
+# does not, and the side matters to the model, the command is for the way from home; its signs are stated wherever the
+# command is written, so that an operator can drive accordingly.
+
+
+@dataclass(frozen=True, eq=False)
+class SidedCommands:
+    """Commands of n targets, each for a side of approach.
+
+    Attributes
+    ----------
+    found : Inverted
+    conditions : MeasurementConditions
+        Conditions that the commands are for: as stated by the targets, and the sides.
+    signs : array, shape (n, N), int
+        Sign of each joint's last motion, as stated or as on the way from home; 0 if it does not matter.
+    others : OneUnknown or None
+        Effect of other sides; None if no effect depends on them.
+    """
+
+    found: Inverted
+    conditions: MeasurementConditions
+    signs: Array
+    others: OneUnknown | None
+
+    def approach(self, row: int) -> tuple[int, ...] | None:
+        """Return the signs of one command; None if any side will do."""
+        signs = tuple(int(sign) for sign in self.signs[row])
+        return signs if any(signs) else None
+
+
+def sided_commands(
+    arm: ArmModel,
+    position_M: Array,
+    rotation_M: Array,
+    found: Inverted,
+    conditions: MeasurementConditions,
+    home: Array,
+    ranges: ConditionRanges,
+) -> SidedCommands:
+    """Invert the model again for the sides of arrival, starting from n commands ``found`` for the middle of both sides.
+
+    ``position_M`` (n, 3) and ``rotation_M`` (n, 3, 3) are as in ``invert``; the way begins at ``home`` (N,) [rad].
+    """
+    q = found.q
+    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
+    sides = approach_sides(arm, q, conditions, ranges) if len(q) else None
+    if sides is None:
+        return SidedCommands(found, conditions, stated, None)
+    step = q - home
+    offered = np.where(step < 0.0, -1.0, 1.0) * sides.matter
+    signs = np.where(stated != 0.0, stated, offered)
+    rows = np.flatnonzero(offered.any(axis=1))
+    if not len(rows):
+        return SidedCommands(found, conditions, signs, sides.other_sides(signs))
+    usual = np.full(q.shape[1], np.nan) if ranges.step is None else ranges.step
+    sizes = np.where(stated != 0.0, usual, np.abs(step))
+    made = replace(conditions, approach=signs, step=sizes * signs)
+    again = invert(arm, position_M[rows], rotation_M[rows], q[rows], made.take(rows))
+    kept = Inverted(q.copy(), found.residual_m.copy(), found.residual_rad.copy())
+    kept.put(rows[again.reached], again, again.reached)
+    lost = np.setdiff1d(rows, rows[again.reached])  # such a command stays at the middle, without a side
+    signs[lost] = stated[lost]
+    if len(lost):
+        made = replace(made, approach=signs, step=np.where(signs == 0.0, np.nan, sizes * signs))
+    return SidedCommands(kept, made, signs, sides.other_sides(signs))
+
+
+def holds_for(command_signs: Sequence[int] | None, *, payload_kg: float | None, stated: Sequence[str]) -> str:
+    """Describe what a row of a command is valid for: sides of the last motions, payload, what the target states."""
+    parts = ["any side of approach"]
+    if command_signs is not None and any(command_signs):
+        parts = [f"joints that arrive with the signs {signs_words(command_signs)}"]
+    if payload_kg is not None:
+        parts.append(f"payload {payload_kg:g} kg")
+    return "; ".join([*parts, *stated])
+
+
+def signs_words(signs: Sequence[int]) -> str:
+    """Format signs of last motions as in columns: ``-1 +1 0``."""
+    return " ".join(f"{sign:+d}" if sign else "0" for sign in signs)
+
+
+def from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
+    """Return the conditions with joints of unknown approach arriving straight from home."""
+    step = q - home
+    approach = np.sign(step)
+    if conditions.approach is not None:
+        stated = np.asarray(conditions.approach, dtype=np.float64)
+        approach = np.where(stated == 0.0, approach, stated)
+    return replace(conditions, approach=approach, step=np.abs(step) * approach)

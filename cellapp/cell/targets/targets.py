@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from cellapp.cell.profile.messages import KeyPath, dotted, short
-from cellapp.cell.run.table_in_memory import is_frame, table_of_frame
+from cellapp.cell.run.csv_text import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
 from cellapp.cell.targets.target_csv import read_csv, source_of_table
 from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences

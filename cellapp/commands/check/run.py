@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, check_candidates, drive_check
-from cellapp.cell.driving.controllers import noting_controllers
-from cellapp.cell.driving.requests.running import running_job
-from cellapp.cell.driving.smr_search import FoundPoint, points_of
+from cellapp.cell.driving.measuring import FoundPoint, points_of
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile

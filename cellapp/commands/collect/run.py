@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
+from cellapp.cell.driving.cell_checks import Hung
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.loads import Hung
 from cellapp.cell.driving.records import CollectResult
-from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation

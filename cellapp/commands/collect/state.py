@@ -19,11 +19,16 @@ from cellapp.cell.driving.records import (
 )
 from cellapp.cell.planning.sweeps import read_sweeps
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.collected import late_readings, missing_readings, missing_share, reference_drifts
-from cellapp.cell.run.measured_again import earlier_readings
+from cellapp.cell.run.columns import POINT
+from cellapp.cell.run.measured_again import (
+    earlier_readings,
+    late_readings,
+    missing_readings,
+    missing_share,
+    reference_drifts,
+)
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import MissingReading
-from cellapp.cell.run.stream_columns import POINT
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.online_model import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cellapp.cell.exports.joint_paths import path_csv, path_script
+from cellapp.cell.exports.command_table import path_csv, path_script
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
-from cellapp.cell.targets.path_file import PathSpec, holds_paths, load_paths
-from cellapp.cell.targets.path_records import PathResult
-from cellapp.cell.targets.plan_path import PathPlan, path_record, plan_path
+from cellapp.cell.targets.goals import UNPLACED, commanded_profile, is_unplaced
+from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_paths, load_paths, path_record, plan_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.cell.targets.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.cell.targets.path_records import PathRecord, PathResult
+from cellapp.cell.targets.path import PathRecord, PathResult
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.commands.compensate.charts import parts_charts
 from cellapp.commands.compensate.tables import predicted_tables, stored_tables

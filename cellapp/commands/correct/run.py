@@ -7,14 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import same_calibration
+from cellapp.cell.driving.cell_checks import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.records import CorrectResult, LeftLine
-from cellapp.cell.programs.script_targets import read_script, six
-from cellapp.cell.programs.solving import Workplace, gate_findings, rewritten, solve_targets
-from cellapp.cell.programs.targets import ReadProgram, Six
-from cellapp.cell.programs.urp_targets import read_urp
-from cellapp.cell.programs.words import assumptions, model_notes
+from cellapp.cell.programs.records import CorrectResult, LeftLine, ReadProgram, Six
+from cellapp.cell.programs.script_targets import read_script, read_urp, six
+from cellapp.cell.programs.solving import Workplace, assumptions, gate_findings, model_notes, rewritten, solve_targets
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
-from cellapp.cell.programs.words import correct_lines, refusal
+from cellapp.cell.programs.solving import correct_lines, refusal
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from cellapp.cell.driving.examination import LONGEST_PROBE_S
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import rehearsals_path
+from cellapp.cell.run.file import rehearsals_path
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile

@@ -8,14 +8,13 @@ from types import MappingProxyType
 
 from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.formats import format_named
-from cellapp.cell.exports.geometry import geometry_export
+from cellapp.cell.exports.formats import form_line, format_named, lost_sentences
 from cellapp.cell.exports.out_files import check_out, files_of_arms
 from cellapp.cell.exports.records import ArmFile, ExportResult
-from cellapp.cell.exports.words import form_line, lost_sentences
+from cellapp.cell.exports.urdf import geometry_export
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
-from cellapp.cell.run.column_names import Kind
+from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.export.request import ExportRequest

@@ -6,15 +6,15 @@ from pathlib import Path
 
 from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands, first_rates
 from cellapp.cell.exports.export_format import CommandFormat
+from cellapp.cell.exports.formats import form_line
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.exports.records import CommandFile, ExportResult
-from cellapp.cell.exports.words import form_line
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.targets.goals import commanded_profile, is_unplaced
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
-from cellapp.cell.targets.unplaced_cell import commanded_profile, is_unplaced
 from cellapp.commands.stages import RunStages, StoredStage
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.errors import InputError

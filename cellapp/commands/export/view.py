@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from cellapp.cell.exports.formats import export_lines
 from cellapp.cell.exports.records import ExportResult
-from cellapp.cell.exports.words import export_lines
 from cellapp.commands.record import Request, View
 
 

@@ -16,8 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import checked_profile, load_text
 from cellapp.cell.profile.messages import Document, KeyPath, dotted, value_message
-from cellapp.cell.profile.starters import FOLDER, arm_type_files, copies
-from cellapp.cell.profile.survey_points import SurveyPoint
+from cellapp.cell.profile.starters import FOLDER, SurveyPoint, arm_type_files, copies
 from cellapp.estimation.calibration.registration import BaseFit, base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Pose, Profile

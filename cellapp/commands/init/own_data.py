@@ -15,13 +15,18 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
-from cellapp.cell.run.column_names import EXAMPLES, understood
-from cellapp.cell.run.column_units import AngleUnit, LengthUnit
-from cellapp.cell.run.csv_header import CsvFile, is_number, read_header, stamp_seconds
-from cellapp.cell.run.csv_text import table_text
+from cellapp.cell.run.columns import (
+    EXAMPLES,
+    POINT,
+    UNITS_OF_TIME,
+    AngleUnit,
+    LengthUnit,
+    time_unit,
+    understood,
+    written_orientation,
+)
+from cellapp.cell.run.csv_text import CsvFile, is_number, read_header, stamp_seconds, table_text
 from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
-from cellapp.cell.run.stream_columns import POINT, UNITS_OF_TIME, time_unit
-from cellapp.cell.run.written_orientation import written_orientation
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.registration import Explained, better_reading, explained
 from cellapp.ground.counting import counted

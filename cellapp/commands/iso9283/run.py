@@ -10,11 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import noting_controllers
-from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, lost_beam_words, missing_words, pair_results
-from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
+from cellapp.cell.driving.cell_checks import noting_controllers
+from cellapp.cell.driving.iso9283.tests import (
+    DWELL_S,
+    IsoFindings,
+    IsoTask,
+    arm_results,
+    drive_tests,
+    lost_beam_words,
+    missing_words,
+    pair_results,
+)
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.driving.controllers import noting_controllers
+from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_station
-from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings

@@ -7,8 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, PlanDesignResult, PlanQuality, TravelTime
-from cellapp.cell.planning.records import PlannedTime
+from cellapp.cell.planning.records import (
+    ArmDesign,
+    FactorCorrelation,
+    PlanDesignResult,
+    PlannedTime,
+    PlanQuality,
+    TravelTime,
+)
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import duration_words
 from cellapp.commands.plan.result import PlannedStop

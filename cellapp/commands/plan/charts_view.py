@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.cell.planning.design_records import FEW_CONFIGURATIONS, ArmView, ViewResult
+from cellapp.cell.planning.records import FEW_CONFIGURATIONS, ArmView, ViewResult
 from cellapp.commands.view.charts import Array, Axis, Chart, Series, series
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import apply, invert

@@ -8,25 +8,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
-from cellapp.cell.planning.design_records import (
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.records import (
     ArmDesign,
+    ArmForecast,
     ArmView,
     ConstraintShare,
     FactorCorrelation,
-    ObservabilityIndices,
-    PlanDesignResult,
-    ViewResult,
-)
-from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.records import (
-    ArmForecast,
     JointCoverage,
     LawInMotion,
+    ObservabilityIndices,
     PlanCheckResult,
+    PlanDesignResult,
     PlanForecastResult,
     PlannedTime,
     PlanRefusal,
     SweepForecast,
+    ViewResult,
 )
 from cellapp.cell.safety.visibility import FACING
 from cellapp.commands.view.charts import enumerated

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cellapp.cell.driving.records import PlannedLoad, SweepCount
-from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult
 from cellapp.ground.results import Record, Result
 
 

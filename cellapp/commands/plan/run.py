@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
-from cellapp.cell.driving.requests.running import running_job
-from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
-from cellapp.cell.planning.design_records import ViewResult
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.method import make_stops, plan_run
+from cellapp.cell.planning.plan import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
@@ -28,12 +26,12 @@ from cellapp.cell.planning.planned_stops import (
     read_stop_conditions,
     write_planned_stops,
 )
-from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
+from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal, ViewResult
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
-from cellapp.cell.planning.view import view_workspace
+from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan, view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import note_profile
+from cellapp.cell.run.file import note_profile
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
-from cellapp.cell.planning.records import PlannedTime
+from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts
 from cellapp.commands.plan.charts_obstacles import cell_map_chart

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from cellapp.cell.driving.records import PlanResult
-from cellapp.cell.planning.design_records import ViewResult
-from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult, ViewResult
 from cellapp.commands.plan.check_view import (
     check_sentences,
     design_sentences,

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.cell_checks import check_cell
-from cellapp.cell.driving.loads import carrying
+from cellapp.cell.driving.cell_checks import carrying, check_cell
 from cellapp.cell.driving.push import Visited, push
-from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.records import VerifyResult

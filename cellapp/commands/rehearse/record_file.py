@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import noted_profile, rehearsals_path
+from cellapp.cell.run.file import noted_profile, rehearsals_path
 from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED

@@ -9,8 +9,8 @@ from functools import cached_property
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.cell.run.rows import Event
 from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.sqlite_file import Event
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cellapp.cell.driving.loads import Hung
-from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.cell_checks import Hung
+from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run.profile_file import note_profile
+from cellapp.cell.run.file import note_profile
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.collect.run import collect_planned, hanging

@@ -11,9 +11,8 @@ from typing import get_args
 from pydantic import ValidationError
 
 from cellapp.cell.driving.records import End
-from cellapp.cell.run.collection_rows import Session
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.cell.run.sqlite_file import FILE_NAME, Session
 from cellapp.commands.basis import counted_basis
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.runs.history_figures import run_figures

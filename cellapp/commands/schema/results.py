@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from cellapp.cell.driving.records import CollectionResult, RequestResult
-from cellapp.cell.planning.design_records import PlanDesignResult
-from cellapp.cell.planning.records import PlanForecastResult
+from cellapp.cell.planning.records import PlanDesignResult, PlanForecastResult
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.record import Verb
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.cell.planning.check import check_plan_run, forecast_run
+from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state

@@ -24,7 +24,7 @@ from pydantic import JsonValue
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.column_names import KINDS
+from cellapp.cell.run.columns import KINDS
 from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
 from cellapp.commands.trials.blind import Noise, Session, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_cases import EXPECTED, HARD, OUT, Case, cases, library_name

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.planning.method import make_stops
-from cellapp.cell.planning.plan import draw_stops, plan_stops
+from cellapp.cell.planning.plan import draw_stops, make_stops, plan_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.blind import SHORT_SESSION, USUAL_SESSION, Noise, Session

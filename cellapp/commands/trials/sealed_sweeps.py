@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.sweeping import CYCLE_S, calculated_streams
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
 from cellapp.cell.planning.sweeps import PlannedSweep, plan_sweeps
 from cellapp.cell.run.recordings_csv import RecordedStreams

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from cellapp.cell.run.columns import TRIGGER
 from cellapp.cell.run.records import RecordingState
-from cellapp.cell.run.stream_columns import TRIGGER
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 _COLUMNS = (

@@ -7,8 +7,7 @@ from functools import partial
 from cellapp.commands.registry import VERBS
 from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.cli.program import run_program
-from cellapp.interfaces.cli.request_commands import REQUESTS
-from cellapp.interfaces.cli.top import top
+from cellapp.interfaces.cli.top import REQUESTS, top
 from cellapp.interfaces.cli.trials import trials_app
 
 app = top()

@@ -1,4 +1,7 @@
-"""Files that a command may write, derived from the declarations of its options; ``--force`` for each that writes."""
+"""Files that a command may write, derived from the declarations of its options; ``--force`` for each that writes.
+
+Arguments and options that several commands share.
+"""
 
 from __future__ import annotations
 
@@ -155,3 +158,32 @@ def _option(parameter: inspect.Parameter) -> str:
     """Return the name of an option as it is typed; typer stores it as the default of the declaration."""
     found = next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
     return str(found.default)
+
+
+ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),
+    Writes.FILE,
+]
+AllowMotion = Annotated[
+    bool,
+    typer.Option("--allow-motion", help="Let real arms move without asking: the cell is clear, a person watches it."),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        max=1024,
+        help="Processes, each of one thread; all cores if left out; 1: no other.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Compute on the workers of a Dask scheduler, as tcp://HOST:8786."
+    ),
+]

@@ -12,9 +12,8 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.executors import TimeLimit
 from cellapp.ground.outputs import Writes
-from cellapp.interfaces.cli.command_outputs import Commands
+from cellapp.interfaces.cli.command_outputs import Commands, Jobs, JsonOption, ProfilePath, Scheduler
 from cellapp.interfaces.cli.job import Job
-from cellapp.interfaces.cli.options import Jobs, JsonOption, ProfilePath, Scheduler
 from cellapp.interfaces.cli.top import TRIALS, InOrder
 
 if TYPE_CHECKING:

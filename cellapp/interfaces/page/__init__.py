@@ -19,6 +19,6 @@ def write_page(run: RunFile) -> Path:
 
 def draw_certificate(result: CertificateResult) -> str:
     """Return the page of a certificate as HTML."""
-    from cellapp.interfaces.page.certificate_page import certificate_page as drawn
+    from cellapp.interfaces.page.page import certificate_page as drawn
 
     return drawn(result)

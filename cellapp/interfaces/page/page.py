@@ -1,21 +1,137 @@
-"""One self-contained HTML page of a run."""
+"""One self-contained HTML page of a run.
+
+The certificate as HTML: as a part of the page, and as a separate file that prints on A4.
+
+Templates of the HTML pages.
+"""
 
 from __future__ import annotations
 
+import base64
+import gzip
+import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
+from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.certificate.view import certificate_marks, certificate_sections, certificate_verdict
 from cellapp.commands.out_of_date import data_mark
-from cellapp.commands.report.data import read_report_data
+from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines, unusable_arms
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
+from cellapp.commands.view.words import VERDICT_TITLES, Verdict
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.page.certificate_page import certificate_of_run
-from cellapp.interfaces.page.drawn import drawn_sections
-from cellapp.interfaces.page.templates import plotly_base64, plotly_notice, template
+from cellapp.ground.results import CERTIFICATE
+from cellapp.interfaces.page.drawn import DrawnSection, drawn_sections
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+
+_COMMAND = re.compile(r"&#39;(cellapp [^&]+)&#39;")
+"""A command in an escaped sentence."""
+_SHA_256 = re.compile(r"[0-9a-f]{64}")
+
+
+def template(name: str) -> Template:
+    """Return a template of this package; texts are escaped, and a name without a value is an error."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup, escape
+
+    environment = Environment(
+        loader=PackageLoader("cellapp.interfaces", "page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
+    environment.filters["prose"] = lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text))))
+    environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
+    environment.tests["verdict"] = VERDICT_TITLES.__contains__
+    return environment.get_template(name)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Plotly's script for the page: found in the installed package, compressed, as text. Plotly itself is not imported.
+
+
+_FILE = Path("package_data", "plotly.min.js")
+_NOTICE = re.compile(r"/\*\*?(.*?)\*/", re.DOTALL)
+"""The first comment of the script: its copyright and licence."""
+_NOTICE_BYTES = 1000
+"""Bytes that contain the whole first comment."""
+_LEVEL = 6
+"""Compression level: higher ones take longer and save less than one per cent."""
+
+
+@cache
+def plotly_base64() -> str:
+    """Return ``plotly.min.js``, compressed by gzip and encoded in base64; empty if the package or the file is missing.
+
+    The page is complete without it, but its drawings are then static.
+    """
+    path = _script_file()
+    if path is None:
+        return ""
+    # without a timestamp: the same run gives the same page
+    return base64.b64encode(gzip.compress(path.read_bytes(), _LEVEL, mtime=0)).decode("ascii")
+
+
+def plotly_notice() -> str:
+    """Return version, copyright and licence of ``plotly.min.js`` in its own words, for the page; empty without it."""
+    path = _script_file()
+    if path is None:
+        return ""
+    with path.open("rb") as script:
+        comment = _NOTICE.search(script.read(_NOTICE_BYTES).decode("utf-8", errors="replace"))
+    lines = comment.group(1).split("\n") if comment is not None else []
+    return "\n".join(line.strip(" *\r") for line in lines).strip()
+
+
+def _script_file() -> Path | None:
+    found = find_spec("plotly")
+    for folder in (found.submodule_search_locations or ()) if found is not None else ():
+        if (path := Path(folder) / _FILE).is_file():
+            return path
+    return None
+
+
+@dataclass(frozen=True)
+class DrawnCertificate:
+    """A certificate: its head, what a reader must see first, its verdict, and its sections."""
+
+    result: CertificateResult
+    marks: tuple[str, ...]
+    verdict: Verdict
+    sections: tuple[DrawnSection, ...]
+
+
+def certificate_of_run(data: ReportData) -> DrawnCertificate | None:
+    """Return the stored certificate of a run for its page, marked if out of date; None if there is none."""
+    result = data.results.certificate
+    return None if result is None else _drawn(result, data.out_of_date.get(CERTIFICATE, ""))
+
+
+def certificate_page(result: CertificateResult) -> str:
+    """Return the certificate as a self-contained HTML page."""
+    return template("certificate.html").render(certificate=_drawn(result))
+
+
+def _drawn(result: CertificateResult, outdated: str = "") -> DrawnCertificate:
+    return DrawnCertificate(
+        result,
+        tuple(certificate_marks(result, outdated)),
+        certificate_verdict(result),
+        drawn_sections(certificate_sections(result), "certificate"),
+    )
 
 
 def write_page(run: RunFile) -> Path:

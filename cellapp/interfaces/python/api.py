@@ -27,7 +27,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, StageName
-from cellapp.interfaces.python.fitted import Calibration, Discovery, measured_minus_computed
+from cellapp.interfaces.python.cell import Calibration, Discovery, measured_minus_computed
 from cellapp.interfaces.python.printed import Printed
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel

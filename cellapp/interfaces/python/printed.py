@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.render.html_view import html_view
-from cellapp.interfaces.render.plain import plain_text
+from cellapp.interfaces.render.notebook import html_view
+from cellapp.interfaces.render.terminal import plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ class Charted(Printed):
         ImportError
             If matplotlib is not installed; the message says how to install it.
         """
-        from cellapp.interfaces.render.matplotlib_chart import draw_charts
+        from cellapp.interfaces.render.notebook import draw_charts
 
         known = self.charts()
         if what and what not in known:

@@ -3,10 +3,13 @@
 A table is drawn unchanged if it fits. Otherwise its text columns are wrapped between words. If that is not enough, it
 is printed in parts, each with the columns that name the rows. If not even one column fits beside those, each row
 becomes a group of lines.
+
+A view as plain text, formatted as in a terminal of a given width without colours.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -22,6 +25,7 @@ from rich.style import Style
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from cellapp.commands.view.parts import Parts, printed
 from cellapp.commands.view.table import Cell, Column, Table
 
 _NARROWEST = 16
@@ -210,3 +214,15 @@ def _wrapped(text: str, width: int, overflow: OverflowMethod, style: Style | str
         break_on_hyphens=False,
     ):
         yield Text(line, style, overflow=overflow, no_wrap=overflow == "ignore")
+
+
+def plain_text(view: Parts, width: int = 100) -> str:
+    """Return tables and lines in their order as text; tables are at most ``width`` characters wide."""
+    text = io.StringIO()
+    console = Console(file=text, width=width, color_system=None, force_terminal=False, legacy_windows=False)
+    for part in printed(view):
+        if isinstance(part, str):
+            text.write(f"{part}\n")
+        else:
+            console.print(rich_table(part, cut=False), crop=False)
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()).strip("\n")

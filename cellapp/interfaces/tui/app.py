@@ -1,8 +1,18 @@
 """The application: the open profile and run, one job at a time, STOP on every screen, the screens of the day.
 
-Stop keys call the brakes in the thread that reads the terminal (``urgent_keys``), or without that thread in the event
+Stop keys call the brakes in the thread that reads the terminal (``terminal``), or without that thread in the event
 loop. Events of the job wait in a queue and are drawn a few at a time, so that a key is handled at once, however many
 events there are.
+
+Keys for requests to the job: stop, pause, resume, abort; and the question before the first motion.
+
+Mitigation of slow garbage collections, which would delay a stop.
+
+Once a run is loaded, a full collection holds the interpreter for 0.1 to 0.4 s, in which no thread can read a key or
+stop arms. Objects that survived a slow collection are frozen, so that later ones skip them; after the end of a job they
+are collected once more.
+
+Colours for people who need strong contrast; Textual itself has light and dark themes.
 """
 
 from __future__ import annotations
@@ -10,33 +20,33 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from rich.text import Text
 from textual import on, work
-from textual.app import SystemCommand
+from textual.app import ScreenStackError, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
 from textual.driver import Driver
-from textual.screen import Screen
-from textual.widgets import Static
+from textual.screen import ModalScreen, Screen
+from textual.theme import Theme
+from textual.widgets import Input, Static
 
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui import terminal_signals
+from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.dialogs.jump import Jump
-from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
+from cellapp.interfaces.tui.dialogs.program import Jump, MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
-from cellapp.interfaces.tui.job_keys import JobKeys
-from cellapp.interfaces.tui.jobs import JobEnded
+from cellapp.interfaces.tui.endings import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
+from cellapp.interfaces.tui.host import Host, LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
-from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
-from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
     offer_to_quit,
@@ -45,12 +55,158 @@ from cellapp.interfaces.tui.offers import (
 )
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.slow_collections import SlowCollections
-from cellapp.interfaces.tui.terminal_driver import driver_that_stops
-from cellapp.interfaces.tui.themes import HIGH_CONTRAST
+from cellapp.interfaces.tui.terminal import driver_that_stops
+from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
+
+_RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
+_RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
+_AFTER_A_STOP = f"{_RESUME_WHEN_CLEAR}; {SHOWN['abort']}: abort."
+
+
+class JobKeys(Host):
+    """An application whose keys reach the brakes before anything is drawn."""
+
+    @property
+    def escape_closes(self) -> bool:
+        """Whether Escape closes a dialog or leaves a field: there is one, and nothing can move."""
+        if self.jobs.moves or not self.jobs.running:
+            return False  # stop first, or nothing to stop: Escape closes by itself
+        with suppress(ScreenStackError):  # called by the thread that reads keys, also while screens are removed
+            return isinstance(self.screen, ModalScreen) or isinstance(self.screen.focused, Input)
+        return False
+
+    def action_stop_job(self) -> None:
+        """Brake all arms now (Ctrl-C), whatever is open."""
+        self.action_stop()
+
+    def action_stop(self) -> None:
+        """Brake all arms now."""
+        if not self.jobs.possible("stop"):
+            return
+        control = self.jobs.control
+        arms = control.has_brakes
+        control.stop()  # before anything is drawn
+        self._say_stop(arms)
+
+    @on(StopGiven)
+    def show_stop(self, event: StopGiven) -> None:
+        """Say that a press of STOP has taken effect."""
+        self.presses.said()
+        if self.jobs.running:
+            self._say_stop(event.arms)
+
+    def _say_stop(self, arms: bool) -> None:
+        self._refuse_motion()
+        if isinstance(self.screen, DayScreen) and isinstance(self.screen.focused, Input):
+            self.screen.leave_field()  # the next key is a command, not a letter of a text
+        if self.jobs.control.cancelled:
+            self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
+        else:
+            self.say(f"STOP: all arms brake. {_AFTER_A_STOP}", "error")
+
+    def action_say_how_to_quit(self) -> None:
+        """Say how to quit: Ctrl-C does not, if no job runs and no text is selected."""
+        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
+
+    def action_pause(self) -> None:
+        """Pause the job after the current stop; the second time, resume. A stopped job is not resumed."""
+        control = self.jobs.control
+        if control.request == "pause":
+            self.action_resume()
+        elif control.request == "stop":
+            self.say(f"Stopped, not paused. {_AFTER_A_STOP}", "warning")
+        elif self.jobs.possible("pause"):
+            control.pause()
+            rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
+            self.say(f"Pausing: {rests}. {_RESUMES}: resume; {SHOWN['stop']}: stop.", "warning")
+
+    def action_resume(self) -> None:
+        """Let a paused or stopped job continue."""
+        if not self.jobs.possible("resume"):
+            return
+        if self.presses.just_given:
+            self.say(f"Stopped; resume was asked for in the same moment. {_RESUME_WHEN_CLEAR}.", "warning")
+            return
+        self.jobs.control.resume()
+        self.say("Resuming.")
+
+    def action_abort(self) -> None:
+        """Brake all arms now and end the job."""
+        if self.jobs.possible("abort"):
+            arms = self.jobs.control.has_brakes
+            self.jobs.control.abort()
+            self._refuse_motion()
+            self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
+
+    @on(MotionAsked)
+    def ask_before_motion(self, message: MotionAsked) -> None:
+        """Show the first motion and ask for the profile's name."""
+        if self.jobs.control.request not in ("none", "pause"):
+            return  # a person stopped the job before the question was shown: that is the answer
+        profile = self.workspace.profile
+        name = "move" if profile is None else profile.name
+        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
+
+    def _refuse_motion(self) -> None:
+        """Close the question before the first motion: a stop answers it."""
+        if isinstance(self.screen, MotionQuestion):
+            self.screen.dismiss(False)
+
+
+_SLOW_S = 0.02
+_MOST = 100
+"""Limit of freezes per job: frozen objects that become garbage, like a closed dialog, keep their memory."""
+_FULL = 2
+"""The oldest generation of the garbage collector."""
+
+
+class SlowCollections:
+    """Freezes objects (``gc.freeze``) after a slow full garbage collection; called in any thread."""
+
+    def __init__(self) -> None:
+        self._began_s = 0.0
+        self._set_aside = 0
+
+    def watch(self) -> None:
+        """Start watching, for the rest of the process."""
+        gc.callbacks.append(self._passed)
+
+    def _passed(self, phase: str, info: Mapping[str, int]) -> None:
+        if info["generation"] < _FULL:
+            return
+        if phase == "start":
+            self._began_s = time.monotonic()
+        elif self._set_aside < _MOST and time.monotonic() - self._began_s > _SLOW_S:
+            gc.freeze()
+            self._set_aside += 1
+
+    def look_again(self) -> None:
+        """Collect frozen objects that have become garbage. It holds the interpreter: call it while nothing moves."""
+        if self._set_aside:
+            self._set_aside = 0
+            gc.unfreeze()
+            gc.collect()
+            gc.freeze()
+
+
+HIGH_CONTRAST = Theme(
+    name="cellapp-contrast",
+    primary="#56B4E9",
+    secondary="#0072B2",
+    accent="#CC79A7",
+    warning="#E69F00",
+    error="#D55E00",
+    success="#009E73",
+    foreground="#FFFFFF",
+    background="#000000",
+    surface="#000000",
+    panel="#101010",
+    dark=True,
+)
+"""Colours of Okabe and Ito (2008) on black, distinguishable with any colour vision."""
+
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
@@ -457,28 +613,28 @@ class CellApp(JobKeys):
         with contextlib.suppress(NoMatches, StopIteration):
             if self.jobs.running and (screen := self._made_screen) is not None:
                 screen.draw_state()
-        title = terminal_signals.title_words(self.state, self.record)
+        title = terminal.title_words(self.state, self.record)
         if title != self._titled:
             self._titled = title
-            self.tell(terminal_signals.title_sequence(title))
+            self.tell(terminal.title_sequence(title))
 
     def tell(self, sequence: str) -> None:
         """Write a control sequence to the terminal, bypassing the screens."""
-        if self._driver is not None and not self.is_headless and terminal_signals.is_told():
+        if self._driver is not None and not self.is_headless and terminal.is_told():
             self._driver.write(sequence)
 
     def _tell_event(self, word: str, text: str) -> None:
         """Ring the bell and notify the desktop, for somebody who does not look."""
-        self.tell(terminal_signals.notice_sequence(f"cellapp {word}", text))
+        self.tell(terminal.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            since = "" if state == "running" else f" {terminal_signals.since_words(self.record)}"
+            since = "" if state == "running" else f" {terminal.since_words(self.record)}"
             self.message = f"{state.upper()}{since or f': {reason}'}"
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()
         if state in _WAITING:
-            self._tell_event(str(state), f"{self.record.name} {terminal_signals.since_words(self.record)}")
+            self._tell_event(str(state), f"{self.record.name} {terminal.since_words(self.record)}")

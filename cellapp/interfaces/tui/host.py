@@ -1,26 +1,60 @@
-"""Interface of the application for screens, dialogs and widgets; they know nothing else of it."""
+"""Interface of the application for screens, dialogs and widgets; they know nothing else of it.
+
+Messages that other threads send to the application.
+"""
 
 from __future__ import annotations
 
 import time
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from textual.app import App
 from textual.geometry import Region
+from textual.message import Message
 
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
-from cellapp.interfaces.tui.messages import StopGiven
 from cellapp.interfaces.tui.run_state import RunState, run_state
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.jobs import JobRunner
-    from cellapp.interfaces.tui.messages import Severity
+
+
+Severity = Literal["information", "warning", "error"]
+"""Severity of a sentence, with Textual's words."""
+
+
+class LeaveAsked(Message):
+    """The terminal was closed, or the system ends this program."""
+
+
+class StopGiven(Message):
+    """A person pressed STOP and the brakes were called; the screens must only say so. ``arms``: whether arms brake."""
+
+    def __init__(self, arms: bool) -> None:
+        super().__init__()
+        self.arms = arms
+
+
+class WorkspaceLoaded(Message):
+    """Profile and run were read."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        super().__init__()
+        self.workspace = workspace
+
+
+class ResumeOffered(Message):
+    """An interrupted run of collecting was found."""
+
+    def __init__(self, run: RunSummary) -> None:
+        super().__init__()
+        self.run = run
 
 
 class ShowsResults(Protocol):

@@ -11,7 +11,7 @@ from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
 from cellapp.ground.counting import counted
-from cellapp.interfaces.render.plain import plain_text
+from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion

@@ -89,7 +89,7 @@ def check_plan(folder: Path) -> Job:
     """Return the job that runs the safety gate over the plan of a run again; nothing moves."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.check import check_plan_run
+        from cellapp.cell.planning.view import check_plan_run
 
         return check_plan_run(run, listener, control)
 
@@ -100,7 +100,7 @@ def forecast_plan(folder: Path) -> Job:
     """Return the job that forecasts the results of a run's plan."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.check import forecast_run
+        from cellapp.cell.planning.view import forecast_run
 
         return forecast_run(run, listener, control)
 

@@ -13,8 +13,8 @@ from cellapp.ground.errors import CellappError, InputError
 
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import CollectionResult
-    from cellapp.cell.planning.design_records import PlanDesignResult
     from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.cell.planning.records import PlanDesignResult
     from cellapp.commands.conclusions import Conclusion
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.report.result import RunResults

@@ -11,8 +11,8 @@ import pytest
 
 from cellapp.cell.driving import motion
 from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.collect import CollectSession
 from cellapp.cell.driving.reaction import StopCause, StopReaction
-from cellapp.cell.driving.session import CollectSession
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

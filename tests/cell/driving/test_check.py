@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.locate import LocatingStops
-from cellapp.cell.driving.smr_search import APART_M, FoundPoint, covariances, lattice, share_of_chance
+from cellapp.cell.driving.measuring import APART_M, FoundPoint, covariances, lattice, share_of_chance
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion, refuse_stop

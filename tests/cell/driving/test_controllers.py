@@ -15,8 +15,8 @@ import pytest
 
 from cellapp import __version__
 from cellapp.cell.driving.cell import Cell, arm_context, open_cell
+from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile

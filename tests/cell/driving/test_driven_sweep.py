@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.driven_sweep import _rest_of
+from cellapp.cell.driving.sweeping import _rest_of
 from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.planning.sweeps import (
     SWEEPS_RESULT,

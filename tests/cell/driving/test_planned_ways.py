@@ -13,8 +13,8 @@ import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.check import check_plan_run
 from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
+from cellapp.cell.planning.view import check_plan_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion

@@ -15,9 +15,9 @@ from typing import cast
 import numpy as np
 import pytest
 
+from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
-from cellapp.cell.driving.requests.job_requests import taking_requests
-from cellapp.cell.driving.together import in_threads, one_by_one
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError

@@ -16,8 +16,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.collected import missing_share, reference_drifts
-from cellapp.cell.run.measured_again import earlier_readings
+from cellapp.cell.run.measured_again import earlier_readings, missing_share, reference_drifts
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError

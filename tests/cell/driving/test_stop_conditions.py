@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell, one_by_one, open_cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.reaction import StopReaction
-from cellapp.cell.driving.together import one_by_one
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, StopConditions, stop_conditions_json
 from cellapp.cell.run import RunFile

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.live_model import Suspicions
-from cellapp.cell.driving.references import ReferenceWatch
+from cellapp.cell.driving.measuring import ReferenceWatch
 from cellapp.cell.driving.tracker_watch import monitored, unwatched, watched
 from cellapp.estimation.calibration.online import online_fit
 from cellapp.ground.progress import Suspicion

@@ -17,9 +17,8 @@ from cellapp.cell.driving.push import push
 from cellapp.cell.exports.arm_commands import ArmCommands, ExportedCommand, exported_commands, final_commands
 from cellapp.cell.exports.command_table import urscript
 from cellapp.cell.exports.export_format import CommandFormat
-from cellapp.cell.exports.formats import formats_of
+from cellapp.cell.exports.formats import export_lines, formats_of
 from cellapp.cell.exports.records import ExportResult
-from cellapp.cell.exports.words import export_lines
 from cellapp.cell.profile import load_profile
 from cellapp.cell.programs.script_targets import read_script
 from cellapp.cell.run import RunFile

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from cellapp.cell.exports.arm_export import ArmExport, conversion_mm, lost_parts, workspace
 from cellapp.cell.exports.export_format import CellFormat, ExportFormat
 from cellapp.cell.exports.formats import formats_of
-from cellapp.cell.exports.geometry import ur_deltas, urdf_joints
-from cellapp.cell.exports.ur_description import kinematics_hash, murmur
+from cellapp.cell.exports.urdf import kinematics_hash, murmur, ur_deltas, urdf_joints
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.controller_file import controller_file_text, controller_table
+from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.profile.sections import ControllerTable

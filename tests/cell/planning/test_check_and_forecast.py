@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.check import check_plan_run, forecast_run, joint_coverage
 from cellapp.cell.planning.duration import motion_s, planned_time
 from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+from cellapp.cell.planning.view import check_plan_run, forecast_run, joint_coverage
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.check_view import check_sentences, coverage_bar, forecast_sentences, forecast_tables
 from cellapp.commands.plan.run import new_planned_run

@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from cellapp.cell.driving.cell import open_cell
-from cellapp.cell.planning.check import check_stops
-from cellapp.cell.planning.method import make_stops, plan_run
-from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.planning.plan import make_stops, plan_run, plan_stops
 from cellapp.cell.planning.planned_stops import (
     PLANNED_STOPS_RESULT,
     STOP_CONDITIONS_RESULT,
@@ -35,6 +33,7 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
+from cellapp.cell.planning.view import check_stops
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

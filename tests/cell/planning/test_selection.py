@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
-from cellapp.cell.planning.design_records import ArmDesign
-from cellapp.cell.planning.designed import select_stops
+from cellapp.cell.planning.designed import arm_design, select_stops
 from cellapp.cell.planning.information import (
     EXPECTED_EFFECT_M,
     POTENTIAL_CYCLES,
@@ -21,7 +20,7 @@ from cellapp.cell.planning.information import (
     even_conditions,
     information_model,
 )
-from cellapp.cell.planning.plan_quality import arm_design
+from cellapp.cell.planning.records import ArmDesign
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.design.block_design import gap_limits, largest_gaps

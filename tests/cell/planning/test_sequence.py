@@ -20,8 +20,15 @@ from cellapp.cell.planning.duration import motion_s, route_s, stop_times_of
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, straight_stops
 from cellapp.cell.planning.sequence import Sequenced, distinct_stops, nearest_turns, repair_order, sequenced
-from cellapp.cell.planning.tour import Move, TourTask, best_order
-from cellapp.cell.planning.transit_paths import ArmRoadmap, TransitPath, TransitPlanner, random_tree_path
+from cellapp.cell.planning.transit_paths import (
+    ArmRoadmap,
+    Move,
+    TourTask,
+    TransitPath,
+    TransitPlanner,
+    best_order,
+    random_tree_path,
+)
 from cellapp.cell.safety.bodies import place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.design_records import ViewResult
+from cellapp.cell.planning.records import ViewResult
 from cellapp.cell.planning.view import arm_view, view_workspace
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.charts_view import SHADES, view_chart, view_charts

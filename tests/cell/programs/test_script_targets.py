@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.profile.controller_file import controller_file_text, controller_table
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
+from cellapp.cell.profile.files import controller_file_text, controller_table
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram
 from cellapp.cell.programs.script_targets import read_script
 from cellapp.cell.programs.solving import (
     Workplace,
@@ -31,7 +31,6 @@ from cellapp.cell.programs.solving import (
     solve_targets,
     true_flange,
 )
-from cellapp.cell.programs.targets import ReadProgram
 from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers

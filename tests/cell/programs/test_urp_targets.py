@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.programs.records import CorrectedTarget
+from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
+from cellapp.cell.programs.script_targets import read_urp
 from cellapp.cell.programs.solving import rewritten
-from cellapp.cell.programs.targets import ReadProgram
-from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.ground.errors import InputError
 from tests.arms import UR10
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from cellapp.cell.run import Outcome, RunFile
-from cellapp.cell.run.collection_rows import ReferenceRow
+from cellapp.cell.run.sqlite_file import ReferenceRow
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import InputError
 from tests.cell.run.two_arm_cell import two_arms

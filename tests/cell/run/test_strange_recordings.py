@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.run.column_names import understood
+from cellapp.cell.run.columns import understood
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.ground.errors import InputError
 from tests.cell.run.recorded_motion import joint_columns, point_columns

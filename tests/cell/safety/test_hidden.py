@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from cellapp.cell.planning.candidates import draw_pool
-from cellapp.cell.planning.check import why_hidden
+from cellapp.cell.planning.view import why_hidden
 from cellapp.cell.safety.bodies import ArmBodies
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies, visible_stops
-from cellapp.cell.safety.obstacles import Obstacle
-from cellapp.cell.safety.shapes import RoundedBox
+from cellapp.cell.safety.shapes import Obstacle, RoundedBox
 from cellapp.cell.safety.visibility import TrackerField
 from cellapp.robot.kinematics.transforms import transform
 from tests.cell.safety.test_gate import turnstile

@@ -16,8 +16,7 @@ from hypothesis.extra import numpy as hnp
 from cellapp.cell.safety.bodies import place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible, visible_stops
-from cellapp.cell.safety.obstacles import Obstacle
-from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape
+from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle

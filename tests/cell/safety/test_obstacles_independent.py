@@ -13,8 +13,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
-from cellapp.cell.safety.obstacles import Obstacle
-from cellapp.cell.safety.shapes import RoundedBox, load_mesh
+from cellapp.cell.safety.shapes import Obstacle, RoundedBox, load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement

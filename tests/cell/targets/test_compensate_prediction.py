@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import Inverted
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
-from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise
-from cellapp.cell.targets.unknown_conditions import approach_sides, sided_commands, unknown_conditions
+from cellapp.cell.targets.ranges import (
+    ConditionRanges,
+    MeasuringNoise,
+    approach_sides,
+    sided_commands,
+    unknown_conditions,
+)
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorDraws

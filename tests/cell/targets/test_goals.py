@@ -51,8 +51,8 @@ from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr, Tolerances
-from cellapp.interfaces.page.certificate_page import certificate_page
-from cellapp.interfaces.tui.widgets.verdict_bars import verdict_lines
+from cellapp.interfaces.page.page import certificate_page
+from cellapp.interfaces.tui.widgets.charts_view import verdict_lines
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin

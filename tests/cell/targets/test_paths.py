@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.moving_cell import moving_cell
+from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.tracked_path import MOST_RUNS, PathDriver
 from cellapp.cell.exports.arm_commands import first_rates
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.path_file import PathSpec
-from cellapp.cell.targets.path_records import PathResult
-from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, plan_path
 from cellapp.commands.compensate.request import VERB
 from cellapp.commands.compensate.run import compensate_paths
 from cellapp.commands.compensate.run import run as compensate

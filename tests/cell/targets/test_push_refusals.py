@@ -19,11 +19,10 @@ from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.other_payload import OpenElasticity, payload_covariance
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.goals import UNPLACED, is_unplaced
+from cellapp.cell.targets.ranges import ConditionRanges, OpenElasticity, payload_covariance
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
-from cellapp.cell.targets.unplaced_cell import UNPLACED, is_unplaced
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run

@@ -23,7 +23,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import CERTIFICATE, VERIFY
-from cellapp.interfaces.page.certificate_page import certificate_page
+from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.model import CellModel
 from tests.twin import small_twin
 

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.survey_points import SurveyPoint
+from cellapp.cell.profile.starters import SurveyPoint
 from cellapp.cell.run import import_csv
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers

@@ -12,21 +12,20 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.iso9283 import path_tests, reach
+from cellapp.cell.driving.iso9283 import programme, tests
 from cellapp.cell.driving.iso9283 import tests as driving
-from cellapp.cell.driving.iso9283.alignment import published_cell
-from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, choose_cube
-from cellapp.cell.driving.iso9283.findings import (
+from cellapp.cell.driving.iso9283.programme import ChosenCube, CubeSearch, choose_cube, published_cell
+from cellapp.cell.driving.iso9283.tests import (
     IsoFindings,
+    IsoTask,
     arm_results,
+    drive_tests,
     lost_beam_words,
     missing_words,
     pair_results,
+    path_specs,
 )
-from cellapp.cell.driving.iso9283.path_tests import path_specs
-from cellapp.cell.driving.iso9283.reach import CubeSearch
-from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
-from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.path import PathSpec
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import ArmIso9283
 from cellapp.ground.control import JobControl
@@ -69,7 +68,7 @@ def task_of(profile: Profile, *tests: IsoTest, cycles: int = 2, aligned: bool = 
 @pytest.fixture(autouse=True)
 def _cubes_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cubes of the same cell are the same in every test; a few orientations are enough here."""
-    monkeypatch.setattr(reach, "_SEEDS", 4)
+    monkeypatch.setattr(programme, "_SEEDS", 4)
 
     def chosen(search: CubeSearch) -> ChosenCube | str:
         key = (*(arm.geometry.vector().tobytes() for arm in search.cell.arms.values()), search.name.encode())
@@ -93,7 +92,7 @@ def only_paths(monkeypatch: pytest.MonkeyPatch, word: str) -> None:
         assert not isinstance(specs, str)
         return [one for one in specs if word in one.name]
 
-    monkeypatch.setattr(path_tests, "path_specs", chosen)
+    monkeypatch.setattr(tests, "path_specs", chosen)
 
 
 def driven(task: IsoTask, **more: Any) -> tuple[IsoFindings, Plant]:

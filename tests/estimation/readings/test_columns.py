@@ -16,10 +16,10 @@ from cellapp.cell.run import (
     arm_cells,
     csv_export,
     csv_import,
+    file,
     import_csv,
     read_readings_csv,
-    readings_table,
-    schema,
+    sqlite_file,
     write_readings_csv,
 )
 from cellapp.estimation.readings import Reading, Readings, readings
@@ -52,7 +52,7 @@ def toy_columns(monkeypatch: pytest.MonkeyPatch) -> None:
         Column("torque_nm", "Nm", ("torque",), "joints", check=above_zero, since=2),
         Column("humidity", "", ("humidity",), fill=0.5, allowed=(0.25, 0.5, 0.75), expected="a quarter"),
     )
-    for module in (readings, readings_table, schema, arm_cells, csv_import, csv_export):
+    for module in (readings, file, sqlite_file, arm_cells, csv_import, csv_export):
         monkeypatch.setattr(module, "COLUMNS", (*COLUMNS, *toys))
     monkeypatch.setattr(readings, "Readings", ToyReadings)
 

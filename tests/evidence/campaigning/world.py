@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell, build_plant, start_tracker
-from cellapp.cell.driving.requests.job_requests import answer_to
-from cellapp.cell.driving.together import one_by_one
+from cellapp.cell.driving.cell import Cell, build_plant, one_by_one, start_tracker
+from cellapp.cell.driving.requests import answer_to
 from cellapp.cell.driving.tracker_watch import Died, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.asking import Verb

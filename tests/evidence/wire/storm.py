@@ -17,7 +17,7 @@ import numpy as np
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.collected import missing_readings
+from cellapp.cell.run.measured_again import missing_readings
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError

@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.driving.records import RequestResult
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt

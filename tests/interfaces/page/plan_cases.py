@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from cellapp.cell.planning.design_records import (
+from cellapp.cell.planning.records import (
     ArmDesign,
     FactorCorrelation,
     ObservabilityIndices,
     PlanDesignResult,
+    PlannedTime,
     PlanQuality,
     TravelTime,
 )
-from cellapp.cell.planning.records import PlannedTime
 
 TIME = PlannedTime(
     total_s=5400.0, moving_s=1800.0, resting_s=600.0, measuring_s=2400.0, references_s=300.0, warm_up_s=300.0

@@ -12,8 +12,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.run import certificate_run
 from cellapp.ground.chromium import print_pdf
-from cellapp.interfaces.page.certificate_page import certificate_page
-from cellapp.interfaces.page.page import page_text
+from cellapp.interfaces.page.page import certificate_page, page_text
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
 from tests.interfaces.page.runs import LEFT, RIGHT, store_discovery

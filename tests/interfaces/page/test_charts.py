@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.records import ReferenceDrift
@@ -28,8 +28,8 @@ from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.interfaces.page.chart_svg import chart_figure
-from cellapp.interfaces.render.chart_style import Look
+from cellapp.interfaces.page.drawn import chart_figure
+from cellapp.interfaces.render.chart import Look
 from tests.interfaces.page.cases import picture
 from tests.interfaces.page.plan_cases import TIME, plan_design
 from tests.twin import PROFILES

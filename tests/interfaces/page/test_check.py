@@ -27,7 +27,7 @@ from cellapp.estimation.monitoring.check.records import (
 )
 from cellapp.ground.results import CHECK
 from cellapp.interfaces.page.drawn import drawn_sections
-from cellapp.interfaces.page.templates import template
+from cellapp.interfaces.page.page import template
 
 ODD = "<b>left</b>"
 

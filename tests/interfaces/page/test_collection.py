@@ -24,7 +24,7 @@ from cellapp.commands.collect.view import (
 from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.view.charts import Chart
 from cellapp.interfaces.page.page import page_text
-from cellapp.interfaces.render.chart_style import legend_of
+from cellapp.interfaces.render.chart import legend_of
 from tests.cell.run.small_runs import add_stop, planned_run
 from tests.interfaces.page.parsed_page import NOON
 from tests.twin import small_twin

@@ -19,12 +19,10 @@ from cellapp.commands.discover.charts import is_line
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
 from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
-from cellapp.interfaces.page import templates
-from cellapp.interfaces.page.chart_svg import chart_svg
-from cellapp.interfaces.page.drawn import scene_figure
-from cellapp.interfaces.page.templates import plotly_base64, plotly_notice
-from cellapp.interfaces.render.chart_axis import scale_of
-from cellapp.interfaces.render.chart_style import chart_data
+from cellapp.interfaces.page import page
+from cellapp.interfaces.page.drawn import chart_svg, scene_figure
+from cellapp.interfaces.page.page import plotly_base64, plotly_notice
+from cellapp.interfaces.render.chart import chart_data, scale_of
 from tests.interfaces.page.cases import picture
 
 HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
@@ -118,7 +116,7 @@ def test_the_script_of_the_page_is_that_of_the_package_and_always_the_same_text(
 
 
 def test_without_the_package_the_page_has_no_script_to_unpack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(templates, "find_spec", lambda name: None)
+    monkeypatch.setattr(page, "find_spec", lambda name: None)
     assert plotly_base64.__wrapped__() == ""
     assert plotly_notice() == ""
 

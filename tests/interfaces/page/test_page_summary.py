@@ -35,7 +35,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import ErrorSummary
-from cellapp.interfaces.page.certificate_page import certificate_page
+from cellapp.interfaces.page.page import certificate_page
 from tests.interfaces.page.cases import discovery
 from tests.twin import PROFILES
 

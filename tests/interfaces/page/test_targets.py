@@ -27,7 +27,7 @@ from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.uncertainty.records import UncertaintyParts
-from cellapp.interfaces.page.chart_svg import chart_figure
+from cellapp.interfaces.page.drawn import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
 from tests.interfaces.page.cases import ERRORS
 from tests.interfaces.page.runs import LEFT, RIGHT, TARGET, UNREACHABLE, targets_of

@@ -11,7 +11,7 @@ import pytest
 
 import cellapp
 from cellapp.interfaces.cli.app import main
-from cellapp.interfaces.render.plain import plain_text
+from cellapp.interfaces.render.terminal import plain_text
 
 
 @pytest.fixture(scope="module")

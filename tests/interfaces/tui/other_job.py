@@ -11,7 +11,7 @@ import threading
 import time
 from pathlib import Path
 
-from cellapp.cell.driving.requests.job_requests import taking_requests
+from cellapp.cell.driving.requests import taking_requests
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Cancelled, MotionBegun, Progress, StateChange
 

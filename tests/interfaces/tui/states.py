@@ -12,10 +12,9 @@ from pathlib import Path
 from cellapp.ground.progress import JobState, Progress, StateChange
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.marks import SIGNS, Mark
-from cellapp.interfaces.tui.run_state import RunState, run_state
+from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState, run_state
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.screens.collect import headline
 from cellapp.interfaces.tui.workspace import Step, Workspace, load_workspace
 from tests.cell.run.small_runs import collected_run, planned_run
 

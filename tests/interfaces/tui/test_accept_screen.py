@@ -28,7 +28,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.ground.results import CALIBRATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
+from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.cell.run.small_runs import collected_run

@@ -20,16 +20,15 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.handbook import Handbook, SectionText
-from cellapp.interfaces.tui.dialogs.palette import Palette
+from cellapp.interfaces.tui.dialogs.program import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
 from cellapp.interfaces.tui.endings import ERROR_LOG
 from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Entry, KeyLine, StopButton, key_lines
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.widgets.key_line import Entry, KeyLine, key_lines
 from cellapp.interfaces.tui.widgets.log_view_pane import LogField
-from cellapp.interfaces.tui.widgets.stop import StopButton
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,

@@ -23,12 +23,12 @@ from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
+from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
+from cellapp.interfaces.tui.host import WorkspaceLoaded
 from cellapp.interfaces.tui.jobs import MotionAsked
-from cellapp.interfaces.tui.messages import WorkspaceLoaded
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
-from cellapp.interfaces.tui.widgets.cell_findings import DevicesTable, FindingsTable
+from cellapp.interfaces.tui.widgets.cell_views import DevicesTable, FindingsTable
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.interfaces.tui.pilot import (
     PROFILES,

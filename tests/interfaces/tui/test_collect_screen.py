@@ -17,7 +17,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from cellapp.cell.driving.step_reports import sweep_sentence
+from cellapp.cell.driving.motion import sweep_sentence
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
@@ -48,7 +48,7 @@ from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
-from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.screens.collect import headline
 from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView

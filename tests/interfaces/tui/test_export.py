@@ -12,8 +12,8 @@ from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.run import RunFile
 from cellapp.commands.export.run import export_as_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, tells, until
 

@@ -13,8 +13,8 @@ from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState, Listener, MeasurementBegun, Progress
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.job_record import banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
-from cellapp.interfaces.tui.live_words import banner_of, strip_of
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
 from tests.waiting import WAIT_S

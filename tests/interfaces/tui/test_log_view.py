@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, Level, LogRow
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.log_view_pane import LogHeading

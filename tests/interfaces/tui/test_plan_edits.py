@@ -13,11 +13,9 @@ from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.dialogs.save_as import SaveAs
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import PairsTable, StopsTable

@@ -11,15 +11,15 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
-from cellapp.cell.planning.check import forecast_run
 from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.planning.records import PlanForecastResult
+from cellapp.cell.planning.view import forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.progress import Progress, StopReport
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Question
+from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import (

@@ -21,13 +21,13 @@ from cellapp.commands.collect.charts import live_residual_chart
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, series
 from cellapp.ground.progress import StopReport
+from cellapp.interfaces.tui.app import HIGH_CONTRAST
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import (
     MARKS,
     draw,
 )
 from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
-from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.charts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, WrappedTables
 from tests.interfaces.page.cases import picture, unknown_effect

@@ -27,8 +27,8 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys
-from cellapp.interfaces.tui.marks import SIGNS, marks_of
 from cellapp.interfaces.tui.pictures import settle
+from cellapp.interfaces.tui.run_state import SIGNS, marks_of
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import CollectScreen
 from cellapp.interfaces.tui.widgets.tables import TablesView

@@ -17,9 +17,9 @@ from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs import history
 from cellapp.commands.runs.result import RunsResult
-from cellapp.interfaces.tui import browser
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.screens import runs
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
@@ -220,7 +220,7 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
 
     window: Any = Window()
     monkeypatch.setattr(webbrowser, "get", get)
-    monkeypatch.setattr(browser, "_has_display", lambda: True)
+    monkeypatch.setattr(runs, "_has_display", lambda: True)
     async with app.run_test(size=(120, 40)) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
@@ -234,7 +234,7 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
         await pilot.press("o")
         await until(pilot, lambda: "No browser with a window" in app.message, "the path")
         monkeypatch.setattr(webbrowser, "get", lambda: pytest.fail("no browser is looked for without a display"))
-        monkeypatch.setattr(browser, "_has_display", lambda: False)
+        monkeypatch.setattr(runs, "_has_display", lambda: False)
         app.say("")
         await pilot.press("o")
         await until(pilot, lambda: str(page) in app.message, "the path")

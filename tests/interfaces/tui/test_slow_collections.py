@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cellapp.interfaces.tui import slow_collections
-from cellapp.interfaces.tui.slow_collections import SlowCollections
+from cellapp.interfaces.tui import app
+from cellapp.interfaces.tui.app import SlowCollections
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +22,7 @@ def _as_before() -> Iterator[None]:
 def test_what_survives_a_slow_full_pass_is_set_aside(
     monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
 ) -> None:
-    monkeypatch.setattr(slow_collections, "_SLOW_S", slow_s)
+    monkeypatch.setattr(app, "_SLOW_S", slow_s)
     before = gc.get_freeze_count()
     SlowCollections().watch()
     gc.collect(1)
@@ -32,7 +32,7 @@ def test_what_survives_a_slow_full_pass_is_set_aside(
 
 
 def test_garbage_that_was_set_aside_is_collected_after_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slow_collections, "_SLOW_S", -1.0)
+    monkeypatch.setattr(app, "_SLOW_S", -1.0)
     passes = SlowCollections()
     passes.watch()
     cycle: list[object] = []

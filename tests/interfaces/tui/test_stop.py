@@ -16,10 +16,9 @@ from textual.pilot import Pilot
 from textual.widgets import Input, Static
 
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
-from cellapp.interfaces.tui.dialogs.palette import Palette
+from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.widgets.stop import StopButton
+from cellapp.interfaces.tui.widgets.controls import StopButton
 from tests.interfaces.tui.pilot import PROFILES, SMALL, WAIT_S, MovingJob, ended, log_text, opened, until
 from tests.latency import attempts
 

@@ -17,15 +17,13 @@ from cellapp.commands.push.request import MOST_ROUNDS, PushRequest
 from cellapp.commands.record import Verb
 from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
-from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow, TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.screens import targets_state
-from cellapp.interfaces.tui.screens.targets import TargetsScreen
-from cellapp.interfaces.tui.screens.targets_state import TargetEdits
+from cellapp.interfaces.tui.screens import targets
+from cellapp.interfaces.tui.screens.targets import TargetEdits, TargetsScreen
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
 from tests.twin import small_twin
@@ -322,7 +320,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
         return Job(verb.name, lambda listener, control, ask: None)
 
     monkeypatch.setattr("cellapp.interfaces.tui.work.verb_job", job)
-    monkeypatch.setattr(targets_state, "stale_model", lambda results: "'discover' is out of date (new readings)")
+    monkeypatch.setattr(targets, "stale_model", lambda results: "'discover' is out of date (new readings)")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, finished_copy, few)

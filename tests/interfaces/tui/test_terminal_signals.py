@@ -16,7 +16,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import JobRecord, Pace
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.terminal_signals import notice_sequence, title_sequence, title_words
+from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, until

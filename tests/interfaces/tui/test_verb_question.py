@@ -20,12 +20,12 @@ from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.record import Request
 from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import WRITE
 from cellapp.interfaces.tui.pictures import settle
+from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.commands.test_show import VERB, ToyRequest
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
-from cellapp.cell.targets.path_file import PathSpec, load_paths
-from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.cell.targets.path import PathPlan, PathSpec, load_paths, plan_path
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions

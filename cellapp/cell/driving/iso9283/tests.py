@@ -1,25 +1,30 @@
 """Drive the tests of ISO 9283: find base and cube of each arm, visit the poses cycle by cycle, measure at rest.
 
 Measurements are stored visit by visit in the caller's object, so that they can be evaluated even if the job is stopped.
+
+The test paths of ISO 9283 (6.8), the diagonal P2 to P4 and circles, driven while the tracker follows the SMR.
+
+Findings while the tests are driven, and the results made from them, complete or not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.driving_targets import Driver
-from cellapp.cell.driving.iso9283.alignment import align_points, alignment_configurations, published_cell
-from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
-from cellapp.cell.driving.iso9283.findings import IsoFindings
-from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
+    Alignment,
+    ChosenCube,
+    CubeSearch,
     Visit,
+    align_points,
+    alignment_configurations,
     arm_programme,
+    choose_cube,
     directional_visits,
     distance_visits,
     drift_visits,
@@ -27,23 +32,368 @@ from cellapp.cell.driving.iso9283.programme import (
     paired_visits,
     pose_pairs,
     pose_visits,
+    published_cell,
 )
-from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
-from cellapp.cell.driving.tracked_path import PathDriver
+from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
-from cellapp.estimation.iso9283.evaluate import ArmProgramme, Measured
-from cellapp.estimation.iso9283.norm import POSES, IsoCommands, IsoTest, wanted_cycles
+from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
+from cellapp.estimation.discovery.plan_forecast import tracker_covariance
+from cellapp.estimation.iso9283.evaluate import (
+    ArmProgramme,
+    Measured,
+    Measurements,
+    PathRuns,
+    PathTrack,
+    Place,
+    cooperative_characteristics,
+    directional_characteristics,
+    distance_characteristics,
+    drift_characteristics,
+    path_characteristics,
+    pose_characteristics,
+)
+from cellapp.estimation.iso9283.norm import (
+    LARGE_CIRCLE,
+    POSES,
+    SMALL_CIRCLE,
+    IsoCommands,
+    IsoTest,
+    circle_positions,
+    wanted_cycles,
+)
+from cellapp.estimation.iso9283.records import (
+    ArmIso9283,
+    BaseAlignment,
+    CommandedTests,
+    PairIso9283,
+    PathCharacteristics,
+    SpeedSeries,
+)
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
-from drivers.arms.protocol import ArmState
-from drivers.trackers.protocol import NotReady, Point, TrackerError
+from cellapp.robot.paths.cartesian import CartesianPath
+from cellapp.robot.paths.joint_path import Trajectory
+from drivers.arms.protocol import ArmState, PathFollower
+from drivers.trackers.protocol import NotReady, Point, TrackerError, stream_of
+
+_ENDED = "the job ended before"
+_NO_PAIR = "there are no two poses at which both arms are clear and seen together"
+
+
+@dataclass(eq=False)
+class IsoFindings:
+    """Measurements, refusals and notes so far."""
+
+    model: CellModel | None = None
+    measured: Measurements = field(default_factory=Measurements)
+    alignments: dict[str, Alignment] = field(default_factory=dict)
+    cubes: dict[str, ChosenCube] = field(default_factory=dict)
+    programmes: dict[tuple[str, IsoCommands], ArmProgramme] = field(default_factory=dict)
+    pairs: dict[tuple[str, str], list[tuple[str, str]]] = field(default_factory=dict)
+    refused: dict[str, dict[str, str]] = field(default_factory=dict)
+    wanted: dict[Place, int] = field(default_factory=dict)
+    missed: dict[Place, str] = field(default_factory=dict)
+    paths: list[PathRuns] = field(default_factory=list)
+    also_speeds: tuple[float, ...] = ()
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def refuse(self, name: str, tests: Iterable[IsoTest], reason: str) -> None:
+        """Record why an arm's tests are not made, or not completely."""
+        reasons = self.refused.setdefault(name, {})
+        for test in tests:
+            reasons[test] = f"{reasons[test]}; {reason}" if test in reasons else reason
+
+
+def arm_results(
+    profile: Profile, found: IsoFindings, arms: Sequence[str], rng: np.random.Generator
+) -> dict[str, ArmIso9283]:
+    """Return cube, base and characteristics of each arm that was to be tested."""
+    results = {}
+    for name in arms:
+        kinds = [kind for arm, kind in found.programmes if arm == name]
+        tests = {kind: _commanded(found, name, kind, rng) for kind in kinds}
+        results[name] = ArmIso9283(
+            payload_kg=profile.arms[name].payload.mass,
+            cube=found.cubes[name].record() if name in found.cubes else None,
+            base=_base(found, name),
+            tests={kind: one for kind, one in tests.items() if one != CommandedTests()},
+            refused=found.refused.get(name, {}),
+        )
+    return results
+
+
+def pair_results(found: IsoFindings, rng: np.random.Generator) -> tuple[PairIso9283, ...]:
+    """Return the characteristics of each pair of arms whose cooperative test was requested."""
+    return tuple(_pair(found, pair, rng) for pair in found.pairs)
+
+
+def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ...]:
+    """Return places and paths with too few cycles, and arms and pairs that were not tested at all, with reasons.
+
+    ``tests`` are the requested ones. If a cell can make some tests but not another, that one is refused, not missing.
+    """
+    words = []
+    for place, wanted in found.wanted.items():
+        groups = found.measured.groups(place) or [0]
+        n = min(len(found.measured.at(place, group)) for group in groups)
+        if n < wanted:
+            words.append(f"{place}: {n} of {counted(wanted, 'cycle')}: {found.missed.get(place, _ENDED)}")
+    for where, runs in _runs_of_paths(found):
+        if (n := len(runs.tracks)) < runs.wanted:
+            words.append(f"{where}: {n} of {counted(runs.wanted, 'cycle')}: {'; '.join(runs.problems) or _ENDED}")
+    for name, refused in found.refused.items():
+        if set(tests) - {"cooperative"} <= set(refused):
+            words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
+    words += [f"cooperative of {' and '.join(pair)}: {_NO_PAIR}" for pair, poses in found.pairs.items() if not poses]
+    return tuple(words)
+
+
+def lost_beam_words(found: IsoFindings) -> tuple[str, ...]:
+    """Return the paths on which the beam broke, and what was done."""
+    lost = ((where, sum(track.lost_beams for track in runs.tracks)) for where, runs in _runs_of_paths(found))
+    return tuple(
+        f"{where}: the beam broke {counted(count, 'time')}; these cycles were driven again from their beginning"
+        for where, count in lost
+        if count
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns]]:
+    """Yield every path that was to be driven, with its name."""
+    for runs in found.paths:
+        at = f", {runs.series:.0%} of the speed" if runs.series else ""
+        yield f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}", runs
+
+
+def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:
+    arm, measured, base_M = found.programmes[name, kind], found.measured, _base_rotation(found, name, kind)
+    series = [
+        SpeedSeries(
+            speed_share=share,
+            pose=pose_characteristics(arm, measured, base_M, rng, share),
+            path=_paths(found, name, kind, rng, share),
+        )
+        for share in found.also_speeds
+    ]
+    return CommandedTests(
+        pose=pose_characteristics(arm, measured, base_M, rng),
+        multidirectional=directional_characteristics(arm, measured, base_M, rng),
+        distance=distance_characteristics(arm, measured, rng),
+        drift=drift_characteristics(arm, measured, base_M, rng),
+        path=_paths(found, name, kind, rng),
+        series=tuple(one for one in series if one.pose or one.path),
+    )
+
+
+def _paths(
+    found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator, series: float = 0.0
+) -> tuple[PathCharacteristics, ...]:
+    own = [runs for runs in found.paths if (runs.arm, runs.commands, runs.series) == (name, kind, series)]
+    return tuple(one for runs in own if (one := path_characteristics(runs, rng)) is not None)
+
+
+def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:
+    """Return the rotation (3, 3) of the base in M that the commands assume."""
+    assert found.model is not None
+    arm = found.model.arms[name]
+    return np.asarray((arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3])
+
+
+def _base(found: IsoFindings, name: str) -> BaseAlignment | None:
+    alignment = found.alignments.get(name)
+    if alignment is None:
+        return None
+    frames = [frame for (arm, _), one in found.programmes.items() if arm == name for frame in one.frame.values()]
+    variance = float(np.mean([np.trace(frame) / 3.0 for frame in frames])) if frames else 0.0
+    return BaseAlignment(
+        n=alignment.n,
+        rms_mm=alignment.rms_m * 1e3,
+        uncertainty_mm=float(np.sqrt(variance)) * 1e3,
+        smr_offset_mm=xyz_of(alignment.arm.geometry.tool * 1e3),
+    )
+
+
+def _pair(found: IsoFindings, pair: tuple[str, str], rng: np.random.Generator) -> PairIso9283:
+    first, second = pair
+    vector, distance = {}, {}
+    for (name, kind), programme in found.programmes.items():
+        other = found.programmes.get((second, kind))
+        if name != first or other is None:
+            continue
+        vectors, lengths = cooperative_characteristics((programme, other), found.measured, rng)
+        if vectors:
+            vector[kind], distance[kind] = vectors, lengths
+    return PairIso9283(arms=pair, vector=vector, distance=distance, refused="" if found.pairs[pair] else _NO_PAIR)
+
+
+PATH_SPEED = 0.25
+"""Speed of the SMR along the paths at 100 % [m/s]. It stands for the standard's rated path velocity, which profiles do
+not state: collaborative arms may move so fast beside people, and most joints can follow."""
+_TOLERANCE_M = 1e-3
+"""Allowed distance of the model's joint path from the commanded path [m]; the plan itself stays below some 10 um."""
+_PLACES = 50
+"""Number of positions along each path where it is evaluated; the standard requires at least ten."""
+_ENDS = 0.02
+"""Fraction of the path left out at each end: the arm is at rest there, and no plane is crossed."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathTests:
+    """Drives the paths of one arm after the other in an open cell; ``hold`` is called between motions.
+
+    ``series`` is as in ``PathRuns``.
+    """
+
+    profile: Profile
+    model: CellModel
+    paths: PathDriver
+    findings: IsoFindings
+    hold: Callable[[], None]
+    speed_share: float
+    cycles: int
+    series: float = 0.0
+
+    def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
+        """Drive all paths of an arm with each kind of commands; record why one cannot be driven."""
+        refusal = self._refusal(name)
+        specs = refusal or path_specs(name, self.findings.cubes[name], self.speed_share)
+        if isinstance(specs, str):
+            self.findings.refuse(name, ["path"], specs)
+            return
+        arm = self.paths.cell.arms[name]
+        assert isinstance(arm, PathFollower)
+        for spec in specs:
+            plan = plan_path(self.profile, self.model, spec, arm.path_period_s)
+            for kind in commands:
+                reason = self._drive(spec, plan, kind)
+                if reason:
+                    self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
+
+    @property
+    def _interval_s(self) -> float:
+        """Interval of points [s], inversely proportional to the speed: each path has as many points at each speed."""
+        return INTERVAL_S / self.speed_share
+
+    def _refusal(self, name: str) -> str:
+        """Return why no path of an arm can be measured; empty if paths can."""
+        if stream_of(self.paths.cell.tracker) is None:
+            return "this tracker's driver cannot measure a moving SMR"
+        if not isinstance(self.paths.cell.arms[name], PathFollower):
+            return f"the driver of arm {name} cannot follow a stream of joint positions"
+        return ""
+
+    def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
+        """Drive one path over all cycles; return why not, empty if it was driven."""
+        chosen = _chosen(plan, kind)
+        if isinstance(chosen, str):
+            return chosen
+        trajectory, path = chosen
+        s, commanded, tangents = places_along(path)
+        tracker = tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0]
+        programme = self.findings.programmes.get((spec.arm, kind))
+        runs = PathRuns(
+            arm=spec.arm,
+            commands=kind,
+            name=spec.name,
+            speed=spec.speed,
+            length=path.length,
+            commanded_M=commanded,
+            tangents_M=tangents,
+            s=s,
+            tracks=[],
+            tracker=self.profile.tolerances.covariance_factor * tracker,
+            frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
+            wanted=self.cycles,
+            slowed=trajectory.slowed,
+            series=self.series,
+        )
+        self.findings.paths.append(runs)
+        try:
+            for _ in range(self.cycles):
+                runs.tracks.append(self._run(spec.arm, trajectory, path))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
+        return ""
+
+    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
+        def begin() -> None:
+            self.hold()
+            for q in (_run_up(trajectory.q), trajectory.q[0]):
+                self.paths.mover.go_home_unless_clear(name, q)
+                self.paths.mover.move({name: q})
+
+        found = self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
+        return PathTrack(found.track.time_s, found.track.p_M, found.lost_beams)
+
+
+def _run_up(q: Array) -> Array:
+    """Return a position (N,) before the first row of ``q`` (m, N) [rad], against each joint's direction of motion."""
+    moved = np.abs(q - q[0]) > 1e-5
+    first = np.argmax(moved, axis=0)
+    ahead = q[first, np.arange(q.shape[1])] - q[0]
+    return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
+
+
+def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:
+    """Return what is driven with one kind of commands, or why nothing is."""
+    if plan.refusal:
+        return plan.refusal
+    trajectory, path = plan.trajectory, plan.path
+    if kind == "nominal":
+        trajectory, path = plan.nominal, plan.nominal_path
+    if trajectory is None or path is None:
+        return "the published geometry cannot be driven along it"
+    if plan.unseen_m is not None:
+        return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
+    return trajectory, path
+
+
+def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec] | str:
+    """Return the test paths of an arm in its base, or why it cannot drive them."""
+    if not np.isfinite(cube.rotation_B).all():
+        return "paths need an arm that can hold its rotation, with six joints or more"
+    rpy = rpy_of(cube.rotation_B)
+    at = cube.position_B
+    shapes = {
+        "line P2 to P4": (PathPose(position=xyz_of(at["P2"]), rpy=rpy), PathPose(position=xyz_of(at["P4"]))),
+        "large circle": _round(circle_positions(at, cube.edge, LARGE_CIRCLE), rpy),
+        "small circle": _round(circle_positions(at, cube.edge, SMALL_CIRCLE), rpy),
+    }
+    return [
+        PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
+        for words, poses in shapes.items()
+    ]
+
+
+def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
+    """Return arc lengths (m,) [m], positions (m, 3) [m] and unit tangents (m, 3) where a path is evaluated."""
+    s = path.length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES)
+    half = 1e-4 * path.length
+    chord = path.positions(s + half) - path.positions(s - half)
+    return s, path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
+
+
+def _round(points: Array, rpy: tuple[float, float, float]) -> tuple[PathPose, ...]:
+    return (
+        PathPose(position=xyz_of(points[0]), rpy=rpy),
+        PathPose(position=xyz_of(points[2]), via=xyz_of(points[1])),
+        PathPose(position=xyz_of(points[4]), via=xyz_of(points[3])),
+    )
+
 
 DWELL_S = 1.0
 """Rest before each measurement [s]: arms of this size have stopped swinging by then."""

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.planning.check import required_plan
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import read_planned_stops
+from cellapp.cell.planning.view import required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.power.result import (

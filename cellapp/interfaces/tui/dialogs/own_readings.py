@@ -12,7 +12,7 @@ from textual.widgets import Button, Static
 
 from cellapp.interfaces.tui.dialogs.file_picker import PathField
 from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
-from cellapp.interfaces.tui.widgets.labelled import Labelled, text_field
+from cellapp.interfaces.tui.widgets.controls import Labelled, text_field
 
 RUNS = "logs"
 

@@ -14,7 +14,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Input, Static
 from textual.widgets.button import ButtonVariant
 
-from cellapp.interfaces.tui.widgets.stop import StopCorner
+from cellapp.interfaces.tui.widgets.controls import StopCorner
 
 A = TypeVar("A")
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.commands.view.charts import Array, Chart, Series
-from cellapp.interfaces.render.chart_axis import Scale, chart_scale, equal_scales
+from cellapp.interfaces.render.chart import Scale, chart_scale, equal_scales
 
 TEXT, HEADING, SOFT = -1, -2, -3
 """Inks that are not series: words and axes, title, limits."""

@@ -1,7 +1,13 @@
-"""The screen Accept: the verdict on a run, the check of its calibration, ISO 9283, its certificate and its report."""
+"""The screen Accept: the verdict on a run, the check of its calibration, ISO 9283, its certificate and its report.
+
+The jobs of the screen Accept, with the questions before each.
+
+The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in the job's thread.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import on
@@ -15,21 +21,146 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
+from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
+from cellapp.commands.record import Request
+from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import RunResults
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
-from cellapp.interfaces.tui import work_acceptance
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
-from cellapp.interfaces.tui.screens import accept_jobs
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.charts_view import PartsView, VerdictBars
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables, show_next_tab
-from cellapp.interfaces.tui.widgets.verdict_bars import VerdictBars
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.report.summary import RunVerdict
     from cellapp.commands.view.parts import Parts
+
+
+_PAGES = (
+    Answer("page", "Page", "w", "success"),
+    Answer("pdf", "Page and PDF", "d"),
+    Answer("no", "Not now", "n"),
+)
+
+
+class ScreenOfResults(DayScreen):
+    """Interface of the screen Accept for these jobs: it has a tab for each result."""
+
+    def show_tab(self, stage: StageName) -> None:
+        """Show the tab of a result."""
+        raise NotImplementedError
+
+
+def ask_check(screen: ScreenOfResults) -> None:
+    """Ask how many stops, then measure them against the calibration."""
+    words = (
+        "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it is"
+        " sure; no model is changed;"
+    )
+    ask_of_calibrated(screen, CHECK_VERB, words, lambda: screen.show_tab(CHECK))
+
+
+def ask_iso9283(screen: ScreenOfResults) -> None:
+    """Ask which tests, then make them in the open run, or else in a new run of the profile."""
+    workspace = screen.workspace
+    profile, results = workspace.profile, workspace.results
+    if profile is None:
+        screen.say(screen.state.no_run, "warning")
+        return
+    folder = workspace.folder or new_folder(profile)
+    calibrated = results is not None and results.calibrate is not None
+    commands = ISO_COMMANDS if calibrated else ("nominal",)
+    stale = stale_model(results) if results is not None and calibrated else ""
+
+    def begin(request: Request | None) -> None:
+        if request is not None:
+            screen.show_tab(ISO9283)
+            screen.start(work.verb_job(ISO9283_VERB, request))
+
+    where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
+    text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
+    if stale:
+        text += f"\nThe model is not up to date: {stale}."
+    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
+    dialog = VerbQuestion(
+        ISO9283_VERB,
+        text,
+        USE_STALE if stale else BEGIN,
+        {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
+        proposed={"tests": ("pose",), "commands": commands},
+        choices={
+            "tests": [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1],
+            "commands": commands,
+            "arms": tuple(profile.arms),
+        },
+    )
+    screen.app.push_screen(dialog, begin)
+
+
+def ask_certificate(screen: ScreenOfResults) -> None:
+    """Ask for number and data, then write the certificate."""
+    folder = screen.open_folder()
+    if folder is None:
+        return
+
+    def begin(request: Request | None) -> None:
+        if request is not None:
+            screen.show_tab(CERTIFICATE)
+            screen.start(work.verb_job(CERTIFICATE_VERB, request))
+
+    text = f"{_certificate_words(screen.workspace)} Nothing moves."
+    dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder})
+    screen.app.push_screen(dialog, begin)
+
+
+def ask_report(screen: ScreenOfResults) -> None:
+    """Ask for page or page and PDF, then write."""
+    if (calibrated := screen.calibrated_run()) is None:
+        return
+    folder, _, _ = calibrated
+
+    def begin(answer: str | None) -> None:
+        if answer in ("page", "pdf"):
+            screen.start(work.job_of(REPORT, folder=folder, pdf=answer == "pdf"))
+
+    text = f"Write report.html in {folder}; an installed Chromium prints it to report.pdf."
+    screen.app.push_screen(Choice("Write the report?", text, _PAGES), begin)
+
+
+def _sent(label: str, key: str) -> tuple[Answer, Answer]:
+    """Return the answers to a question after which nothing moves."""
+    return Answer("send", label, key, "success"), Answer("no", "Not now", "n")
+
+
+def _certificate_words(workspace: Workspace) -> str:
+    """Return what a person must know before a certificate is written."""
+    complaints = () if workspace.overview is None else workspace.overview.complaints
+    marks = f" OUT OF DATE: {'; '.join(complaints)}." if complaints else ""
+    return f"What was measured in {workspace.folder}, judged by its tolerances; what was not given is named.{marks}"
+
+
+def verdict(folder: Path) -> RunVerdict | None:
+    """Read judgements, marks and next steps of a run; None if it cannot be read. Call it in a separate thread."""
+    from datetime import UTC, datetime
+
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.report.summary import read_verdict
+    from cellapp.ground.errors import CellappError
+
+    try:
+        with RunFile.open(folder) as run:
+            return read_verdict(run, datetime.now(UTC).date())
+    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
+        return None  # the message line says what is wrong with the run
+
 
 _NOT_JUDGED = "Nothing is judged yet."
 _NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
@@ -54,7 +185,7 @@ class VerdictRead(Message):
         self.workspace, self.verdict = workspace, verdict
 
 
-class AcceptScreen(accept_jobs.ScreenOfResults):
+class AcceptScreen(ScreenOfResults):
     """Verdict, check, ISO 9283, certificate, report."""
 
     AUTO_FOCUS = "#verdict-tables"
@@ -125,19 +256,19 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     def action_check(self) -> None:
         """Ask, then measure a few stops against the calibration."""
-        accept_jobs.ask_check(self)
+        ask_check(self)
 
     def action_iso9283(self) -> None:
         """Ask for tests, then measure by ISO 9283."""
-        accept_jobs.ask_iso9283(self)
+        ask_iso9283(self)
 
     def action_certificate(self) -> None:
         """Ask for number and data, then write the certificate."""
-        accept_jobs.ask_certificate(self)
+        ask_certificate(self)
 
     def action_report(self) -> None:
         """Ask for page or page and PDF, then write."""
-        accept_jobs.ask_report(self)
+        ask_report(self)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -188,7 +319,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
     @in_thread(thread=True, exclusive=True, group="verdict")
     def _judge(self, workspace: Workspace) -> None:
         assert workspace.folder is not None
-        read = VerdictRead(workspace, work_acceptance.verdict(workspace.folder))
+        read = VerdictRead(workspace, verdict(workspace.folder))
         if not get_current_worker().is_cancelled:  # else another run is being read
             self.post_message(read)
 

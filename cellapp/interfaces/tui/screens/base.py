@@ -17,18 +17,17 @@ from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.widgets.arm_panel import JobPanel
+from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
+from cellapp.interfaces.tui.widgets.controls import KeyLine
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
-from cellapp.interfaces.tui.widgets.key_line import KeyLine
-from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.report.result import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.host import Severity
     from cellapp.interfaces.tui.jobs import Job
-    from cellapp.interfaces.tui.messages import Severity
 
 _LEAST = (60, 16)
 """Columns and lines of the smallest terminal in which tables and plots are readable."""

@@ -1,18 +1,26 @@
-"""The screen Calibrate: errors by stage as tables and bars, residuals per joint and in space, parameters."""
+"""The screen Calibrate: errors by stage as tables and bars, residuals per joint and in space, parameters.
+
+Dialog for the format and the file of an export of calibrated arms or commands for other programs.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.message import Message
-from textual.widgets import TabbedContent, TabPane
+from textual.widget import Widget
+from textual.widgets import Input, OptionList, TabbedContent, TabPane
+from textual.widgets.option_list import Option
 
+from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.calibrate import request
@@ -24,6 +32,7 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
+from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
@@ -32,7 +41,8 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.dialogs.question import Answer, Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
@@ -40,6 +50,64 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
+
+
+class ExportArms(VerbQuestion):
+    """The dialog of ``export`` with a list of the formats, which proposes a file for each.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run, where files are proposed.
+    arms : sequence of str
+    answers : sequence of Answer
+    """
+
+    DEFAULT_CSS = """
+    ExportArms #formats { height: auto; }
+    """
+
+    def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
+        choices = {"arm": arms, "stage": STAGES}
+        super().__init__(VERB, "Several arms get a file each.", answers, {"folder": folder}, choices=choices)
+        self._folder, self._file = folder, ""
+
+    def fields(self) -> ComposeResult:
+        options = [Option(f"{entry.name:15} {entry.what}", id=entry.name) for entry in all_formats().values()]
+        yield OptionList(*options, id="formats", markup=False, compact=True)
+        yield from super().fields()
+
+    def first_field(self) -> Widget:
+        """Return the list of formats."""
+        formats = self.query_one("#formats", OptionList)
+        formats.highlighted = 0
+        return formats
+
+    @on(OptionList.OptionHighlighted)
+    def propose(self, event: OptionList.OptionHighlighted) -> None:
+        """Select the format, and propose a file for it unless a person typed one."""
+        event.stop()
+        entry = all_formats()[str(event.option.id)]
+        self._given["form"] = entry.name
+        field = self.query_one("#out", Input)
+        if field.value == self._file:
+            field.value = self._file = str(self._folder / f"{entry.name}{entry.suffix}")
+
+    @on(OptionList.OptionSelected)
+    def go_on(self, event: OptionList.OptionSelected) -> None:
+        """Focus the file field."""
+        event.stop()
+        field = self.query_one("#out", Input)
+        field.focus()
+        field.cursor_position = len(field.value)
+
+    def action_answer(self, value: str) -> None:
+        """Take an answer; without a file, focus its field instead."""
+        if value != "no" and not self.typed("out"):
+            self.query_one("#out").focus()
+        else:
+            super().action_answer(value)
+
 
 _PLOTS = ("stages", "errors", "joints", "space")
 
@@ -175,7 +243,6 @@ tables; chapter *exports*.
         if results is None or results.calibrate is None:
             self.say(self.state.not_calibrated, "warning")
             return
-        from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 
         def write(request: Request | None) -> None:
             if request is not None:
@@ -186,7 +253,7 @@ tables; chapter *exports*.
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""
         if isinstance(result, ExportResult) and self.app.screen is self:
-            from cellapp.cell.exports.words import export_lines
+            from cellapp.cell.exports.formats import export_lines
 
             lines = export_lines(result)
             self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))

@@ -26,7 +26,8 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
-from cellapp.interfaces.tui.widgets.cell_findings import (
+from cellapp.interfaces.tui.widgets.cell_views import (
+    CellMap,
     DevicesTable,
     DeviceState,
     FindingsTable,
@@ -34,7 +35,6 @@ from cellapp.interfaces.tui.widgets.cell_findings import (
     device_state,
     devices_of,
 )
-from cellapp.interfaces.tui.widgets.cell_map import CellMap
 from cellapp.interfaces.tui.widgets.tables import TextTable, WrappedTables, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 

@@ -1,11 +1,15 @@
 """The screen Runs: every run in the folder of runs; open, report, resume.
 
 Runs are read in threads, which also load the packages for it.
+
+Opening of a page in a graphical browser, with a sentence about the outcome.
 """
 
 from __future__ import annotations
 
 import os
+import sys
+import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -28,7 +32,6 @@ from cellapp.commands.runs.view import run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import offer_to_resume
@@ -38,6 +41,30 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
+
+
+def open_page(page: Path) -> str:
+    """Open a file in a browser; without a browser, the sentence says where the file is.
+
+    A text browser is never started: it would draw over this program.
+    """
+    where = page.resolve()
+    if _has_display():
+        try:
+            browser = webbrowser.get()
+            in_terminal = type(browser) is webbrowser.GenericBrowser  # links, lynx, w3m
+            if not in_terminal and browser.open(where.as_uri()):
+                return f"The report opens in a browser: {where}"
+        except (webbrowser.Error, OSError):
+            pass
+    return f"No browser with a window was found here; open {where} in one."
+
+
+def _has_display() -> bool:
+    if os.name != "posix" or sys.platform == "darwin":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
 
 _OPEN = "▸"
 _MARKS = "marks"

@@ -14,11 +14,10 @@ from textual.widgets import Static
 
 from cellapp.ground.progress import eta_words
 from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.marks import SIGNS, Mark
-from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.run_state import SIGNS, Mark, RunState
 from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.controls import StopButton
 from cellapp.interfaces.tui.widgets.progress_bars import present_part
-from cellapp.interfaces.tui.widgets.stop import StopButton
 from cellapp.interfaces.tui.workspace import Step
 
 _BADGES: Mapping[str, str] = {

@@ -15,7 +15,7 @@ from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.terminal import rich_table
-from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.keys import SHOWN, bind, table_with_keys, with_keys
 
 

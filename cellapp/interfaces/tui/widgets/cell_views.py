@@ -1,20 +1,98 @@
-"""Tables of the screen Cell: the doctor's findings, and the current state of each device."""
+"""A map of the cell. The chart is made in a thread: the kinematics of the arms takes half a second to load.
+
+Tables of the screen Cell: the doctor's findings, and the current state of each device.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
+from textual import on, work
+from textual.message import Message
 
 from cellapp.interfaces.tui.keys import SHOWN
+from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult, Finding
+    from cellapp.commands.plan.result import PlannedStop
+    from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
+    from cellapp.interfaces.tui.job_record import JobRecord
+
+
+_FOLLOWS_S = 2.0
+"""Interval of redrawing while a job collects: each map is made from scratch."""
+
+
+class CellMap(ChartPlot):
+    """Bases, tracker and stops, seen from above or from the tracker."""
+
+    class Made(Message):
+        """The chart for the request with this number was made."""
+
+        def __init__(self, number: int, chart: Chart) -> None:
+            super().__init__()
+            self.number, self.chart = number, chart
+
+    def __init__(self, view: Literal["above", "tracker"], *, id: str) -> None:
+        super().__init__(id=id)
+        self._view: Literal["above", "tracker"] = view
+        self._number = 0
+        self._profile: Profile | None = None
+        self._stops: Sequence[PlannedStop] = ()
+        self._record: JobRecord | None = None
+        self._measured: frozenset[int] = frozenset()
+        self._waits = False
+
+    def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
+        """Draw the cell of a profile with its planned stops; blank without a profile."""
+        self._profile, self._stops = profile, stops
+        self._draw_cell()
+
+    def follow(self, record: JobRecord | None) -> None:
+        """Mark the stops measured so far by a collecting job, every few seconds; None if no job collects."""
+        self._record = record
+        reports = () if record is None else record.stops.values()
+        measured = frozenset(report.stop for arm in reports for report in arm)
+        if not self._waits and measured != self._measured:
+            self._measured, self._waits = measured, True
+            self._draw_cell()
+            self.set_timer(_FOLLOWS_S, self._follow_again)
+
+    def _follow_again(self) -> None:
+        self._waits = False
+        self.follow(self._record)  # by now there may be no record, or another one
+
+    def _draw_cell(self) -> None:
+        self._number += 1
+        if self._profile is None:
+            self.chart = None
+            return
+        new = self._measured
+        stops = [
+            stop.model_copy(update={"measured": stop.measured or stop.configuration in new}) for stop in self._stops
+        ]
+        self._make(self._number, self._profile, stops)
+
+    @work(thread=True)
+    def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
+        from cellapp.commands.plan.charts_obstacles import cell_map_chart
+
+        self.post_message(self.Made(number, cell_map_chart(profile, stops, self._view)))
+
+    @on(Made)
+    def take_chart(self, event: Made) -> None:
+        """Draw the chart, unless another one was requested meanwhile."""
+        event.stop()
+        if event.number == self._number:
+            self.chart = event.chart
+
 
 _ORDER = {"failed": 0, "warning": 1, "ok": 2}
 _MARKS = {"failed": "✗ failed", "warning": "! warning", "ok": "✓ ok"}

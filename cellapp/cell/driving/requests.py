@@ -1,6 +1,10 @@
-"""Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
+"""Requests to a running job from other processes.
+
+Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
 
 The job listens on a loopback port, which ``ground.asking`` publishes.
+
+Run a job in a run's folder: other processes can reach it, and the run records how each arm's halt ended.
 """
 
 from __future__ import annotations
@@ -13,9 +17,12 @@ import secrets
 import socketserver
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.unseen_arms import note_halt
 from cellapp.ground.asking import (
     DONE,
     JOB_FILE,
@@ -191,3 +198,14 @@ def _withdraw(folder: Path, token: str) -> None:
     if address is not None and address.token == token:
         with contextlib.suppress(OSError):  # a file left behind is harmless: nobody answers at its port
             (folder / JOB_FILE).unlink()
+
+
+@contextlib.contextmanager
+def running_job(run: RunFile, control: JobControl, name: str, listener: Listener = ignore) -> Iterator[Listener]:
+    """While the context is open, take requests of other processes and record arms that were not seen at rest.
+
+    Yield the listener to report to. Raise as ``taking_requests``.
+    """
+    recording = control.recording(partial(note_halt, run))
+    with recording, taking_requests(run.folder, control, name, listener) as heard:
+        yield heard

@@ -1,4 +1,8 @@
-"""The keys that are possible now, at the bottom of every screen; a click has the effect of the key.
+"""The STOP button in the upper right corner of every screen and every dialog.
+
+A dialog field with its label.
+
+The keys that are possible now, at the bottom of every screen; a click has the effect of the key.
 
 Textual's own footer has a widget for each key and recreates all of them whenever a key becomes possible: 60 ms of a
 screen switch, measured with Textual 8.2. This one is a single text.
@@ -8,13 +12,89 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 from rich.cells import cell_len
+from textual.app import ComposeResult
+from textual.containers import Container, Horizontal
 from textual.content import Content
-from textual.events import Mount
+from textual.events import Click, Mount
 from textual.screen import Screen
 from textual.style import Style
-from textual.widgets import Static
+from textual.suggester import SuggestFromList
+from textual.widget import Widget
+from textual.widgets import Checkbox, Input, Static
+
+from cellapp.interfaces.tui.host import Host
+
+
+class StopButton(Static):
+    """Button that brakes all arms when pressed with the mouse; the keys Escape and Ctrl-C do the same.
+
+    It takes no focus, so that Enter, pressed for something else, never stops a job by accident, and Tab skips it. It
+    reacts to the press of the mouse button, not to its release.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(" STOP  Esc ", classes="stop", markup=False)
+        self.tooltip = "Brake all arms now. Escape and Ctrl-C do the same."
+
+    def on_resize(self) -> None:
+        """Store its position, for presses that are handled before the event loop gets them."""
+        cast(Host, self.app).presses.region = self.region
+
+    async def on_mouse_down(self) -> None:
+        """Brake."""
+        await self.run_action("app.stop_job")
+
+    def on_click(self, event: Click) -> None:
+        """Consume the click of a handled press: a dialog below must not get it."""
+        event.stop()
+
+
+class StopCorner(Container):
+    """The corner of a dialog with STOP, at the same position as on all screens."""
+
+    def compose(self) -> ComposeResult:
+        yield StopButton()
+
+
+class Labelled(Horizontal):
+    """One line: a label and a field."""
+
+    DEFAULT_CSS = """
+    Labelled { height: 1; }
+    Labelled Static { width: 20; }
+    Labelled Input { width: 1fr; }
+    """
+
+    def __init__(self, label: str, field: Widget) -> None:
+        super().__init__(Static(label, markup=False), field)
+
+
+class Box(Checkbox):
+    """A check box that is empty until it is ticked, so that its state is visible without colours."""
+
+    def render(self) -> Content:
+        """Return the mark and the label."""
+        self.BUTTON_INNER = "X" if self.value else " "
+        return super().render()
+
+
+def text_field(label: str, name: str, text: str = "", hint: str = "", *, choices: Sequence[str] = ()) -> Labelled:
+    """Return a text field with its label.
+
+    Parameters
+    ----------
+    label, name : str
+        Text before the field; its id.
+    text, hint : str
+        Initial text; text that is shown while the field is empty.
+    choices : sequence of str
+        Texts that the right arrow completes.
+    """
+    suggester = SuggestFromList(choices) if choices else None
+    return Labelled(label, Input(text, id=name, compact=True, placeholder=hint, suggester=suggester))
 
 
 class KeyLine(Static):

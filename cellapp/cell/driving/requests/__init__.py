@@ -1,1 +1,0 @@
-"""Requests to a running job from other processes."""
