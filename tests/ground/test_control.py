@@ -288,7 +288,7 @@ def test_processes_prepare_once_give_the_same_and_outlive_one_that_is_killed(tmp
 
 def test_a_task_that_always_ends_its_process_is_named(tmp_path: Path) -> None:
     kept = tmp_path / "kept.jsonl"
-    with pytest.raises(ComputingLost, match=r"processes were ended 3 times.*at thirteen; repeat") as raised:
+    with pytest.raises(ComputingLost, match=r"processes were ended 3 times.*at thirteen(, one)?; repeat") as raised:
         values({"thirteen": 13, "one": 1}, Work(jobs=2, results=kept))
     assert raised.value.exit_code == 4
 
