@@ -16,7 +16,7 @@ from pathlib import Path
 
 TESTS = Path(__file__).parent
 _EXAMPLE = "interfaces/plugins/example_plugin/cellapp_example"
-_VERB = "commands/toys/greet"
+_VERB = "commands/toys/greet.py"
 
 
 @dataclass(frozen=True)
@@ -83,15 +83,15 @@ TOUCHES: tuple[Touch, ...] = (
         "verb with its result",
         "`locate`",
         26,
-        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
-        ("cellapp/commands/folders.py: its folder",),
+        (_VERB,),
+        ("cellapp/commands/registry.py: its name",),
         "commands/test_toy_verb.py",
     ),
     Touch(
         "chart of a result",
         "`drift_chart` of `collect`",
         2,
-        (f"{_VERB}/view.py",),
+        (_VERB,),
         (),
         "commands/test_toy_verb.py",
     ),
@@ -99,7 +99,7 @@ TOUCHES: tuple[Touch, ...] = (
         "dialog with its job",
         "`LocateTracker`",
         1,
-        (f"{_VERB}/request.py",),
+        (_VERB,),
         (),
         "commands/test_toy_verb.py",
     ),

@@ -1,10 +1,13 @@
 """The record of a verb: its request with the words and bounds of every field, and where its run and view stand.
 
-A verb is a folder of ``commands`` with
+A verb is ``commands/NAME.py`` with
 
-- ``request.py``: the typed request, and ``VERB``, its record. Every start of the program loads it: keep it light.
-- ``run.py``: ``run(request, work) -> Result``, which does the work.
-- ``view.py``: ``view(result, request) -> View``, which shows the result.
+- the typed request, and ``VERB``, its record,
+- ``run(request, work) -> Result``, which does the work,
+- ``view(result, request) -> View``, which shows the result;
+
+a larger one is a folder with these in ``request.py``, ``run.py`` and ``view.py``. The help of its command then waits
+for ``request.py`` alone: keep that light.
 
 The command's options, the dialog of the terminal application and the handbook's list of commands follow from these.
 """
@@ -163,8 +166,6 @@ class Work:
         Result of a certificate -> its page as HTML.
     screens : callable
         (profile, folder of a run or None, folder) -> write pictures of the terminal application there; their paths.
-    verbs : sequence of Verb
-        All verbs, for a verb that needs the others.
     ask : callable
         Name of the profile -> callable that asks a person before real arms move first; None if nobody can be asked.
     outputs : Outputs
@@ -182,7 +183,6 @@ class Work:
     control: JobControl
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
-    verbs: Sequence[Verb] = ()
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
@@ -214,7 +214,7 @@ class Stored:
     made_by : str
         The command that stores it, without ``cellapp``; the verb's name if empty.
     view : str
-        Name of the function in the verb's ``view.py`` that shows it.
+        Name of the function beside the verb's ``view`` that shows it.
     """
 
     part: str
@@ -309,5 +309,6 @@ class Verb:
         return view
 
     def _part(self, name: str) -> Any:
-        """Import a module of the verb's folder, only when it is needed: that may take a second."""
-        return importlib.import_module(f"{self.request.__module__.rpartition('.')[0]}.{name}")
+        """Return a module of the verb's folder, or its only file; import it now: that may take a second."""
+        folder, _, own = self.request.__module__.rpartition(".")
+        return importlib.import_module(f"{folder}.{name if own == 'request' else own}")

@@ -23,11 +23,11 @@ from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determ
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Traceability, TraceableArm
-from cellapp.interfaces.cli.app import app
 from tests.cell.run.small_runs import planned_run
 from tests.cell.run.spoiled import spoil_cut
 from tests.cell.run.two_arm_cell import two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
+from tests.program import app
 from tests.twin import small_twin
 
 SERIALS = ("UR10-77", "UR5-12")

@@ -15,9 +15,9 @@ from cellapp.commands.import_.run import import_new_run
 from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from tests.commands.moved_arms import true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
+from tests.program import app
 
 
 @pytest.fixture(scope="module")

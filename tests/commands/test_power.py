@@ -25,8 +25,8 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, Work
 from cellapp.ground.profile import Profile
 from cellapp.ground.time_limit import TimeLimit
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
+from tests.program import app
 from tests.twin import PROFILES, whole_twin
 
 

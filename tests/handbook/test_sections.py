@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from cellapp.commands.docs.handbook import CHAPTERS, anchors, topic_text
 from cellapp.commands.docs.sections import search, section_at, sections
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
+from tests.program import app
 
 pytestmark = pytest.mark.fast
 

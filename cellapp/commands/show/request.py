@@ -9,7 +9,7 @@ from pydantic import Field, create_model, model_validator
 
 from cellapp.commands.fields import RunFolder, Strict
 from cellapp.commands.record import Asked, Request, Verb
-from cellapp.commands.storing import STORING
+from cellapp.commands.registry import STORING, records
 
 OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
 """Parts of a run beside the results of verbs."""
@@ -55,4 +55,4 @@ def show_verb(verbs: Sequence[Verb]) -> Verb:
     return Verb("show", request, chapter="commands")
 
 
-VERB = show_verb(STORING)
+VERB = show_verb(records(STORING))

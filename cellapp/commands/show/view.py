@@ -7,10 +7,10 @@ from cellapp.commands.collect.view import stored_view
 from cellapp.commands.compensate.details import details_tables, stored_state, target_details
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
+from cellapp.commands.registry import STORING, records
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, RecordingsResult, Shown
 from cellapp.commands.show.tables import history_lines, log_lines, overview_sentences, overview_tables
-from cellapp.commands.storing import STORING
 from cellapp.commands.view.recordings import recording_tables
 
 
@@ -42,5 +42,6 @@ def _view_of(found: Shown, request: Request | None) -> View:
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):
         details = target_details(state)
         return View((*details_tables(details), *details.sentences))
-    verb, how = next(((verb, how) for verb in STORING for how in verb.stored if how.part == found.part), (PLAN, None))
+    stored = ((verb, how) for verb in records(STORING) for how in verb.stored if how.part == found.part)
+    verb, how = next(stored, (PLAN, None))
     return verb.view(found.result) if how is None else verb.stored_view(how, found.result)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.record import Request, Verb
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import records
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
@@ -86,7 +86,7 @@ def verbs_of_run() -> tuple[Verb, ...]:
     """Return the verbs that work on a run and whose other required fields a dialog can ask for."""
     return tuple(
         verb
-        for verb in VERBS
+        for verb in records()
         if verb.opens_run
         and all(name == "folder" or not verb.is_needed(name) or words.label for name, words in verb.request.asked())
     )

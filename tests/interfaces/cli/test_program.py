@@ -78,7 +78,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
     from typer.main import get_command
 
-    from cellapp.interfaces.cli.app import app
+    from tests.program import app
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
     assert {"run", "demo", "calibrate", "trials"} < set(verbs)

@@ -22,9 +22,9 @@ from cellapp.commands.stages import append_stage
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.interfaces.page.cases import calibration
+from tests.program import app
 from tests.twin import PROFILES, small_twin
 
 KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
