@@ -6,15 +6,15 @@ A verb is ``commands/NAME.py`` with
 - ``run(request, work) -> Result``, which does the work,
 - ``view(result, request) -> View``, which shows the result;
 
-a larger one is a folder with these in ``request.py``, ``run.py`` and ``view.py``. The help of its command then waits
-for ``request.py`` alone: keep that light.
+a larger one is a folder with these in ``request.py``, ``run.py`` and, if that grows long, ``view.py``. The help of its
+command then waits for ``request.py`` alone: keep that light.
 
 The command's options, the dialog of the terminal application and the handbook's list of commands follow from these.
 """
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -311,4 +311,6 @@ class Verb:
     def _part(self, name: str) -> Any:
         """Return a module of the verb's folder, or its only file; import it now: that may take a second."""
         folder, _, own = self.request.__module__.rpartition(".")
-        return importlib.import_module(f"{folder}.{name if own == 'request' else own}")
+        if own == "request":
+            own = name if importlib.util.find_spec(f"{folder}.{name}") else "run"
+        return importlib.import_module(f"{folder}.{own}")

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.errors import InputError

@@ -15,7 +15,7 @@ from cellapp.commands.record import Request, Stored, Verb
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run.run import WholeRunResult
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view

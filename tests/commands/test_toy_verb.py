@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.registry import records
-from cellapp.commands.schema.results import results_by_name, written_results
+from cellapp.commands.schema import results_by_name, written_results
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.page.drawn import drawn_parts

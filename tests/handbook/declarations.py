@@ -6,7 +6,7 @@ import re
 
 from cellapp.commands.docs.effect_parts import declared_part
 from cellapp.commands.registry import records
-from cellapp.commands.schema.results import written_results
+from cellapp.commands.schema import written_results
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.keys import KEYS
 from cellapp.robot.effects import EFFECTS

@@ -19,7 +19,7 @@ from cellapp.cell.targets.path_file import load_paths
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import records
-from cellapp.commands.schema.results import json_schema, results_by_name, written_results
+from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
 from tests.handbook.chapters import EXCERPT, Example

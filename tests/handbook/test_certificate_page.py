@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.commands.registry import records
-from cellapp.commands.schema.results import json_schema, results_by_name, written_results
+from cellapp.commands.schema import json_schema, results_by_name, written_results
 from tests.handbook.chapters import blocks
 from tests.program import app
 

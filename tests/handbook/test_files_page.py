@@ -17,7 +17,7 @@ from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables
 from cellapp.commands.docs.handbook import chapter_text, topic_text
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import records
-from cellapp.commands.schema.results import written_results
+from cellapp.commands.schema import written_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError

@@ -24,6 +24,7 @@ from textual.driver import Driver
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.commands.registry import ALL
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal_signals
 from cellapp.interfaces.tui import work as jobs_of_verbs
@@ -68,7 +69,8 @@ _LATER = (
     "cellapp.cell.run",
     "cellapp.commands.report.data",
     *(f"cellapp.interfaces.tui.screens.{entry.step}" for entry in SCREENS),
-    *(f"cellapp.commands.{verb}.run" for verb in ("run", "import_", "report")),
+    *(f"cellapp.commands.{verb}" for verb in ALL),
+    *(f"cellapp.commands.{verb}.run" for verb in ("run", "report")),
     "cellapp.interfaces.page.page",
     "cellapp.commands.plan.charts",
     "cellapp.cell.planning.view",

@@ -6,12 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellapp.commands.at_rest.request import VERB as AT_REST
-from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.ground.counting import counted
-from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -78,6 +75,8 @@ class _VerbView:
 
     def show_result(self, result: Result) -> None:
         """Show the result as a text."""
+        from cellapp.interfaces.render.plain import plain_text
+
         text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
         self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))
 
@@ -185,6 +184,9 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
     def record(answer: str | None) -> None:
         if answer == "seen":
+            from cellapp.commands.at_rest import VERB as AT_REST
+            from cellapp.commands.at_rest import AtRestRequest
+
             app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 
     answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))

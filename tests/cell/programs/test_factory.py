@@ -16,7 +16,7 @@ from cellapp.cell.profile.controller_file import controller_file_text, controlle
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct.run import correct_run
+from cellapp.commands.correct import correct_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import read_report_data

@@ -13,8 +13,8 @@ import pytest
 
 import cellapp
 from cellapp.commands.doctor.result import DoctorResult, Finding
-from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.schema.results import json_schema
+from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.schema import json_schema
 from cellapp.ground.results import ErrorResult
 from cellapp.interfaces.cli.program import wants_json
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture

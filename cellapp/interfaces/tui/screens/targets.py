@@ -31,7 +31,7 @@ from cellapp.commands.compensate.target_list import (
     target_words,
 )
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
-from cellapp.commands.correct.view import correct_table
+from cellapp.commands.correct import correct_table
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.report.result import RunResults
 from cellapp.ground.counting import counted

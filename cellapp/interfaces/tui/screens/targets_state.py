@@ -12,8 +12,8 @@ from typing import Any, Self
 from cellapp.cell.targets.targets import Target, list_problems
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.target_list import stale_model
-from cellapp.commands.correct.request import ENDINGS
-from cellapp.commands.correct.request import VERB as CORRECT
+from cellapp.commands.correct import ENDINGS
+from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request
