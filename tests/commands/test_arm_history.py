@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.compare.run import compare_runs
-from cellapp.commands.runs.arm_history import arm_history
 from cellapp.commands.runs.result import ArmHistory
+from cellapp.commands.runs.run import arm_history
 from cellapp.commands.runs.view import history_sentences, history_table
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms

@@ -15,9 +15,15 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.report.sections import power_section
-from cellapp.commands.trials.power.result import NamingTrial, PowerResult, stored_power
+from cellapp.commands.trials.power.result import (
+    NamingTrial,
+    PowerResult,
+    power_chart,
+    power_sentence,
+    power_table,
+    stored_power,
+)
 from cellapp.commands.trials.power.rounds import power_at, power_of
-from cellapp.commands.trials.power.tables import power_chart, power_sentence, power_table
 from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve

@@ -18,7 +18,7 @@ import numpy as np
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun
-from cellapp.commands.trials.posteriors import ACCEPTED, EVERY, posterior_scores
+from cellapp.commands.trials.scoring import ACCEPTED, EVERY, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
 from cellapp.commands.trials.sealed_cases import HARD, MIXED, NONE, ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup

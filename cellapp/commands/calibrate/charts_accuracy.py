@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.view import cooperative_noise_mm
-from cellapp.commands.view.camera import levelling_rotation
 from cellapp.commands.view.charts import (
     STAGE_STYLES,
     Axis,
@@ -27,6 +26,7 @@ from cellapp.commands.view.charts import (
     drawable_mm,
     enumerated,
     error_counts,
+    levelling_rotation,
     mm,
     noise_limit,
     series,

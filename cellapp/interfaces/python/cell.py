@@ -9,7 +9,7 @@ from typing import Any
 
 from cellapp.cell.profile import load_profile, profile_from_dict
 from cellapp.commands.calibrate.run import calibrate_cell
-from cellapp.commands.doctor.profile_view import profile_tables
+from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.view.parts import Parts
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore

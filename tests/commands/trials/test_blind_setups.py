@@ -10,9 +10,8 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials
+from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials, score_run
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, NoiseLengths, ScoredRun
-from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import ExpectedTerm, GroundTruth, HiddenLaw, open_truth, seal_trials
 from cellapp.commands.trials.sealed_cases import EXPECTED

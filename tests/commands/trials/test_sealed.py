@@ -20,9 +20,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.stages import read_stages
-from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
+from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, score_run, source_digest
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
-from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import (
     ExpectedTerm,

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.check.charts import check_charts, error_chart, evidence_chart
-from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.check.view import check_charts, check_sentences, check_tables, error_chart, evidence_chart
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
 from cellapp.commands.report.sections import report_sections

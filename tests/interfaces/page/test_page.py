@@ -41,7 +41,7 @@ from cellapp.commands.discover.tables import (
     size_tables,
 )
 from cellapp.commands.export.run import calibrated_arms
-from cellapp.commands.plan.section import plan_section
+from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.sections import report_sections
