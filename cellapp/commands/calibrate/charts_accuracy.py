@@ -200,10 +200,10 @@ def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: 
 # -- residuals over the joints and in space ---------------------------------------------------------------------------
 
 
-def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Sequence[str] = STAGES) -> Chart:
-    """Show the held-out position errors of some stages over the angle of one joint (from 1)."""
+def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int) -> Chart:
+    """Show the held-out position errors of every stage over the angle of one joint (from 1)."""
     angle = np.degrees(held_out.readings.q[:, joint - 1])
-    errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
+    errors = held_out.errors_mm
     drawn = tuple(
         series(stage, angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
         for stage, values in errors.items()

@@ -53,8 +53,6 @@ PARTS: Mapping[str, Mapping[str, str]] = {
 CHAPTERS: Mapping[str, str] = {name: subject for part in PARTS.values() for name, subject in part.items()}
 """Name and subject of each chapter, in the order of the parts."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
-_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
-_FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _MARKER = re.compile(r"<!--.*?-->\n")
 _FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
 """Words after the language on the first line of an example: they tell the tests how to run it."""
@@ -95,11 +93,6 @@ def effect_sections() -> dict[str, str]:
     sections = {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
     added = (one for slug, one in EFFECTS.items() if slug not in sections)
     return sections | {one.slug: f"## {one.slug}\n\n*{one.title}.*\n\n{declared_part(one)}" for one in added}
-
-
-def anchors(chapter: str) -> dict[str, str]:
-    """Return the headings of a chapter by the anchors that links use: small letters, words joined by hyphens."""
-    return {anchor_of(heading): heading for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
 
 
 def anchor_of(heading: str) -> str:

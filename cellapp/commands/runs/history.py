@@ -148,13 +148,8 @@ def list_runs(folder: Path | None = None) -> RunsResult:
     return RunsResult(folder=str(where), runs=tuple(newest_first))
 
 
-def resumable(folder: Path | None = None) -> RunSummary | None:
-    """Return the newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
-    return next((run for run in list_runs(folder).runs if run.resumable), None)
-
-
 def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
-    """Return the newest run with a job running on this computer, else ``resumable``. Raises as ``list_runs``."""
+    """Return the newest run with a job running on this computer, else the newest to resume. Raises as ``list_runs``."""
     runs = list_runs(folder).runs
     used = (run for run in runs if run.in_use == RUNS_NOW)
     return next(used, None) or next((run for run in runs if run.resumable), None)
