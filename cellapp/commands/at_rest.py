@@ -6,8 +6,7 @@ from typing import Annotated
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.ground.results import Result
 
 

@@ -19,8 +19,7 @@ from cellapp.cell.programs.words import assumptions, correct_lines, model_notes,
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.view.table import Cell, Column, Table, number_column

@@ -15,8 +15,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
-from cellapp.commands.fields import NewRun, ProfilePath
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Asked, NewRun, ProfilePath, Request, Verb, View, Work
 from cellapp.commands.view.recordings import recording_tables
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -10,8 +10,7 @@ from pydantic import Field, model_validator
 
 from cellapp.cell.driving.cell import build_plant, tracker_driver
 from cellapp.cell.profile import load_profile
-from cellapp.commands.fields import ProfilePath
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken

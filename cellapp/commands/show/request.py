@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
-from cellapp.commands.fields import RunFolder, Strict
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Strict, Verb
 from cellapp.commands.registry import STORING, records
 
 OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")

@@ -7,8 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.view.charts import Axis, Chart, series
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.ground.results import Result
