@@ -314,7 +314,7 @@ class Verb:
         return importlib.import_module(f"{folder}.{own}")
 
 
-# -- fields that the requests of several verbs have ---------------------------------------------------------------------
+# -- fields that the requests of several verbs have --------------------------------------------------------------------
 
 RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
 ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=True)]

@@ -23,8 +23,7 @@ from cellapp.commands.trials.power.result import (
     power_table,
     stored_power,
 )
-from cellapp.commands.trials.power.rounds import power_at, power_of
-from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
+from cellapp.commands.trials.power.rounds import PlannedCell, TrialCell, naming_trial, power_at, power_of, trial_cell
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError

@@ -20,8 +20,7 @@ from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun
 from cellapp.commands.trials.scoring import ACCEPTED, EVERY, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
-from cellapp.commands.trials.sealed_cases import HARD, MIXED, NONE, ONE, OUT, PAIR
-from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.sealed_setup import HARD, MIXED, NONE, ONE, OUT, PAIR, Setup
 from cellapp.ground.executors import Work
 from cellapp.ground.grouping import grouped
 from tests.evidence.shared.cells import TWIN

@@ -8,8 +8,7 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.commands.docs.handbook import CHAPTERS, anchor_of, chapter_text, topic_text
-from cellapp.commands.docs.sections import search, section_at, sections
+from cellapp.commands.docs.handbook import CHAPTERS, anchor_of, chapter_text, search, section_at, sections, topic_text
 from cellapp.ground.errors import InputError
 from tests.program import app
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cellapp.commands.docs.handbook import PARTS, effect_sections, topic_text
+from cellapp.commands.docs.handbook import PARTS, effect_sections, search, topic_text
 from cellapp.commands.docs.request import SCREENS, DocsRequest
-from cellapp.commands.docs.sections import search
 from cellapp.commands.record import Request, View, Work
 from cellapp.ground.results import Result
 

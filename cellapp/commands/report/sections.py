@@ -16,7 +16,6 @@ from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.measurement_order import order_sentences
-from cellapp.commands.basis import readings_digest, sha256_of
 from cellapp.commands.calibrate.charts_accuracy import (
     certainty_chart,
     error_histogram_chart,
@@ -58,7 +57,7 @@ from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
-from cellapp.commands.stages import CALIBRATION_FILE
+from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of

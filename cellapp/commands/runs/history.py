@@ -14,11 +14,10 @@ from cellapp.cell.driving.records import End
 from cellapp.cell.run.collection_rows import Session
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
-from cellapp.commands.basis import counted_basis
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.runs.result import ArmFigures, LastSession, RunsResult, RunSummary, StageSummary
-from cellapp.commands.stages import RunStages, read_stages
+from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError

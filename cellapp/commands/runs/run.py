@@ -8,13 +8,12 @@ from pathlib import Path
 
 from cellapp.cell.run.arm_identity import ArmIdentity, arm_identities
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.basis import counted_basis
 from cellapp.commands.record import Work
 from cellapp.commands.runs import history
 from cellapp.commands.runs.history import list_runs
 from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, ArmHistory, ArmRun, MovedParameter, RunsResult, RunSummary
-from cellapp.commands.stages import read_stages
+from cellapp.commands.stages import counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
 from cellapp.ground.errors import CellappError, InputError

@@ -7,7 +7,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.compensate.details import stored_state
-from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
@@ -15,7 +14,8 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
-from cellapp.commands.show.tables import profile_text
+from cellapp.commands.show.view import profile_text
+from cellapp.commands.stages import complaints_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 

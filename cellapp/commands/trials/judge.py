@@ -37,7 +37,7 @@ from cellapp.commands.trials.judge_records import (
 )
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
-from cellapp.commands.trials.sealed_cases import FLIP, HARD, POSITION
+from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.outcome import Discovery

@@ -25,7 +25,7 @@ from cellapp.commands.trials.judge_records import (
     Spread,
     TargetScore,
 )
-from cellapp.commands.trials.sealed_cases import FLIP
+from cellapp.commands.trials.sealed_setup import FLIP
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS

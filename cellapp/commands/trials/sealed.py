@@ -31,8 +31,17 @@ from cellapp.cell.run.column_names import KINDS
 from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams
 from cellapp.commands.trials.blind import Noise, Session, blind_readings, with_hidden
-from cellapp.commands.trials.sealed_cases import EXPECTED, HARD, OUT, Case, cases, library_name
-from cellapp.commands.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
+from cellapp.commands.trials.sealed_setup import (
+    EXPECTED,
+    HARD,
+    NOISES,
+    OUT,
+    USUAL_SETUP,
+    Case,
+    Setup,
+    cases,
+    library_name,
+)
 from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
-from cellapp.commands.out_of_date import data_mark
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines, unusable_arms
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
+from cellapp.commands.stages import data_mark
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.page.certificate_page import certificate_of_run
 from cellapp.interfaces.page.drawn import drawn_sections

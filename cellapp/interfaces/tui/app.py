@@ -74,7 +74,7 @@ _LATER = (
     "cellapp.interfaces.page.page",
     "cellapp.commands.plan.charts",
     "cellapp.cell.planning.view",
-    "cellapp.commands.docs.sections",
+    "cellapp.commands.docs.handbook",
     "cellapp.interfaces.tui.dialogs.handbook",
 )
 _ONWARD = f"{SHOWN['next']} goes to the next step, {SHOWN['help']} explains"

@@ -15,7 +15,7 @@ from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.import_ import import_new_run
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.tables import overview_sentences
+from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

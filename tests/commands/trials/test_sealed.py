@@ -32,8 +32,16 @@ from cellapp.commands.trials.sealed import (
     open_truth,
     seal_trials,
 )
-from cellapp.commands.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
-from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.sealed_setup import (
+    EXPECTED,
+    KINDS,
+    LOOK_ALIKES,
+    PAIRS,
+    TRIPLES,
+    Setup,
+    cases,
+    library_name,
+)
 from cellapp.commands.trials.tables import judge_sentences, judge_tables
 from cellapp.commands.trials.visible_size import beyond_geometry
 from cellapp.commands.view.table import markdown
