@@ -94,6 +94,13 @@ class Table:
             for row in self.rows
         )
 
+    def shown_and_exact(self) -> tuple[tuple[tuple[str, str], ...], ...]:
+        """Return all cells as text, each with its number in full precision; empty if the text is already exact."""
+        return tuple(
+            tuple((text, exact_cell(cell, text)) for cell, text in zip(row, texts, strict=True))
+            for row, texts in zip(self.rows, self.text_rows(), strict=True)
+        )
+
 
 Source: TypeAlias = str | Callable[[Any], Cell]
 """Source of a cell: the name of a row's attribute, or a function of the row."""
@@ -157,6 +164,18 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
         limits = number_format if cell.decimals is None else f".{cell.decimals}f"
         return f"{cell.low:{limits}} to {cell.high:{limits}}"
     return format(cell, number_format)
+
+
+def exact_cell(cell: Cell, text: str) -> str:
+    """Return the shortest text that reproduces the numbers exactly, in the unit of ``text``; empty if ``text`` does."""
+    if isinstance(cell, Number) and not cell.unit:
+        cell = cell.value
+    if isinstance(cell, Interval):
+        return f"{cell.low!r} to {cell.high!r}"
+    if not isinstance(cell, float) or text.endswith("%"):
+        return ""
+    exact = repr(cell)
+    return "" if exact == text else exact
 
 
 def markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from datetime import datetime
 from itertools import islice
 from typing import Literal
 
-from cellapp.commands.view.words import detail_words
+from cellapp.commands.view.progress_words import detail_words
 from cellapp.ground.progress import (
     AirReport,
     CellLive,

@@ -17,6 +17,7 @@ from cellapp.commands.report.result import RunResults
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import judged_matrix, summary, verdict
 from cellapp.commands.view.parts import Section
+from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
 from cellapp.commands.view.words import CHARACTERISTIC_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
 from cellapp.ground.counting import counted
@@ -228,3 +229,21 @@ def test_sections_that_have_nothing_are_left_out_and_the_others_keep_their_order
     assert {"accuracy", "residuals", "parameters"} <= marked
     assert not any(section.folded for section in sections if section.outdated)
     assert "discovery" not in marked, "what does not hold there is left out"
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_saved_numbers_are_exact(value: float) -> None:
+    row = (
+        value,
+        Number(value, 2),
+        Number(value, 2, "mm"),
+        Interval(value, value),
+        int(value) if abs(value) < 1e9 else 0,
+    )
+    columns = (number_column("a", ".3f"), *(Column(name, "number") for name in "bcde"))
+    ((shown, number, with_unit, interval, whole),) = Table("t", columns, (row,)).shown_and_exact()
+    assert float(shown[1] or shown[0]) == value
+    assert float(number[1] or number[0]) == value
+    assert with_unit[1] == "", "a number with its own unit is saved as it is shown"
+    assert [float(limit) for limit in interval[1].split(" to ")] == [value, value]
+    assert whole[1] == ""
