@@ -15,10 +15,8 @@ FOLDERS = sorted({path.parent for path in TESTS.rglob("test_*.py")})
 
 TESTED_ELSEWHERE = {
     "interfaces/page": ("calibrate", "collect", "discover", "report", "view"),
-    "interfaces/cli": ("at_rest", "demo", "run", "schema"),
+    "interfaces/cli": ("run",),
     "cell/targets": ("compensate", "push"),
-    "cell/run": ("import_",),
-    "cell/programs": ("correct",),
     "cell/driving": ("locate",),
     "handbook": ("docs",),
 }

@@ -14,7 +14,7 @@ from pathlib import Path
 
 TESTS = Path(__file__).parent
 _EXAMPLE = "interfaces/plugins/example_plugin/cellapp_example"
-_VERB = "commands/toys/greet"
+_VERB = "commands/toys/greet.py"
 
 
 @dataclass(frozen=True)
@@ -65,19 +65,19 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "verb with its result",
-        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
-        ("cellapp/commands/folders.py: its folder",),
+        (_VERB,),
+        ("cellapp/commands/registry.py: its name",),
         "commands/test_toy_verb.py",
     ),
     Touch(
         "chart of a result",
-        (f"{_VERB}/view.py",),
+        (_VERB,),
         (),
         "commands/test_toy_verb.py",
     ),
     Touch(
         "dialog with its job",
-        (f"{_VERB}/request.py",),
+        (_VERB,),
         (),
         "commands/test_toy_verb.py",
     ),

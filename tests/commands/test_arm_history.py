@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.compare.run import compare_runs
-from cellapp.commands.runs.arm_history import arm_history
 from cellapp.commands.runs.result import ArmHistory
+from cellapp.commands.runs.run import arm_history
 from cellapp.commands.runs.view import history_sentences, history_table
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms
@@ -23,11 +23,11 @@ from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determ
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
-from cellapp.interfaces.cli.app import app
 from tests.cell.run.small_runs import planned_run
 from tests.cell.run.spoiled import spoil_cut
 from tests.cell.run.two_arm_cell import two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
+from tests.program import app
 from tests.twin import small_twin
 
 SERIALS = ("UR10-77", "UR5-12")

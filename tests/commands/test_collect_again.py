@@ -9,11 +9,10 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replace_stop
-from cellapp.commands.basis import basis_of, counted_basis
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.stages import read_stages
+from cellapp.commands.stages import basis_of, counted_basis, read_stages
 from cellapp.estimation.readings import Reading
 from cellapp.interfaces.cli import main
 from tests.cell.run.small_runs import collected_run

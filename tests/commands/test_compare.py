@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.compare.result import ArmComparison, RunComparison
-from cellapp.commands.compare.run import compare_runs
-from cellapp.commands.compare.view import comparison_sentences, comparison_tables
+from cellapp.commands.compare.run import (
+    ArmComparison,
+    RunComparison,
+    compare_runs,
+    comparison_sentences,
+    comparison_tables,
+)
 from cellapp.commands.report.result import read_results
-from cellapp.commands.stages import append_stage
+from cellapp.commands.stages import append_stage, basis_of
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
-from cellapp.commands.correct.view import view
+from cellapp.commands.correct import view
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.view.table import Table
 

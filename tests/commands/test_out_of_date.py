@@ -8,12 +8,10 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
-from cellapp.commands.basis import basis_of
-from cellapp.commands.out_of_date import CERTIFICATE_FILE, complaints_in, complaints_of
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import append_stage
+from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, basis_of, complaints_in, complaints_of
 from cellapp.ground.results import VERIFY
 from cellapp.interfaces.page.page import write_page
 

@@ -18,8 +18,8 @@ import pytest
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.commands.runs.history import list_runs, resumable, summarise
-from cellapp.commands.runs.result import RunsResult
+from cellapp.commands.runs.history import list_runs, summarise
+from cellapp.commands.runs.result import RunsResult, RunSummary
 from cellapp.commands.runs.view import runs_sentences, runs_tables
 from cellapp.commands.show.overview import run_overview
 from cellapp.ground.asking import JOB_FILE
@@ -30,6 +30,11 @@ from tests.cell.run.spoiled import SPOILED
 
 NEVER_WAITS_S = 5.0
 """Half of the time that a write waits for another program's lock."""
+
+
+def resumable(folder: Path | None = None) -> RunSummary | None:
+    """The newest run that can be resumed."""
+    return next((run for run in list_runs(folder).runs if run.resumable), None)
 
 
 def files(folder: Path) -> dict[str, bytes]:

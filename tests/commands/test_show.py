@@ -12,14 +12,13 @@ from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request, Stored, Verb
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import STORING, records
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run.run import WholeRunResult
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
-from cellapp.commands.storing import STORING
 from cellapp.commands.view.parts import printed
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
@@ -43,11 +42,11 @@ def test_what_a_verb_stores_is_a_part_of_show() -> None:
 
 
 def test_every_stored_part_names_stages_that_there_are() -> None:
-    stored = [one for verb in STORING for one in verb.stored]
+    stored = [one for verb in records(STORING) for one in verb.stored]
     parts = [*OWN_PARTS, *(one.part for one in stored)]
     assert len(set(parts)) == len(parts)
     assert {stage for one in stored for stage in one.stages} <= set(RunResults.model_fields)
-    assert len({verb.name for verb in VERBS}) == len(VERBS)
+    assert len({verb.name for verb in records()}) == len(records())
 
 
 def test_a_discovery_is_shown_as_its_verb_shows_it_with_its_steps_once() -> None:

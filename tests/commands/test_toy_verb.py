@@ -1,4 +1,4 @@
-"""A verb is one folder and one line: a toy appears on the command line, in schemas, handbook and palette."""
+"""A verb is one file and one word: a toy appears on the command line, in schemas, handbook and palette."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from textual.widgets import Input
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import results_by_name, written_results
+from cellapp.commands.registry import records
+from cellapp.commands.schema import results_by_name, written_results
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.page.drawn import drawn_parts
@@ -20,14 +20,14 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from tests.commands.toys.greet.request import VERB as GREET
-from tests.commands.toys.greet.result import GreetResult
+from tests.commands.toys.greet import VERB as GREET
+from tests.commands.toys.greet import GreetResult
 from tests.handbook import declarations
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
 pytestmark = pytest.mark.fast
-WITH_TOY = (*VERBS, GREET)
+WITH_TOY = (*records(), GREET)
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ def test_a_schema() -> None:
 
 
 def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(declarations, "VERBS", WITH_TOY)
+    monkeypatch.setattr(declarations, "records", lambda: WITH_TOY)
     assert "| `cellapp greet` | Say hello to the arms of a run. | no | [commands](commands.md) |" in (
         declarations.verbs_part()
     )
@@ -73,7 +73,7 @@ def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(offers, "VERBS", WITH_TOY)
+    monkeypatch.setattr(offers, "records", lambda: WITH_TOY)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)

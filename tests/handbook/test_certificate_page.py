@@ -11,10 +11,10 @@ import jsonschema
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schema, results_by_name, written_results
-from cellapp.interfaces.cli.app import app
+from cellapp.commands.registry import records
+from cellapp.commands.schema import json_schema, results_by_name, written_results
 from tests.handbook.chapters import blocks
+from tests.program import app
 
 COMMANDS = "".join(blocks("certificate", "sh")).splitlines()
 EXAMPLE = blocks("certificate", "yaml")[0]
@@ -27,7 +27,7 @@ def ran(*arguments: str) -> tuple[int, str, dict[str, object]]:
     found: dict[str, object] = {}
     if Path("result.json").is_file():
         found = json.loads(Path("result.json").read_text("utf-8"))
-        jsonschema.validate(found, json_schema(results_by_name(written_results(VERBS))[str(found["schema"])]))
+        jsonschema.validate(found, json_schema(results_by_name(written_results(records()))[str(found["schema"])]))
     return (
         (1 if ended.exception and not isinstance(ended.exception, SystemExit) else ended.exit_code),
         ended.output,

@@ -17,7 +17,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.docs.handbook import CHAPTERS, chapter_text, effect_sections, topic_text, topics
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Obstacle
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.evidence import more_readings
 from tests.handbook import frame_figures, planning_figures
@@ -26,6 +25,7 @@ from tests.handbook.declarations import with_declarations
 from tests.handbook.effect_figures import FIGURES, figure_svg
 from tests.handbook.figure_files import write_figures
 from tests.handbook.scene import Scene, joint_offset, smr_shift
+from tests.program import app
 
 pytestmark = pytest.mark.fast
 

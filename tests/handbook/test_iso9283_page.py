@@ -14,8 +14,8 @@ from cellapp.cell.driving.iso9283.tests import IsoTask
 from cellapp.commands.iso9283 import run as verb
 from cellapp.estimation.iso9283.norm import ISO_TESTS
 from cellapp.ground.errors import HardwareError
-from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
+from tests.program import app
 from tests.twin import PROFILES
 
 COMMANDS = "".join(blocks("iso9283", "sh")).splitlines()

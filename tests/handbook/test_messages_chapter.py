@@ -15,7 +15,7 @@ pytestmark = pytest.mark.fast
 ROOT = Path(__file__).parents[2]
 SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/safety")
 """Folders whose messages the chapter explains."""
-OTHERS = ("cellapp/commands/out_of_date.py", "cellapp/ground/errors.py", "cellapp/interfaces/cli/program.py")
+OTHERS = ("cellapp/commands/stages.py", "cellapp/ground/errors.py", "cellapp/interfaces/cli/program.py")
 GAP = "..."
 """Stands in the chapter for what changes from case to case; here for the values in an f-string."""
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
+from tests.program import app
 
 
 def test_the_file_of_the_page_is_compensated(

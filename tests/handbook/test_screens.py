@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.tui.screens import SCREENS
+from tests.program import app
 from tests.twin import PROFILES
 
 TWIN = PROFILES / "twin.yaml"

@@ -15,7 +15,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
+from tests.program import app
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast

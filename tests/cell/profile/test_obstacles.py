@@ -8,7 +8,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.loader import profile_from_json, profile_to_json
-from cellapp.commands.doctor.profile_view import cell_words, constraint_words
+from cellapp.commands.doctor.view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
 from tests.twin import PROFILES
 

@@ -25,7 +25,7 @@ from cellapp.cell.programs.solving import (
     true_flange,
 )
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
-from cellapp.commands.correct.view import correct_table
+from cellapp.commands.correct import correct_table
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_vectors

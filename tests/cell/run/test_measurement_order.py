@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as hnp
 from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.tables import overview_sentences
+from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run import RunFile, import_csv, write_readings_csv
 from cellapp.cell.run.csv_import import WhichSmr
-from cellapp.commands.import_.request import ImportRequest
-from cellapp.commands.import_.run import import_new_run
-from cellapp.commands.import_.run import run as import_run
+from cellapp.commands.import_ import ImportRequest, import_new_run
+from cellapp.commands.import_ import run as import_run
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -155,7 +154,7 @@ def test_two_smrs_ask_which_one_counts(tmp_path: Path, monkeypatch: pytest.Monke
         asked_for.append((question, answers))
         return "B"
 
-    monkeypatch.setattr("cellapp.commands.import_.run.load_profile", lambda path: left_alone())
+    monkeypatch.setattr("cellapp.commands.import_.load_profile", lambda path: left_alone())
     request = ImportRequest(profile=PROFILES / "twin.yaml", csv=tmp_path / "in.csv", folder=tmp_path / "run")
     import_run(request, replace(quiet_work(), choose=choose))
     assert asked_for[0][1] == ("A", "B")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
 from tests.cell.run.csv_rows import Rows, written

@@ -14,7 +14,7 @@ from cellapp.cell.targets.targets import Target
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.show.overview import run_overview
 from cellapp.ground.errors import InputError

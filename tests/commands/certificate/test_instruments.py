@@ -6,7 +6,7 @@ from datetime import date
 
 import pytest
 
-from cellapp.commands.certificate.instruments import used_instruments
+from cellapp.commands.certificate.statement import used_instruments
 from cellapp.ground.profile.sections import Instrument
 from tests.estimation.uncertainty.cases import profile_with
 

@@ -12,8 +12,7 @@ import yaml
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
 from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
-from cellapp.commands.init.result import InitResult
-from cellapp.commands.init.view import view
+from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform

@@ -27,9 +27,9 @@ from cellapp.commands.discover.view import proposal_lines
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.interfaces.cli.app import app
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.searched import calibrated_and_searched, proposed
+from tests.program import app
 from tests.twin import small_twin, with_arms
 
 STOPS = 90

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from cellapp.cell.run.unseen_arms import note_halt
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
-from cellapp.interfaces.cli.app import app
 from tests.cell.run.small_runs import planned_run
+from tests.program import app
 
 pytestmark = pytest.mark.fast
 

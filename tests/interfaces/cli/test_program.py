@@ -13,8 +13,8 @@ import pytest
 
 import cellapp
 from cellapp.commands.doctor.result import DoctorResult, Finding
-from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.schema.results import json_schema
+from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.schema import json_schema
 from cellapp.ground.results import ErrorResult
 from cellapp.interfaces.cli.program import wants_json
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
@@ -78,7 +78,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
     from typer.main import get_command
 
-    from cellapp.interfaces.cli.app import app
+    from tests.program import app
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
     assert {"run", "demo", "calibrate", "trials"} < set(verbs)

@@ -12,19 +12,18 @@ import yaml
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.export.run import export_run
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.show.overview import run_history, run_overview
-from cellapp.commands.show.tables import overview_sentences, overview_tables
-from cellapp.commands.stages import append_stage
+from cellapp.commands.show.view import overview_sentences, overview_tables
+from cellapp.commands.stages import append_stage, basis_of
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.interfaces.page.cases import calibration
+from tests.program import app
 from tests.twin import PROFILES, small_twin
 
 KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}

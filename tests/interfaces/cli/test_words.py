@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import records
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.page.page import page_text
 from tests.interfaces.page.parsed_page import NOON
+from tests.program import app
 
 FAULTS = {
     "a double full stop": re.compile(r"[\w)]\.\.(?![./\w])"),
@@ -50,7 +50,7 @@ def test_the_faults_are_found(text: str, name: str) -> None:
 
 
 def test_a_finished_run_is_shown_without_them(finished_run: Path) -> None:
-    parts = [stored.part for verb in VERBS for stored in verb.stored]
+    parts = [stored.part for verb in records() for stored in verb.stored]
     assert len(parts) > 5
     shown = []
     for part in ("", *parts):

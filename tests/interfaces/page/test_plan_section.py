@@ -9,7 +9,7 @@ import pytest
 from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.plan.section import plan_section
+from cellapp.commands.plan.view import plan_section
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section
 from tests.interfaces.page.plan_cases import plan_design

@@ -7,9 +7,9 @@ import math
 from cellapp.cell.run import RunFile
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.details import stored_state, target_details
-from cellapp.commands.compensate.section import targets_section
 from cellapp.commands.compensate.tables import measured_tables, refusal_tables, uncertainty_tables
 from cellapp.commands.compensate.target_list import target_list
+from cellapp.commands.compensate.view import targets_section
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_message
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results

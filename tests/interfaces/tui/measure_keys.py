@@ -26,7 +26,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.request import VERB as DISCOVER
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import job_of

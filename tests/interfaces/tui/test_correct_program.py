@@ -9,7 +9,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.correct.run import correct_run
+from cellapp.commands.correct import correct_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Reading

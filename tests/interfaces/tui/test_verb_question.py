@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from textual.widgets import Input, OptionList
 
-from cellapp.commands.correct.request import VERB as CORRECT
-from cellapp.commands.correct.request import CorrectRequest
+from cellapp.commands.correct import VERB as CORRECT
+from cellapp.commands.correct import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
 from cellapp.interfaces.tui.app import CellApp
